@@ -1,4 +1,4 @@
-"""Tables of plug-ins: one class for interpreters, writers, corpora, characters, metrics, stages, probes and verbs.
+"""Tables of plug-ins: one class for interpreters, writers, corpora, characters, metrics, probes and verbs.
 
 A plug-in of this project is an entry of its table: a name, where its object is ("module:object"), what it needs, one
 line of help. Another package adds one by an entry point of the group `gesticulator.<kind>`. Nothing is imported until
@@ -71,8 +71,8 @@ class Registry(Mapping[str, E], Generic[E]):
     can be read". entries: the table. fits: whether an object can be such a plug-in.
 
     An entry point names either the object itself or a `RegistryEntry` (of the class `entry`), which names the object
-    and says more. If two packages add one name, the table wins, else the package that comes first in the alphabet;
-    a warning of one line names the other. Iterating, `in`, and `registry[name]` import no plug-in.
+    and says more. If two packages add one name, the table wins, else the package that comes first in the alphabet.
+    Iterating, `in`, and `registry[name]` import no plug-in.
     """
 
     def __init__(self, kind: str, what: str, entries: Mapping[str, E], entry: type[E],
@@ -106,28 +106,10 @@ class Registry(Mapping[str, E], Generic[E]):
         return self._points
 
     def _read(self) -> dict[str, EntryPoint]:
-        try:
-            every = entry_points(group=self.group)
-        except (OSError, ValueError) as error:  # the files of a broken installation
-            complain(f"{PROJECT}: warning: the {self.kind} of other packages cannot be read ({error})")
-            return {}
-        points: dict[str, EntryPoint] = {}
-        # This project's distribution first, then by name and package, so that the result does not depend on the order
-        # of installation.
-        for point in sorted(every, key=lambda point: (_owner(point) != PROJECT, point.name, _owner(point))):
-            if point.name not in self._table and point.name not in points:
-                points[point.name] = point
-            elif (_owner(point), point.value) != self._taken_by(point.name, points):
-                owner, _ = self._taken_by(point.name, points)
-                complain(f"{PROJECT}: warning: {point.name} of {self.kind} is that of {owner}; "
-                         f"{point.value} of {_owner(point)} is not used")
-        return points
-
-    def _taken_by(self, name: str, points: Mapping[str, EntryPoint]) -> tuple[str, str]:
-        """The package and the object that have a name."""
-        if name in self._table:
-            return PROJECT, self._table[name].where
-        return _owner(points[name]), points[name].value
+        # By package in reverse, so that the result does not depend on the order of installation and the first one wins.
+        every = sorted(entry_points(group=self.group), key=lambda point: (_owner(point) != PROJECT, _owner(point)))
+        points = {point.name: point for point in reversed(every) if point.name not in self._table}
+        return dict(sorted(points.items()))
 
     def unknown(self, name: object) -> InputError:
         """The error for a name that is in no table: it lists the known ones, and the nearest first."""

@@ -41,6 +41,12 @@ from interpreters.transformer import begin_small
 
 __all__ = ["AdvantageInterpreter", "Critics"]
 
+CRITICS = 2
+"""J; the least of their advantages is used."""
+VALUE = 0.3
+"""Weight of the error of the state's value, which does not affect the choice."""
+GAMMA = 0.9
+"""Discount per block. A lexeme affects the rewards of `reward.window` blocks."""
 _MOMENTUM = 0.02
 """Weight of a batch in the running spread of the advantages, which averages about fifty batches."""
 
@@ -55,9 +61,9 @@ class CriticValues:
     future: Tensor
     value: Tensor
 
-    def q(self, gamma: float) -> Tensor:
+    def q(self) -> Tensor:
         """[..., J, S] Q up to a constant of the state."""
-        return self.reward + gamma * self.future
+        return self.reward + GAMMA * self.future
 
 
 def advantages(q: Tensor, log_prior: Tensor) -> Tensor:
@@ -85,9 +91,9 @@ class Critics(nn.Module):
         self.trunk = QNetwork(config.network, frames, audio_width, lexemes, speakers)
         # The trunk ends in features; the three linear heads below read them.
         self.trunk.head = nn.LayerNorm(config.width)  # type: ignore[assignment]
-        self.reward = nn.Linear(config.width, config.critics * lexemes)
-        self.future = nn.Linear(config.width, config.critics * lexemes)
-        self.value = nn.Linear(config.width, config.critics)
+        self.reward = nn.Linear(config.width, CRITICS * lexemes)
+        self.future = nn.Linear(config.width, CRITICS * lexemes)
+        self.value = nn.Linear(config.width, CRITICS)
         for head in (self.reward, self.future, self.value):
             head.apply(begin_small)
         self.register_buffer("unit", torch.ones(()))  # of the values, in rewards
@@ -103,10 +109,10 @@ class Critics(nn.Module):
 
     @property
     def weights(self) -> dict[str, float]:
-        return {"reward": 1.0, "future": 1.0, "value": self.config.value}
+        return {"reward": 1.0, "future": 1.0, "value": VALUE}
 
     def _of(self, features: Tensor) -> CriticValues:
-        shape = (self.config.critics, self.lexemes)
+        shape = (CRITICS, self.lexemes)
         return CriticValues(self.reward(features).unflatten(-1, shape),
                             self.future(features).unflatten(-1, shape) * self.future_scale,
                             self.value(features) * self.value_scale + self.value_mean)
@@ -162,7 +168,7 @@ class Critics(nn.Module):
 
     def advantage(self, values: CriticValues, log_prior: Tensor) -> Tensor:
         """A [..., S] in units of `unit`."""
-        return advantages(values.q(self.config.gamma), log_prior)
+        return advantages(values.q(), log_prior)
 
     @torch.inference_mode()
     def step(self, state: QState, features: BlockFeatures, previous_lexeme: int) -> tuple[CriticValues, QState]:

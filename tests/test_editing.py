@@ -377,58 +377,6 @@ def test_a_whole_take_reports_its_progress_and_goes_on_where_it_was_abandoned(
         page.edit({**asked, "blocks": asked["blocks"][:-1]})
 
 
-def test_performer_variation_interpreter_and_legs_are_edits(system: Gesticulator, speech: Speech, first: Performance
-                                                            ) -> None:
-    page = Page(system, first)
-    original, before = page.plan, page.frames.copy()
-    lexemes = [block["lexeme"] for block in original["blocks"]]
-    other = next(name for name in system.speakers if name != original["speaker"])
-
-    def is_the_plan_rendered_anew() -> Performance:
-        made = Gesticulator(system.bundle)(speech, plan=parse_plan(json.dumps(page.plan)))
-        np.testing.assert_array_equal(page.frames, frames_of_take(made))
-        return made
-
-    page.edit({**page.plan, "speaker": other})
-    assert (page.frames != before).any()
-    assert [block["lexeme"] for block in page.plan["blocks"]] == lexemes
-    is_the_plan_rendered_anew()
-    page.edit(original)
-    np.testing.assert_array_equal(page.frames, before)
-    # Another manner: what the page sends, and what the plan of that variation gives.
-    varied = copy.deepcopy(original)
-    varied["variation"] = 2
-    for block in varied["blocks"]:
-        block["draw"]["variation"] = 2
-    page.edit(varied)
-    assert (page.frames != before).any() and [block["lexeme"] for block in page.plan["blocks"]] == lexemes
-    is_the_plan_rendered_anew()
-    # Another interpreter chooses all lexemes but the locked ones; size and side of the others stay.
-    page.edit(original)
-    asked = copy.deepcopy(original)
-    anew = system(speech, seed=SEED, interpreter="statistical").plan().to_dict()
-    locked = next(at for at, block in enumerate(anew["blocks"]) if at != 5 and block["lexeme"] != lexemes[at])
-    asked["blocks"][locked].update(locked=True)
-    asked["blocks"][5].update(intensity=0.6)
-    page.edit(asked)
-    page.edit({**page.plan, "interpreter": "statistical"})
-    chosen = page.plan
-    assert [block["lexeme"] for at, block in enumerate(chosen["blocks"]) if at != locked] == [
-        block["lexeme"] for at, block in enumerate(anew["blocks"]) if at != locked]
-    assert chosen["blocks"][locked]["lexeme"] == lexemes[locked]
-    assert chosen["blocks"][5]["intensity"] == 0.6 and chosen["drawn"] == anew["drawn"]
-    is_the_plan_rendered_anew()
-    page.edit(original)
-    np.testing.assert_array_equal(page.frames, before)
-    assert page.plan["interpreter"] == original["interpreter"], "undo chooses nothing"
-    page.edit(chosen)
-    assert page.plan["drawn"] == anew["drawn"]
-    with pytest.raises(InputError, match="nobody"):
-        page.edit({**page.plan, "interpreter": "nobody"})
-    with pytest.raises(InputError, match="nobody"):
-        page.edit({**page.plan, "speaker": "nobody"})
-
-
 def test_moved_beats_are_encoded_as_if_all_were(system: Gesticulator, speech: Speech) -> None:
     cutters: list[Any] = []
     whole = system.encode_speech(speech, cutters=cutters)

@@ -171,18 +171,6 @@ def test_a_character_without_a_face_is_written_with_one_line(tmp_path: Path) -> 
     assert not any(kind == "weights" for _, kind in tracks)
 
 
-def test_the_body_of_a_character_is_the_same_with_a_face(tmp_path: Path) -> None:
-    path = add_shapes(write_character(tmp_path / "a.glb"), list(ARKIT))
-    shown = written(tmp_path, path)
-    performance = perform(1.0)
-    moved = replace(performance, character=still(path, performance))
-    file = read_gltf(moved.save(tmp_path / "plain.glb"))
-    animation = file.rows("animations")[-1]
-    for channel in animation["channels"]:
-        key = file.rows("nodes")[channel["target"]["node"]].get("name", "mesh"), channel["target"]["path"]
-        assert np.array_equal(shown[key], file.array(animation["samplers"][channel["sampler"]]["output"]))
-
-
 def _document(path: Path) -> dict[str, Any]:
     data = path.read_bytes()
     size = struct.unpack_from("<I", data, 12)[0]

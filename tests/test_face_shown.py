@@ -15,7 +15,6 @@ import pytest
 from browser import OpenedPage, chromium
 from face_samples import FPS, PAUSE, posed, spoken, still, syllables
 from javascript import printed_by
-from live_double import served
 from performances import write
 
 from data_module.types import Array, Speech
@@ -25,8 +24,6 @@ from gesticulator.face.motion import FaceMotion
 from gesticulator.face.mouth import lip_curves
 from gesticulator.face.shapes import vrm
 from gesticulator.face.visemes import OPENINGS, VISEMES, VisemeSpan
-from gesticulator.live.limits import ServerLimits
-from gesticulator.live.server import live_pages
 from gesticulator.performance import Performance
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -185,24 +182,6 @@ def test_the_page_shuts_the_mouth_on_m_and_f_and_opens_it_on_vowels(
     silent = inside_of_mouth(look(shown, PAUSE / 2))
     bitten = inside_of_mouth(look(shown, moments["bite"][0]))
     assert min(opened) > 20 and max(*closed, silent, bitten) < 5
-
-
-def test_the_live_page_shows_a_face_where_it_is_asked_for(browser: Any) -> None:
-    with served(ServerLimits(), live_pages()) as (_, port):
-        page = browser.new_page(viewport={"width": 640, "height": 480})
-        page.set_default_timeout(240_000)
-        page.goto(f"http://127.0.0.1:{port}/")
-        page.wait_for_selector("body[data-ready=true]")
-        page.wait_for_function("() => live.stream.total > 20")
-        assert page.evaluate("() => !live.performer.figure.face")
-        page.click("#face")
-        page.wait_for_function("() => live.performer.figure.face && live.performer.poser.face?.[10] > 0.2")
-        assert page.get_attribute("#face", "aria-pressed") == "true"
-        page.click("#face")
-        page.wait_for_function("() => live.performer.poser.face === null")
-        assert page.evaluate("() => live.performer.figure.dots[0].visible || live.performer.show() || "
-                             "live.performer.figure.dots[0].visible")
-        page.close()
 
 
 # ---------------------------------------------------------------------------------------------------- mouth and sound

@@ -240,21 +240,6 @@ def test_one_voice_alone_proves_nothing() -> None:
     assert PITCH not in timing.figures([Timed.of(motion, silent)])
 
 
-def test_a_hold_at_the_end_of_a_phrase_is_seen() -> None:
-    said, _ = recordings()[0]
-    ends = stats.runs(said.heard.silent)
-    ends = ends[ends[:, 1] - ends[:, 0] > 100][:, 0] / 100
-
-    def move(time: Array) -> dict[str, Array]:
-        near = np.min(np.abs(time[:, None] - (ends + 0.15)), axis=1)
-        pace = np.clip((near - 0.6) * 4, 0.0, 1.0)
-        return {"RightForeArm": elbow("Right", 1.4 + 0.5 * np.sin(6.0 * np.cumsum(pace) / HZ)),
-                "LeftForeArm": elbow("Left", 1.4 + 0.5 * np.sin(6.0 * time))}
-
-    own, chance = timing.holds_at_ends(common_body(posed(26.0, move)), said)
-    assert own > 90.0 and chance < 60.0
-
-
 # ------------------------------------------------------------------------------------------------- speech on and on
 
 def test_pauses_are_cut_out_and_the_speech_stays() -> None:

@@ -2,16 +2,44 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import json
+import threading
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
+import soundfile
 from browser import opened_page
-from test_story import PATIENCE, _is, _rendered, _rotations, first, served  # noqa: F401
+from test_story import PATIENCE, SPEECH, _is, _rendered, _rotations
 
+from data_module.types import Speech
+from gesticulator import Gesticulator
+from gesticulator.export import html
+from gesticulator.page.palette import moving_figures
 from gesticulator.page.server import PageServer
-from gesticulator.page.session import EditSession
+from gesticulator.page.session import EditSession, levels_of
+
+
+@pytest.fixture(scope="module")
+def served() -> Iterator[tuple[PageServer, EditSession]]:
+    """The page of six seconds of the example, with its renderer."""
+    samples, rate = soundfile.read(SPEECH, frames=6 * 16000, dtype="float32")
+    gesticulator = Gesticulator.from_pretrained()
+    gesticulator.keeps_generations = True
+    performance = gesticulator(Speech(samples, rate), seed=1)
+    server, session = PageServer(), EditSession(gesticulator, performance)
+    live = {"token": server.token, "renderings": [session.opened(performance)],
+            "levels": levels_of(gesticulator.bundle), "speakers": list(gesticulator.speakers)}
+    server.page = html.page({"lstm": performance.scene()}, "talk", more={"live": live}).encode()
+    server.render = session.answer
+    server.figures = lambda: json.dumps(moving_figures(gesticulator.bundle, 0)).encode()
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    yield server, session
+    server.shutdown()
+    server.server_close()
+    thread.join(10)
 
 
 def _at(page: Any, seconds: float, row: str) -> tuple[float, float]:
@@ -35,8 +63,8 @@ def _gestures(blocks: list[dict[str, Any]], begin: int, end: int) -> list[tuple[
 
 
 def test_a_gesture_is_dragged_to_another_beat_copied_slid_and_moved_with_keys(
-        served: tuple[PageServer, EditSession, Path]) -> None:  # noqa: F811
-    server, plans, _ = served
+        served: tuple[PageServer, EditSession]) -> None:
+    server, plans = served
     with opened_page(server.url, 1280, 860) as opened:
         page = opened.page
         opened.go_to(1.0)
@@ -99,8 +127,8 @@ def test_a_gesture_is_dragged_to_another_beat_copied_slid_and_moved_with_keys(
 
 
 def test_what_plays_stands_among_the_scores_is_found_by_words_and_varied(
-        served: tuple[PageServer, EditSession, Path]) -> None:  # noqa: F811
-    server, plans, _ = served
+        served: tuple[PageServer, EditSession]) -> None:
+    server, plans = served
     with opened_page(server.url, 1280, 900) as opened:
         page = opened.page
         page.set_default_timeout(PATIENCE)

@@ -57,7 +57,7 @@ def served() -> Iterator[tuple[PageServer, Renderer]]:
     server, renderer = PageServer(), Renderer()
     live = {"token": server.token, "renderings": [0]}
     server.page = html.page({"take": renderer.first.scene()}, "talk", more={"live": live}).encode()
-    server.answers["render"] = renderer
+    server.render = renderer
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
     thread.start()
     yield server, renderer

@@ -13,23 +13,20 @@ import soundfile
 
 from data_module.errors import InputError
 from data_module.motion import rotation
-from data_module.motion.kinematics import positions_of
 from data_module.types import Array, Speech, Word
 from gesticulator import Gesticulator, infer
 from gesticulator.body.clips import mirrored_motion
 from gesticulator.bundle.features import representation_of
-from gesticulator.contacts.columns import trunk_distances
+from gesticulator.contacts.columns import TRUNK
 from gesticulator.contacts.limbs import pose_of
 from gesticulator.directing.cues import cues_at
-from gesticulator.directing.named_gestures import laid_over, span_of_gesture
+from gesticulator.directing.named_gestures import span_of_gesture
 from gesticulator.directing.shaping import (
     FADE,
     MIRROR_FADE,
     REST_FADE,
     ArmScales,
     Shaper,
-    eased_levels,
-    levels_at,
     rest_share,
 )
 from gesticulator.directing.strokes import FINE, LARGE, REMEMBERED, StrokeMemory
@@ -184,7 +181,7 @@ def test_intensity_scales_the_hands_and_keeps_them_in_range_and_out_of_the_body(
     beyond = np.maximum(angles - high[columns], low[columns] - angles).max()
     # Idle life and smoothing bring the drawing itself to the edge; pushing a hand out of the trunk may take a little.
     assert beyond <= max(np.maximum(before - high[columns], low[columns] - before).max(), 0.0) + 0.16
-    for gap in trunk_distances(pose_of(made.motion)).values():
+    for gap in TRUNK.distances(pose_of(made.motion)).values():
         assert gap.min() > -0.01, "no hand in the trunk, at no frame"
 
 
@@ -260,15 +257,6 @@ def test_both_hands_take_part_and_are_no_mirror(new_shaper: Callable[[], Shaper]
     assert int(np.argmax(shifted)) in (2, 3) and max(shifted) > 0.95, "mirrored, a tenth of a second later"
 
 
-def test_a_short_run_of_levels_asks_for_no_more_than_can_be_reached() -> None:
-    edges, levels, free = np.array([0.0, 3.0, 3.3, 6.0, 9.0]), np.array([1.0, 0.0, 1.0, 0.2]), np.zeros(4, bool)
-    eased = eased_levels(edges, levels, 0.6, free)
-    np.testing.assert_allclose(eased, [1.0, 0.75, 1.0, 0.2])  # a quarter of 1.2 s: a quarter of the way
-    np.testing.assert_array_equal(eased_levels(edges, levels, 0.6, np.arange(4) == 1), levels)
-    np.testing.assert_array_equal(eased_levels(np.array([0.0, 0.1]), np.array([0.3]), 0.6, free[:1]), [0.3])
-    assert np.abs(np.diff(levels_at(edges, eased, np.arange(0.0, 9.0, 0.01), 0.6))).max() < 1.5 * 0.01 / 1.2
-
-
 def test_hands_hold_still_where_they_are_told_and_wake(system: Gesticulator, speech: Speech, drawn: Performance
                                                        ) -> None:
     # Where they would move most.
@@ -321,33 +309,6 @@ def test_a_wave_is_a_wave(system: Gesticulator, speech: Speech, drawn: Performan
     swings = np.flatnonzero(np.diff(np.sign(np.diff(tip))))
     assert len(swings) >= 4 and np.ptp(tip) > 0.12, "to and fro"
     assert hand_speeds(made).max() < 1.1 * max(hand_speeds(drawn).max(), 3.2), "no jump"
-
-
-@pytest.mark.parametrize("name", ["wave", "point left", "point ahead", "me", "stop", "shrug", "open palms", "nod",
-                                  "shake head", "count 3", "chin think", "arms crossed", "clap", "cut off"])
-def test_named_gestures_are_poses_of_a_body(name: str, drawn: Performance) -> None:
-    """Over generated motion, whose hands may be anywhere; all gestures over a resting body: test_named_gestures.py."""
-    times = np.arange(len(drawn.rotations)) / 60
-    poses = rotation.unroll(rotation.to_exponential_map(drawn.rotations)).reshape(len(times), -1)
-    out = laid_over(poses, times, [(GestureCue(name), 4.0)])
-    before, after = span_of_gesture(name)
-    far = (times <= 4.0 - before) | (times >= 4.0 + after)
-    assert not np.array_equal(out, poses)
-    np.testing.assert_array_equal(out[far], poses[far])
-    assert np.abs(np.diff(out, axis=0)).max() <= max(np.abs(np.diff(poses, axis=0)).max(), 0.25), "no jump in any joint"
-    motion = replace(drawn.motion, rotations=rotation.from_exponential_map(out.reshape(len(out), -1, 3)))
-    at = slice(round(4.02 * 60), round(4.2 * 60))
-    names, bends = drawn.joints, rotation.to_exponential_map(motion.rotations[at])
-    for side in ("Left", "Right"):
-        places = positions_of(motion)[at]
-        shoulder, elbow, wrist = (places[:, names.index(side + part)] for part in ("Arm", "ForeArm", "Hand"))
-        upper, fore = elbow - shoulder, wrist - elbow
-        cosine = np.sum(upper * fore, axis=-1) / np.linalg.norm(upper, axis=-1) / np.linalg.norm(fore, axis=-1)
-        assert np.degrees(np.arccos(cosine)).max() < 150, "an elbow closes by 150 degrees at most"
-        # Of the wrist what is not turned about the forearm: a hand bends by 80 degrees at most.
-        bend = np.linalg.norm(bends[:, names.index(side + "Hand"), 1:], axis=-1)
-        assert np.degrees(bend).max() < 85
-    assert min(gap[at].min() for gap in trunk_distances(pose_of(motion)).values()) > 0.0, "outside the body"
 
 
 def test_cues_find_their_words_and_say_what_is_said() -> None:

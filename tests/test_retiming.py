@@ -19,7 +19,6 @@ from data_module.types import Speech, Word
 from gesticulator import Gesticulator, infer
 from gesticulator.editing.moved_beats import BeatMap
 from gesticulator.options import InferenceOptions
-from gesticulator.performance import Performance
 from gesticulator.plan.plan import (
     DrawnBlocks,
     GestureCue,
@@ -180,24 +179,6 @@ def test_edits_locks_pins_and_curves_go_along_or_are_reported(system: Gesticulat
     assert [pin.time for pin in gone.plan.pins] == [3.0] and gone.plan.blocks[3].locked
     assert any("pin of RightHand at 7.00 s" in line for line in gone.report.losses)
     assert any(line.startswith("the edit of the block") for line in gone.report.losses)
-
-
-def test_motion_is_the_same_up_to_the_cut_and_nearer_than_a_new_take_after_it(
-        system: Gesticulator, speech: Speech, plan: GesturePlan) -> None:
-    new, before = joined(piece(speech, 0, PAUSE), piece(speech, PAUSE + 0.3)), round(3.5 * 60)
-    old, moved, fresh = system(speech, plan=plan), system(new, plan=plan, retime=True), system(new, seed=1)
-    assert moved.retiming is not None and not moved.retiming.anew and moved.plan().notes[0].startswith("re-timed")
-    np.testing.assert_array_equal(moved.rotations[:before], old.rotations[:before])
-    hands, shift = [old.joints.index(f"{side}Hand") for side in ("Left", "Right")], round(0.3 * 60)
-    after = round(5.2 * 60)
-
-    def apart(made: Performance) -> float:
-        """Mean distance of the hands from those of the old take after the pause, metres."""
-        there, here = old.positions()[after:, hands], made.positions()[after - shift:, hands]
-        count = min(len(there), len(here))
-        return float(np.linalg.norm(there[:count] - here[:count], axis=-1).mean())
-
-    assert apart(moved) < 0.8 * apart(fresh)
 
 
 def test_another_recording_and_a_plan_without_its_sound_are_refused(system: Gesticulator, speech: Speech,

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile
+import torch
 
 from data_module.errors import InputError
 from data_module.motion import rotation
@@ -24,7 +25,6 @@ from data_module.motion.skeletons import CHARACTER, NAME_TABLES, facing
 from data_module.motion.smplx import SKELETON as SMPLX
 from data_module.store import Store
 from data_module.types import Motion, Speech
-from eval.ablate.rewards import RewardProbe
 from eval.baselines.controls import bobbing, jittered, mean_pose
 from eval.clip import foreign
 from eval.clip.clip_set import TRUTH, common_clips
@@ -36,9 +36,8 @@ from eval.metrics.encode import SpeechBlocks, encode_motion, judged_reward
 from eval.metrics.evaluate import OnsetTrack
 from eval.metrics.gesture_features import RawFeatures
 from eval.score import command as score
-from eval.score import groups
 from eval.score.command import flags, mean_of
-from eval.score.played_rows import PlayedBundle
+from eval.score.played_rows import PlayedBundle, sounds_of, synchrony_means
 from eval.score.tables import FLOOR, STILL, Flag, Scores, tables
 from eval.stats import Interval
 from eval.table import Marked, Provenance, load, save
@@ -46,6 +45,7 @@ from gesticulator.bundle import bundle as bundles
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages.corpus import prepare
 from gesticulator.training.stages.lexicon import token_labels
+from gesticulator.training.stages.reward import block_audio
 
 SECONDS, FPS, RATE = 4.0, 20.0, 16000
 NETWORKS = {"raw, 12 frames": RawFeatures(12), "raw, 20 frames": RawFeatures(20)}
@@ -249,9 +249,9 @@ def test_the_command_writes_both_files(truth: dict[str, Clip], tmp_path: Path) -
     few = {name: truth[name] for name in ("clip0", "clip1")}
     real, ours = write_clips(tmp_path / "real", truth), write_clips(tmp_path / "ours", few, sound=False)
     out = tmp_path / "results" / "score.json"
-    assert door(["--truth", str(real), "--system", f"ours={ours}", "--no-controls", "--out", str(out)]) == 0
+    assert door(["--truth", str(real), "--system", f"ours={ours}", "--out", str(out)]) == 0
     about, joints, *_ = load(out)
-    assert about.facts["clips"] == ["clip0", "clip1"] and about.facts["controls"] == []
+    assert about.facts["clips"] == ["clip0", "clip1"]
     assert joints.rows["ours"]["maje"].value.mean < 0.01  # type: ignore[union-attr]
     assert "truth: clip2, clip3, clip4 are not compared, because ours has none of these names" in about.facts["notes"]
     assert out.with_suffix(".md").is_file()
@@ -289,8 +289,7 @@ def test_a_real_take_as_a_foreign_system(outside_data: Path, tmp_path: Path) -> 
     shutil.copy(file.with_suffix(".wav"), real / f"{file.stem}.wav")
     result = score.scored(Namespace(
         truth=real, system=[f"itself={real}", f"shaken={shaken}"], speech=None, fgd=None, work=None, bundle=None,
-        piece="8", rate=None, fps=[], no_controls=False, seed=0, units=None,
-        split="test"))
+        piece="8", fps=[], seed=0, units=None, split="test"))
     itself, off = ({name: mean_of(result.figures, row, name) for name in METRICS} for row in ("itself", "shaken"))
     assert len(result.clips) == 3 and result.fps == 15.0
     assert itself["maje"] == itself["mad"] == itself["speed_distance"] == 0.0
@@ -357,8 +356,8 @@ def test_the_format_of_a_motion_does_not_change_its_figures(outside_data: Path, 
 # ----------------------------------------------------------------------------------------- what a user runs into
 
 def asked(truth: Path, systems: list[str], **others: Any) -> Namespace:
-    told: dict[str, Any] = {"speech": None, "fgd": None, "work": None, "bundle": None, "piece": None, "rate": None,
-                            "fps": [], "no_controls": False, "seed": 0, "units": None, "split": "test"}
+    told: dict[str, Any] = {"speech": None, "fgd": None, "work": None, "bundle": None, "piece": None, "fps": [],
+                            "seed": 0, "units": None, "split": "test"}
     return Namespace(truth=truth, system=systems, **{**told, **others})
 
 
@@ -503,6 +502,7 @@ def work_of(bundle: Path) -> Path:
     return bundle.with_name(bundle.name + ".work")
 
 
+@torch.no_grad()
 def test_reward_and_lexeme_accuracy_stand_in_the_table(tiny_store: Path, tiny_bundle: Path, tmp_path: Path) -> None:
     bundle, store = with_judges(bundles.load(tiny_bundle), work_of(tiny_bundle)), Store.open(tiny_store)
     clips, _ = foreign.read_folder(tiny_store, split="all")
@@ -511,19 +511,27 @@ def test_reward_and_lexeme_accuracy_stand_in_the_table(tiny_store: Path, tiny_bu
     figures = score.score(EvalContext(models=bundle), common).figures
     assert mean_of(figures, TRUTH, "lexeme_accuracy") == 100.0 > mean_of(figures, "shuffled", "lexeme_accuracy")
     assert -1.0 <= mean_of(figures, TRUTH, "reward") == mean_of(figures, "same", "reward") <= 1.0
-    deaf = score.score(EvalContext(models=bundle.with_parts(reward_judge=None)), common, with_controls=False).figures
+    deaf = score.score(EvalContext(models=bundle.with_parts(reward_judge=None)), common).figures
     assert "no judging reward model of the bundle's training was found" in deaf["same"]["reward"].reason
     assert mean_of(deaf, "same", "lexeme_accuracy") == 100.0
     # By another way: the corpus as the stages train on it.
     assert bundle.reward_judge is not None
     corpus = prepare(store, bundle.config, tmp_path, bundle.encoder, progress=False)
-    asks = RewardProbe.of(bundle.reward_judge, bundle, corpus, token_labels(bundle.lexicon, corpus))
+    audio, times = block_audio(corpus).float(), torch.as_tensor(np.log(corpus.durations)).float()
+
+    def reward(window: np.ndarray) -> float:
+        """RACER Eq. 8 by each member's embeddings: the cosine of motion and audio."""
+        blocks, valid = corpus.motion[window][None].float(), torch.ones(1, len(window))
+        return float(np.mean([(member.embed_motion(member.block_motion(blocks, times[window][None]), valid)
+                               * member.embed_audio(member.block_audio(audio)[window][None], valid)).sum()
+                              for member in bundle.reward_judge.models]))
+
     blocks = corpus.blocks_of(corpus.names.index(next(iter(some))))
     values = []
     for end in range(len(blocks)):
         window = blocks[max(0, end - bundle.reward_judge.config.window + 1):end + 1]
         if not corpus.silent[window].all():
-            values.append(asks.score("captured", window[None], window[None])[0])
+            values.append(reward(window))
     assert common.speeches[0] is not None
     speech = SpeechBlocks.of(bundle, common.speeches[0])
     encoded = encode_motion(bundle, common.motions[TRUTH][0], speech.blocks, speech.speaker)
@@ -549,8 +557,8 @@ def test_motion_that_beats_to_its_own_sound_is_above_its_group_exchanged() -> No
     still = mean_pose([Motion(CHARACTER, rotation.from_exponential_map(np.zeros((720, len(CHARACTER), 3))),
                               np.zeros((720, 3)), 60.0)])[0]
     motions = bobbing([still] * 5, [track.onsets for track in tracks])
-    right = groups.synchrony_means(motions, tracks, 0)["above_A"]
-    wrong = groups.synchrony_means(motions, [*tracks[1:], tracks[0]], 0)["above_A"]
+    right = synchrony_means(motions, tracks, 0)["above_A"]
+    wrong = synchrony_means(motions, [*tracks[1:], tracks[0]], 0)["above_A"]
     assert isinstance(right, Interval) and isinstance(wrong, Interval)
     assert right.low > wrong.high and abs(wrong.mean) < 40.0 < right.mean
 
@@ -558,7 +566,7 @@ def test_motion_that_beats_to_its_own_sound_is_above_its_group_exchanged() -> No
 def test_groups_are_named_by_the_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("de_anna", "de_ben", "en_cay", "en_dan"):
         soundfile.write(tmp_path / f"{name}.flac", clicking(3.0, 2.0, 1).samples, 16000)
-    found = groups.sounds_of(tmp_path)
+    found = sounds_of(tmp_path)
     assert {group: list(sounds) for group, sounds in found.items()} == {
         "de": ["de_anna", "de_ben"], "en": ["en_cay", "en_dan"]}
     (tmp_path / "en_dan.flac").unlink()

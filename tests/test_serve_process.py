@@ -127,34 +127,6 @@ def test_a_single_server_ends_with_code_0_in_the_middle_of_a_stream() -> None:
         assert at.process.wait(_PATIENCE) == 0
 
 
-@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs Linux's figures of threads")
-def test_no_thread_computes_beside_the_compute_thread() -> None:
-    """Those of numpy's matrix products spin while they wait for work, which took more than the stream."""
-    with served() as at:
-        at.await_line("INFO ready")
-        before = _processor_ticks(at.process.pid)
-
-        async def test() -> None:
-            async with connect(f"ws://127.0.0.1:{at.port}/stream", Hello(RATE)) as stream:
-                for _ in range(60):  # as it comes from a microphone: the products are small
-                    await stream.send(speech(.1))
-                await stream.finish()
-                async for message in stream:
-                    assert message
-
-        asyncio.run(test())
-        after = _processor_ticks(at.process.pid)
-        took = sorted(ticks - before.get(thread, 0) for thread, ticks in after.items())
-        assert sum(took[:-1]) <= .4 * took[-1], "the sockets' thread takes a tenth"
-
-
-def _processor_ticks(pid: int) -> dict[str, int]:
-    """Thread -> the processor time that it took, in ticks of the kernel."""
-    fields = {task.name: (task / "stat").read_text().rpartition(")")[2].split()
-              for task in Path(f"/proc/{pid}/task").iterdir()}
-    return {thread: int(of[11]) + int(of[12]) for thread, of in fields.items()}
-
-
 @pytest.mark.parametrize(("arguments", "wrong"), [
     (["--port", "99999"], "port 99999"), (["--host", "no.such.host.invalid"], "no.such.host.invalid"),
     (["--host", "0.0.0.0"], "--token-file"), (["--streams", "0"], "limits.streams"),

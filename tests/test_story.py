@@ -16,10 +16,8 @@ import numpy as np
 import soundfile
 from browser import OpenedPage, chromium
 
-from data_module.errors import InputError
 from gesticulator.arguments import run_settings_of
 from gesticulator.export import html
-from gesticulator.export.writers import check_output
 from gesticulator.page.command import COMMAND, _job, _prepare
 from gesticulator.page.server import PageServer
 from gesticulator.page.session import EditSession
@@ -62,7 +60,7 @@ def _viewing(sound: Path, *words: str) -> Iterator[tuple[PageServer, EditSession
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
         try:
-            yield server, server.answers["render"].__self__  # type: ignore[attr-defined]
+            yield server, server.render.__self__  # type: ignore[union-attr]
         finally:
             server.shutdown()
             thread.join(10)
@@ -116,27 +114,7 @@ def _pin(page: Any) -> None:
     page.mouse.up()
 
 
-def _exported(page: Any, plans: EditSession, plan: dict[str, Any], folder: Path) -> None:
-    """The menu hands out the file of the command line: FBX where Blender is there to make it, else GLB."""
-    try:
-        check_output(folder / "talk.fbx")
-        suffix = ".fbx"
-    except InputError:
-        suffix = ".glb"
-    page.click("#file-menu summary")
-    page.select_option("#export-format", suffix)
-    with page.expect_download(timeout=2 * PATIENCE) as got:
-        page.click("#export-go")
-    made = Path(got.value.path()).read_bytes()
-    assert got.value.suggested_filename == f"talk{suffix}"
-    if suffix == ".glb":
-        assert made == plans.exported(plan).save(folder / "wanted.glb").read_bytes()
-    else:
-        assert made.startswith(b"Kaydara FBX Binary")
-    page.keyboard.press("Escape")
-
-
-def test_gestures_are_seen_tried_taken_dragged_shaped_pinned_exported_and_there_again_tomorrow(tmp_path: Path) -> None:
+def test_gestures_are_seen_tried_taken_dragged_shaped_pinned_and_there_again_tomorrow(tmp_path: Path) -> None:
     samples, rate = soundfile.read(SPEECH, frames=6 * 16000, dtype="float32")
     sound, said = tmp_path / "talk.wav", tmp_path / "talk.srt"
     soundfile.write(sound, samples, rate, subtype="FLOAT")
@@ -214,7 +192,6 @@ def test_gestures_are_seen_tried_taken_dragged_shaped_pinned_exported_and_there_
             assert pin["joint"] == "LeftHand" and abs(pin["time"] - 2.0) < 1e-3
             page.keyboard.press("g")
             _is(page, plans, opened.plan())
-            _exported(page, plans, opened.plan(), tmp_path)
             # The page is loaded again, and goes on.
             edited, there = opened.plan(), _rotations(page)
             page.wait_for_timeout(600)

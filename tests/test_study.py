@@ -26,7 +26,7 @@ from eval.commands import STUDY
 from eval.stats import crossed_means
 from eval.study import anova
 from eval.study import command as study
-from eval.study.anova import Key
+from eval.study.anova import Key, KeyItem
 from eval.table import load
 from gesticulator.export.figure import figure_points
 
@@ -165,8 +165,9 @@ def test_orders_differ_between_raters_and_are_balanced() -> None:
 # ---------------------------------------------------------------- figures
 
 def _key(systems: int = 3, clips: int = 4, aspects: tuple[str, ...] = ("beat_match",), high: int = 5) -> Key:
-    items = {f"item{c}_{k}": (c, k) for c in range(clips) for k in range(systems)}
-    return Key("s1", tuple("ABCDEF"[:systems]), aspects, clips, (1, high), items)
+    names = tuple("ABCDEF"[:systems])
+    items = {f"item{c}_{k}": KeyItem(c, name) for c in range(clips) for k, name in enumerate(names)}
+    return Key("s1", names, aspects, ({},) * clips, (1, high), items)
 
 
 def _table(values: Array, high: int = 5) -> anova.Ratings:
@@ -444,6 +445,11 @@ def browser() -> Iterator[Any]:
         yield window
 
 
+def placed(key: Key, name: str) -> tuple[int, int]:
+    """The numbers of an item's clip and system."""
+    return key.items[name].clip, key.systems.index(key.items[name].system)
+
+
 def test_a_rater_goes_through_the_page(browser: Any, made: Path, tmp_path: Path) -> None:
     """Clip by clip in her order; questions open at the end of a clip; answers outlive a reload and can be analysed."""
     path, complaints, requests = made / "page" / "index.html", [], []
@@ -489,7 +495,7 @@ def test_a_rater_goes_through_the_page(browser: Any, made: Path, tmp_path: Path)
     np.testing.assert_array_equal(ratings[0].values, ratings[1].values)
     assert ratings[0].notes == () and ratings[0].raters == ("26",)
     for place, item in enumerate(order):
-        assert ratings[0].values[0, *key.items[told["items"][item]["id"]], 1] == 1 + (place + 1) % 5
+        assert ratings[0].values[0, *placed(key, told["items"][item]["id"]), 1] == 1 + (place + 1) % 5
 
 
 @pytest.mark.parametrize("kind", ["mp4", "webm"])
@@ -530,7 +536,7 @@ def test_a_rater_goes_through_the_videos(browser: Any, films: dict[str, Path], t
     ratings = anova.gather(anova.read_answers([tmp_path / "ratings.json"], key), key)
     assert ratings.notes == ()
     for place, item in enumerate(order):
-        assert ratings.values[0, *key.items[told["items"][item]["id"]], 0] == 1 + place % 5
+        assert ratings.values[0, *placed(key, told["items"][item]["id"]), 0] == 1 + place % 5
 
 
 @pytest.mark.parametrize("change", [

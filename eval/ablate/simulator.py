@@ -72,10 +72,10 @@ class Simulator:
         self._past_lexemes, self._past_blocks = self._lexemes[rows], self._blocks[rows]
         return self._observe()
 
-    def step(self, actions: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor]:
-        """Take actions [B]: the next observation, rewards [B] float32, terminal [B] and truncated [B]. terminal: it was
-        the last block of the recording. truncated: the horizon was reached first; the next observation is for
-        bootstrapping. An episode that is over does not change, has reward 0 and does not end again."""
+    def step(self, actions: Tensor) -> tuple[Observation, Tensor, Tensor]:
+        """Take actions [B]: the next observation, rewards [B] float32 and terminal [B]: it was the last block of the
+        recording. Where the horizon was reached first, the next observation is for bootstrapping. An episode that is
+        over does not change, has reward 0 and does not end again."""
         if not bool(self._live.any()):
             raise ValueError("every episode is over: reset first")
         live = self._live
@@ -90,7 +90,7 @@ class Simulator:
         truncated = live & ~terminal & (self._done == self._horizon)
         self._at = torch.where(live & ~terminal, self._at + 1, self._at)
         self._live = live & ~terminal & ~truncated
-        return self._observe(), reward, terminal, truncated
+        return self._observe(), reward, terminal
 
     def _observe(self) -> Observation:
         here = self._offset + self._at
@@ -125,7 +125,7 @@ def collect(simulator: Simulator, choose: Choose, rng: np.random.Generator, coun
         if bool(now.live.any()) and position < decisions:
             so_far = {key: torch.stack(columns[key], 1) for key in ("block", "previous", "silent")}
             action = choose({**so_far, "speaker": now.speaker}).to(torch.int64)
-            now, reward, terminal, _ = simulator.step(action)
+            now, reward, terminal = simulator.step(action)
         over = over | terminal
         for key, value in (("action", action), ("reward", reward), ("terminal", terminal)):
             columns[key].append(value)

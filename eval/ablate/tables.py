@@ -75,7 +75,8 @@ def _plain(key: str) -> Column:
 def _lines(table: PaperTable, rows: Rows, suffix: str) -> list[TableLine]:
     """The rows of a table, in order, by the names of the rows on its split."""
     beside = {**REFERENCES, **CONTROLS}
-    lines = [replace(line, row=line.row + suffix) if line.row in beside else line for line in table.lines]
+    lines = [TableLine(line.label, line.row + suffix, line.paper) if line.row in beside else line
+             for line in table.lines]
     if not table.references:
         return [line for line in lines if line.row in rows]
     there = {line.row for line in lines}
@@ -157,13 +158,12 @@ def difference_table(cells: Cells) -> Table:
 
 
 def racer_differences(cells: Cells) -> Table:
-    """RACER's own row less each other that has its seeds; matched rows are compared with its matched row."""
+    """RACER's own row less each other that has its seeds."""
     columns = TABLES["RACER Table 2"].columns
     body: dict[str, dict[str, Cell]] = {}
     for name in filter(is_racer, ROWS):
-        reference = f"{RACER_OURS}-matched" if ROWS[name].matched else RACER_OURS
-        if name != reference and set(cells.get(name, {})) & set(cells.get(reference, {})):
-            body[f"{reference} - {name}"] = {key: difference(cells, reference, name, key) for key in columns}
+        if name != RACER_OURS and set(cells.get(name, {})) & set(cells.get(RACER_OURS, {})):
+            body[f"{RACER_OURS} - {name}"] = {key: difference(cells, RACER_OURS, name, key) for key in columns}
     return Table("RACER Table 2, differences", {key: _plain(key) for key in columns}, body, "row")
 
 

@@ -32,6 +32,7 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+import msgspec
 import numpy as np
 from scipy.stats import t
 
@@ -268,7 +269,8 @@ def _row_elsewhere(claim: Elsewhere) -> tuple[dict[str, str | None], dict[str, A
     decision = present(claim)
     word = _worded(decision)
     return {"where": claim.where, "claim": claim.says, "difference": _shown(decision, 2), "published": word,
-            "valid": word}, {**asdict(claim), "published": _facts(decision), "valid": _facts(decision)}
+            "valid": word}, {
+        **msgspec.structs.asdict(claim), "published": _facts(decision), "valid": _facts(decision)}
 
 
 def claims_table(cells: Cells) -> Table:

@@ -21,6 +21,7 @@ judged; what fools a figure stands in its metric's chapter.
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -48,9 +49,7 @@ from eval.renderings import (
     KeptRenderings,
     RenderedSystem,
     UnitSystem,
-    described,
     held_out_voices,
-    plan_of,
     system_at,
 )
 from eval.table import Cell, Column, Table, publish
@@ -85,8 +84,8 @@ class Acceptance:
 GROUPS: dict[str, Callable[[Acceptance], tuple[Results, list[Table]]]] = {
     "motion": lambda job: voices.measure([job.ours, *job.others], job.voices, job.renderings, job.context.space),
     "lexicon": lambda job: (lexicon.measure(job.ours, job.store, job.held_out(), job.renderings), []),
-    "rest": lambda job: rest.measure(job.ours, job.voices, job.renderings),
-    "effort": lambda job: response.effort(job.ours, job.voices[0].performer, job.renderings),
+    "rest": lambda job: (rest.measure(job.ours, job.voices, job.renderings), []),
+    "effort": lambda job: (response.effort(job.ours, job.voices[0].performer, job.renderings), []),
     "controls": lambda job: response.controls(job.ours, job.voices),
     "stability": lambda job: response.same_take(job.ours, job.voices, job.renderings)}
 
@@ -185,7 +184,9 @@ def _whole(acceptance: Acceptance, verdicts: dict[str, list[Verdict]]) -> Table:
         notes.append(f"No Frechet distance: {REFERENCE} is not in GESTICULATOR_DATA.")
     facts = {"clauses": entries, "selection": frozen, "renderings": acceptance.renderings,
              "store": None if acceptance.store is None else acceptance.store.fingerprint,
-             "bundle": acceptance.ours.key, **described(acceptance.voices)}
+             "bundle": acceptance.ours.key,
+             "voices": [{"name": voice.name, "seconds": round(voice.speech.duration, 2), "place": voice.place}
+                        for voice in acceptance.voices]}
     return Table("Acceptance of the motion", {"hold": Column("clauses that hold"), "of": Column("of")}, rows, "group",
                  notes, facts)
 
@@ -197,4 +198,6 @@ def _write(acceptance: Acceptance, folder: Path) -> None:
     for number, (voice, (rendering, _)) in enumerate(rendered):
         stem = folder / f"{voice.name}.{number}"
         write_bvh(stem.with_name(stem.name + ".bvh"), rendering.motion)
-        write_text(stem.with_name(stem.name + ".json"), plan_of(rendering))
+        # By its plan a motion is judged at the edges of its own blocks when it is read back.
+        edges = [] if rendering.edges is None else rendering.edges.tolist()
+        write_text(stem.with_name(stem.name + ".json"), json.dumps({"edges": edges}))

@@ -10,8 +10,7 @@
 - Stability (`stability`): the same sound exported again, and with one word changed (`eval.metrics.eye.stability`).
 
 What fools them: a speaking rate alone makes strokes faster, so that amplitude is shown too; a hand that trembles is a
-fast hand; a system that ignores the sound is perfectly stable. Speed is measured properly, warm and cold, by
-`benchmarks/realtime.py`: the factor here depends on what else the machine was doing.
+fast hand; a system that ignores the sound is perfectly stable.
 """
 
 from __future__ import annotations
@@ -87,16 +86,16 @@ def effort_figures(values: Array, apart: Sequence[float]) -> Results:
             ("hands_apart", "a reading 6 dB quieter"): Measured(stats.mean_interval(apart))}
 
 
-def effort(system: BundleSystem, speaker: str | None, renderings: int) -> tuple[Results, list[Table]]:
+def effort(system: BundleSystem, speaker: str | None, renderings: int) -> Results:
     """The group `effort`; two seeds of every reading."""
     try:
         import parselmouth  # noqa: F401 - fail before anything is rendered
     except ImportError:
         return {("effort_ratio", ""): Measured(
-            missing="praat-parselmouth is not installed (pip install 'gesticulator[effort]')")}, []
+            missing="praat-parselmouth is not installed (pip install 'gesticulator[effort]')")}
     sounds = readings()
     if not sounds:
-        return {("effort_ratio", ""): Measured(missing=f"GESTICULATOR_DATA has no folder {READINGS}")}, []
+        return {("effort_ratio", ""): Measured(missing=f"GESTICULATOR_DATA has no folder {READINGS}")}
     seeds = range(min(2, renderings))
 
     def voice(name: str, speech: Speech) -> AcceptanceVoice:
@@ -113,17 +112,7 @@ def effort(system: BundleSystem, speaker: str | None, renderings: int) -> tuple[
         first, quieter = (common_body(system.render(voice(name, sound), 0).motion)
                           for sound in (speech, EXPORTS["6 dB quieter"](speech)))
         apart.append(stability.difference(first, quieter).hands)
-    return effort_figures(values, apart), [_readings_table([name for name, _ in sounds], values, apart)]
-
-
-def _readings_table(names: Sequence[str], values: Array, apart: Sequence[float]) -> Table:
-    """Every reading by itself."""
-    pairs = list(itertools.product((("size", "cm"), ("speed", "m/s")), ("lively", "subdued")))
-    columns = {f"{figure} {manner}": Column(f"{figure}, {manner}", unit, 2) for (figure, unit), manner in pairs}
-    rows = {name: {**dict(zip(columns, values[:, :, k].ravel().tolist(), strict=True)), "apart": apart[k]}
-            for k, name in enumerate(names)}
-    return Table("Readings with another effort", {**columns, "apart": Column("hands apart at -6 dB", "cm", 2)}, rows,
-                 "reading")
+    return effort_figures(values, apart)
 
 
 # ----------------------------------------------------------------------------------------------------------- controls
@@ -160,11 +149,7 @@ def controls(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> tuple[R
     results |= _words(system, voices)
     for name in sorted({*NEEDED, *system.gesticulator.interpreters}):
         results["interpreter", name] = _interpreter(system, short[0], name)
-    factors = [system.perform(voice, 1)[1] / voice.speech.duration for voice in short]
-    # The first one opens models and caches.
-    warm = stats.mean_interval(factors[1:] or factors)
     results["megabytes", ""] = Measured(Interval.exact(system.megabytes, 1))
-    results["factor", ""] = Measured(warm, "benchmarks/realtime.py measures it on a free machine")
     return results, tables
 
 
@@ -205,7 +190,7 @@ def _words(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Results:
 def _interpreter(system: BundleSystem, voice: AcceptanceVoice, name: str) -> Measured:
     """1 if the interpreter gives motion as long as the sound, else 0."""
     try:
-        performance, _ = system.perform(voice, 0, interpreter=name)
+        performance = system.perform(voice, 0, interpreter=name)
     except InputError as error:
         return Measured(Interval.exact(0.0, 1), str(error))
     whole = abs(performance.motion.duration - performance.duration) <= 1.0 / performance.fps

@@ -93,8 +93,7 @@ def _about(scores: Scores) -> Table:
     few = f" Fewer than {FEW} clips: the intervals are too narrow." if clips < FEW else ""
     rows: dict[str, str] = {TRUTH: _ROWS[TRUTH]} | {name: "judged" for name, kind in kinds.items() if kind == "system"}
     rows |= {name: f"{_ROWS[name]} (control, known to be wrong)" for name, kind in kinds.items() if kind == "control"}
-    if FLOOR in kinds:
-        rows[FLOOR] = "as far apart as two sets of real motion of this size are"
+    rows[FLOOR] = "as far apart as two sets of real motion of this size are"
     if scores.differences:
         rows["A - B"] = "the difference of two systems, paired over clips"
     facts = {"clips": list(scores.clips), "seconds": scores.seconds, "fps": scores.fps, "notes": list(scores.notes),
@@ -146,9 +145,6 @@ def _fgd_table(scores: Scores) -> Table:
 def _flag_table(scores: Scores) -> Table:
     """Which metrics cannot be trusted."""
     title, column = "Metrics that a control beats", {"says": Column("by what")}
-    if "control" not in scores.kinds.values():
-        return Table(title, {}, {}, notes=["No controls were measured, so nothing here says which metric can be "
-                                           "trusted."])
     lines: dict[str, list[str]] = {}
     for flag in scores.flags:
         lines.setdefault(scores.metrics[flag.metric].heading, []).append(f"*{flag.control}* {flag.says}")

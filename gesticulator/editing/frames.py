@@ -90,6 +90,7 @@ class FrameRenderer:
         if before is None:
             return plain(0, len(times)) if shaping is None else shaping(plain(0, len(times)), times)
         first, last = changed_rows(_timed(before.times, before.inputs), _timed(times, inputs))
+        # A named gesture that came, went or moved changes the poses of its whole span.
         for cue in {*gestures} ^ {*before.gestures}:
             early, late = span_of_gesture(cue.cue.gesture)
             first = min(first, int(np.searchsorted(times, cue.time - early)))
@@ -120,6 +121,7 @@ class FrameRenderer:
         begin = 0
         if first >= 2:
             begin = min(math.ceil(times[first - 2] * path.fps - 1e-9), round(times[first - 1] * path.fps)) - half
+        # The last frames are smoothed with what the path holds at the end, so a window near the end begins before them.
         begin = max(min(begin, count - 2 * half - 3), 0)
         low = int(np.searchsorted(times, (begin - half) / path.fps)) - _MARGIN
         if low <= 0:
@@ -130,6 +132,7 @@ class FrameRenderer:
             path.rewind_poses(times[low:known], poses[low:known], begin)
             low = known
         stop = count
+        # The slope at a knot needs the next one, and the smoothing half a kernel more.
         if last + 1 < len(times):
             stop = min(math.ceil(times[last + 1] * path.fps) + half + 1, count)
         if stop >= count - 2 * half - 3:
@@ -152,6 +155,7 @@ class FrameRenderer:
 def changed_rows(before: Array, now: Array) -> tuple[int, int]:
     """The rows (first, last + 1) of `now` [M, D] that differ from those of `before` [L, D], whose first rows are equal
     to the first ones and whose last rows to the last ones; first = last if rows were only left out."""
+    # From both ends: between the first and the last difference there may be more or fewer rows than before.
     count = min(len(before), len(now))
     differs = np.flatnonzero((before[:count] != now[:count]).any(axis=1))
     first = int(differs[0]) if len(differs) else count
@@ -184,6 +188,7 @@ def _inputs(times: Array, features: NDArray[np.float32], shaping: Shaping | None
     """[M, D_m + 6] what poses are made from, and the named gestures."""
     if shaping is None:
         return np.column_stack([features, np.tile(_UNSCALED, (len(times), 1))]), ()
+    # The levels stand beside the poses, so that a knob that changes over time counts as a change of the poses.
     levels = shaping.levels(times)
     arms = levels.arms
     return np.column_stack([features, arms.intensity, arms.share, arms.both, levels.mirrored]), \

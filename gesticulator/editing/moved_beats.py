@@ -60,6 +60,8 @@ class BeatMap:
 
     def place(self, beat: float, onset: bool = False) -> BeatPlace | None:
         """A beat in the new sound; None where the sound was replaced. onset: it lies on one."""
+        # A beat in the same sound at one shift needs no onset: the shift is more exact than the onsets, which lie on a
+        # grid.
         found = _located(self.stretches, beat)
         if found is None or not onset:
             return None if found is None else BeatPlace(*found)
@@ -75,6 +77,7 @@ class BeatMap:
     def _onset_near(self, time: float, within: float) -> float | None:
         if not len(self._onsets):
             return None
+        # A hair more than the bound: times in files are rounded.
         near = float(self._onsets[np.abs(self._onsets - time).argmin()])
         return near if abs(near - time) <= within + 1e-9 else None
 
@@ -87,6 +90,7 @@ class BeatMap:
 
     def anywhere(self, time: float) -> float:
         """A moment in the new sound, also where the sound was cut or replaced: linear between the stretches."""
+        # Never backwards, though stretches may overlap by a frame in the new sound.
         times, there = (np.concatenate([getattr(stretch, name) for stretch in self.stretches])
                         for name in ("times", "there"))
         return float(np.interp(time, times, np.maximum.accumulate(there)))
@@ -134,6 +138,7 @@ def _located(stretches: Sequence[Stretch], time: float) -> tuple[float, float] |
         end, start = near[0].at(time), near[-1].at(time)
         return (end, start) if end <= start else ((end + start) / 2,) * 2
     before, after = next((one, two) for one, two in pairwise(stretches) if time < two.times[0])
+    # Both sides of a cut meet in the middle of what is left of it.
     if float(after.there[0] - before.there[-1]) <= _SHORT:  # the sound of this moment was cut
         return (float(before.there[-1] + after.there[0]) / 2,) * 2
     nearest = _nearest((before, after), time)
@@ -144,6 +149,7 @@ def _located(stretches: Sequence[Stretch], time: float) -> tuple[float, float] |
 
 def _refined(stretch: Stretch, before: Array, onsets: Array) -> Stretch:
     """A stretch shifted so that its onsets meet those of the new sound [n]. before: [m] the old onsets."""
+    # Two onsets at least: one alone may be moved by noise.
     inside = before[(before >= stretch.times[0]) & (before <= stretch.times[-1])]
     if len(inside) < 2 or not len(onsets):
         return stretch
@@ -163,6 +169,7 @@ def _settled(sounds: SoundMap, at: int, edges: Sequence[float]) -> SoundMap:
     before, after = sounds.stretches[at:at + 2]
     if _replaces(before, after):
         return sounds
+    # Only blocks near the boundary can change, so only they are counted for each place of it.
     earlier, later = sounds.sliding(at)
     window = (float(before.times[-1]) - earlier / RATE - LONGEST, float(after.times[0]) + later / RATE + LONGEST)
     blocks = [(start, end) for start, end in pairwise(edges) if start < window[1] and end > window[0]]

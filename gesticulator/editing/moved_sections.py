@@ -34,6 +34,7 @@ def moved_sections(plan: GesturePlan, beats: BeatMap, words: Sequence[PlanWord] 
 
     words: those of a new transcript, or None to move the old ones; duration: seconds that the blocks will cover.
     """
+    # Words come first: cues at words are looked for among those that are left, or among the new ones.
     moved = [_word(word, beats) for word in plan.words]
     now = tuple(words) if words is not None else tuple(word for word in moved if word is not None)
     cues, pins = [], []
@@ -76,6 +77,7 @@ def _range(beats: BeatMap, start: float, end: float) -> tuple[float, float] | No
 
 
 def _word(word: PlanWord, beats: BeatMap) -> PlanWord | None:
+    # A word that was cut in the middle, or spoken again, is not the word of the plan.
     inside = beats.moment(word.start) is not None and beats.moment(word.end) is not None
     times = _range(beats, word.start, word.end)
     if times is None or not inside or beats.replaced(word.start, word.end) > 0.5:
@@ -89,6 +91,7 @@ def _cue(cue: GestureCue, plan: GesturePlan, beats: BeatMap, words: Sequence[Pla
     if cue.time is not None:
         now = beats.moment(cue.time)
         return (None if now is None else replace(cue, time=round(max(now, 0.0), 6))), cue.time
+    # A cue names the n-th occurrence, and n changes when earlier ones are cut: the word is found by its time.
     spoken = [word for word in plan.words if plain_word(word.text) == plain_word(cue.word or "")]
     if len(spoken) < cue.occurrence:
         return cue, 0.0  # reported when the plan is rendered, as before
@@ -132,6 +135,7 @@ def moved_knobs(knobs: PlanKnobs, beats: BeatMap) -> PlanKnobs:
 def _points(times: Sequence[float], values: Sequence[float], beats: BeatMap
             ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """The points of a curve; of points that meet in a cut the first remains."""
+    # Points that meet in a cut would not rise any more, which a plan must.
     points: list[tuple[float, float]] = []
     for time, value in zip(times, values, strict=True):
         now = _at(beats, time)

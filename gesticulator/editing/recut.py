@@ -37,6 +37,7 @@ class Recutter:
         index = {edge: at for at, edge in enumerate(edges)}
         found = {}
         for at in wanted:
+            # The edges from the copy on, too: the level of the voice before the window depends on them.
             copy, _ = self._start(edges, at, index)
             found[at] = copy, tuple(edges[index[self._cutters[copy].uncut[-1]]:at + 3])
         return found
@@ -55,6 +56,7 @@ class Recutter:
              index: dict[float, int], found: dict[int, SpeechBlock]) -> None:
         """Add the wanted blocks. ends: [N] edge and flag at the end of each block; start: see `_start`."""
         at, number = start
+        # A copy of the copy, which must serve other edits as well.
         cutter = self._cutters[at].fork()
         cutter.cut_on_at(list(ends[index[cutter.uncut[-1]]:wanted[-1] + 2]))
         for piece in range(at * CUTTER_EVERY, len(self._samples), CUTTER_EVERY):
@@ -70,6 +72,7 @@ class Recutter:
     def _start(self, edges: Sequence[float], wanted: int, index: dict[float, int]) -> tuple[int, int]:
         """The last copy of the cutter that has cut nothing but these blocks and has not returned the wanted one, and
         the number of the block that it returns next."""
+        # From the last copy backwards: the later it is, the less sound is encoded again.
         for at in range(len(self._cutters) - 1, 0, -1):
             cutter = self._cutters[at]
             starts = cutter.uncut

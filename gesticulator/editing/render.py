@@ -134,6 +134,7 @@ class PlanRenderer:
             raise ValueError("the plan is of another generation")
         edited = edited_themselves(plan)
         if not any(edited) and plan.manner == self._manner:
+            # Without edits the plan is its first generation, which needs no fades and no second one.
             steps = self._first_steps(on_block)
             blocks = [step.motion for step in steps[1:]]
             return GeneratedMotion(self.cut(plan), blocks, loop.motion_of(self._bundle, self._setup, blocks))
@@ -205,6 +206,7 @@ class PlanRenderer:
                                 lambda: SampledBlock(state.setup, _standing(state.state, other.state)))
 
     def _remembered(self, key: Hashable, make: Callable[[], SampledBlock]) -> SampledBlock:
+        # A dict keeps the order of insertion: to take out and put in again makes it a list by last use.
         block = self._sampled.pop(key, None) or make()
         self._sampled[key] = block  # the most recently used comes last
         while len(self._sampled) > self._most:
@@ -215,6 +217,7 @@ class PlanRenderer:
                ) -> dict[int, tuple[Hashable, SpeechBlock]]:
         """Number -> speech of the wanted blocks (rising) of N blocks with edges [N + 1] and flags [N], and what its
         numbers depend on."""
+        # Blocks whose window was there before have the features of the first encoding; only the others are cut again.
         places: dict[int, Hashable] = {at: window(edges, at) for at in wanted}
         moved = [at for at, place in places.items() if place not in self._windows]
         if len(self._recut) > self._most:
@@ -272,11 +275,13 @@ class _PlanRun:
         self._flags = flag_numbers([block.flag for block in plan.blocks])
         self._speech = renderer.speech(self._edges, self._flags, np.flatnonzero(edited).tolist())
         drawn = plan.drawn
+        # By their edges, not by their numbers: a deleted or an added beat shifts all later numbers.
         pairs = list(zip(drawn.edges, drawn.edges[1:], strict=False))
         self._decided = dict(zip(pairs, zip(drawn.lexemes, drawn.silent, strict=True), strict=True))
         quiet = dict(zip(drawn.edges, drawn.silent, strict=False))
         # Frames of a silence that the plan removed are not quiet.
         self._removed = [quiet.get(block.start, False) and not block.silent for block in plan.blocks]
+        # A generation is sampled only if some block is replayed from it.
         locked = [block.locked for block in plan.blocks]
         self._first = renderer.steps(plan.drawn_manner, on_block) if self._alike or any(locked) else []
         self._changed = self._first if self._alike or all(locked) else renderer.steps(self._manner, on_block)
@@ -288,6 +293,7 @@ class _PlanRun:
         times = cut.knot_times.reshape(len(cut), -1)
         blocks, motion, before = list[BlockMotion](), list[Rows](), None
         for at, block in enumerate(plan_blocks):
+            # Fades add up: an edit may follow another one before its difference is gone.
             fades = [fade for fade in fades if fade.begin + BLEND > block.start]
             if self._edited[at]:
                 before = self._run(at, before, times[at])
@@ -339,6 +345,7 @@ class _PlanRun:
         blocks = self._plan.blocks
         if at == 0 or not self._edited[at - 1]:
             return False
+        # Runs with other knobs have other states; a block at a moved beat has no state of a generation to begin with.
         alike = self._anew(blocks[at]) == self._anew(blocks[at - 1])
         return alike or blocks[at].start not in self._renderer.index
 
@@ -351,8 +358,10 @@ class _PlanRun:
         still = None if block.locked else still_frames(plan.knobs, times, block.start)
         if block.silent and not silent:
             still = np.ones(len(times), bool)
+        # A block that mostly rests shows no lexeme, so the interpreter chooses it, as in a first generation.
         if still is not None and still.mean() >= 0.5:
             chosen = None
+        # Everything that the request depends on, and nothing else: an equal key is an equal block, which undo finds.
         last, count = min(at + 1, len(plan.blocks) - 1), len(plan.blocks)
         silence = plan.blocks[max(at - 1, 0)].silent, block.silent, plan.blocks[last].silent
         removed = self._removed[at], self._removed[last]
@@ -396,6 +405,7 @@ def _difference(last: BlockMotion, duration: float, there: BlockMotion, other: f
 
 def _end(block: BlockMotion, duration: float) -> tuple[Array, Array]:
     """[D_m] pose and velocity at the end of a block."""
+    # In float64: the velocity is a small difference of large numbers.
     now, before = block.motion[-1].astype(np.float64), block.motion[-2].astype(np.float64)
     return now, (now - before) * len(block.motion) / duration
 
@@ -406,6 +416,7 @@ def _faded(motion: Rows, times: Array, fades: Sequence[_Fade]) -> Rows:
         return motion
     out = motion.copy()
     for fade in fades:
+        # A cubic Hermite curve with h(0) = 1 and k'(0) = 1: pose and velocity meet at the beat, and both end at zero.
         near = (times > fade.begin) & (times < fade.begin + BLEND)
         s = ((times[near] - fade.begin) / BLEND)[:, None]
         added = (2 * s**3 - 3 * s**2 + 1) * fade.pose + BLEND * (s**3 - 2 * s**2 + s) * fade.velocity
@@ -415,6 +426,7 @@ def _faded(motion: Rows, times: Array, fades: Sequence[_Fade]) -> Rows:
 
 def _standing(state: State, other: State) -> State:
     """A state with the pose and the last block of another one of the same bundle."""
+    # A varied state carries a second one with the variation; what is seen is that one's pose.
     shown = other.varied or other
     rest = state.rest
     if rest is not None and shown.rest is not None:

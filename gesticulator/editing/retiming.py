@@ -122,6 +122,8 @@ def _cells(plan: GesturePlan) -> Iterator[_Cell]:
     drawn = plan.drawn.edges
     # Numbers in files are rounded: the plan ends where its first generation does.
     ends = (0.0, *(block.end for block in plan.blocks[:-1]), drawn[-1])
+    # Between two common beats the blocks of both are moved or dropped together, so that edits stay edits of what they
+    # were made to.
     for start, end in pairwise(sorted(set(drawn) & set(ends))):
         yield _inside(drawn, start, end), _inside(ends, start, end)
 
@@ -156,11 +158,13 @@ class _Cutter:
         if drawn is None or planned is None:
             return
         start = drawn[0].start
+        # Not enough of the first block would be left after what is there already.
         if min(drawn[0].end, planned[0].end) < max(self._cursor, start) + SHORTEST:
             return
         if start - self._cursor >= _CLOSEST or max(drawn[0].end, planned[0].end) - self._cursor > LONGEST:
             self._fill(start)
         for pieces, new in ((self.drawn, drawn), (self.blocks, planned)):
+            # Gaps of less than a block go to the block after them.
             pieces += [replace(new[0], start=self._cursor), *new[1:]]
         self._cursor = drawn[-1].end
 
@@ -186,6 +190,7 @@ class _Cutter:
         last_flag: Flag = "boundary" if end == float(detected.edges[-1]) else "even_pseudo"
         edges = [(start, last_flag), *inner, (end, last_flag)]
         for (first, _), (last, flag) in pairwise(edges):
+            # Detected beats may lie farther apart than a block may last: pseudo-beats are put between them.
             count = max(int(np.ceil((last - first) / _LONGEST - 1e-6)), 1)
             cuts = [first, *(round(first + (last - first) * part / count, 6) for part in range(1, count)), last]
             for number, (one, two) in enumerate(pairwise(cuts), 1):
@@ -212,6 +217,7 @@ def drafted(plan: GesturePlan, speech: Speech, features: SpeechFeatures, words: 
     beats = BeatMap(sounds, plan.drawn, np.unique(np.concatenate(features.onsets)) if features.onsets else np.zeros(0))
     cut = _Cutter(plan, beats, features.blocks)
     drawn = _drawn(plan, cut.drawn, beats)
+    # A new block has the random numbers of the generation's block that begins with it, as any other.
     numbers = dict(zip(drawn.edges, _numbers(drawn), strict=False))
     blocks = tuple(_block(plan, piece, numbers.get(piece.start, 0)) for piece in cut.blocks)
     parts, losses, words_lost = moved_sections(plan, beats, words, drawn.edges[-1])
@@ -237,6 +243,7 @@ def _drawn(plan: GesturePlan, pieces: Sequence[_Piece], beats: BeatMap) -> Drawn
     """The first generation on the new sound. Blocks that are kept keep the numbers of their random keys; new ones get
     numbers that no block has."""
     old, known = plan.drawn, _numbers(plan.drawn)
+    # Beyond all numbers in use: an undone edit may name one that no block has now.
     fresh = itertools.count(max(*known, *(block.draw.block for block in plan.blocks)) + 1)
     numbers = tuple(next(fresh) if piece.source is None else known[piece.source] for piece in pieces)
     times = old.keyed_at or old.edges

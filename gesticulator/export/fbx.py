@@ -12,11 +12,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from data_module.files import write_bytes
+<<<<<<< HEAD
 from data_module.motion import rotation
 from data_module.types import Array
 from gesticulator.characters.blender import job_in_blender
 from gesticulator.characters.rig import CharacterMotion
 from gesticulator.export.clip import ClipLayout
+=======
+from gesticulator.characters.blender import run_in_blender
+>>>>>>> main
 from gesticulator.export.glb import write_glb
 from gesticulator.export.gltf import ROTATION, WEIGHTS, FrameTrack, GltfDocument, open_gltf
 from gesticulator.export.key_reduction import STEADY
@@ -41,7 +45,7 @@ def write_fbx(path: Path, scene: Scene) -> Path:
         source, target = Path(folder) / "motion.glb", Path(folder) / "motion.fbx"
         # All frames: the keys are reduced once, by Blender's exporter, within the same bound.
         write_glb(source, replace(scene, layout=replace(scene.clip, keys=0.0)))
-        job_in_blender(path, SCRIPT, str(source), str(target), repr(scene.fps), repr(scene.clip.keys), scene.clip.name)
+        run_in_blender(path, SCRIPT, str(source), str(target), repr(scene.fps), repr(scene.clip.keys), scene.clip.name)
         write_bytes(path, target.read_bytes())
     return path
 

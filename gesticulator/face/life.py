@@ -58,7 +58,9 @@ class FaceLife:
     def __init__(self, seed: int) -> None:
         self._seed = seed
         self._step = 0
+        # Only the last two blinks are kept: a lid is open again before a third could begin.
         self._blinks: list[float] = []
+        # A face starts in a long silence, so that its first words count as the start of a phrase.
         self._quiet, self._spoken = 10.0, 0.0
         self._away_until, self._target = -1.0, np.zeros(2)
         self._from, self._to, self._moved = np.zeros(2), np.zeros(2), -1.0
@@ -80,6 +82,7 @@ class FaceLife:
         "speaking", "listening", "idle", or "thinking" with " left" or " right" where the head turns to; silent: weight
         of silence at this step, 0 to 1."""
         now = self.time
+        # Lids and gaze both react to the end of a phrase, so speech is counted first.
         ended = self._hear(state, silent > 0.5)
         self._maybe_blink(now, ended)
         self._look(now, state, ended)
@@ -102,6 +105,8 @@ class FaceLife:
         return before < _PHRASE_END <= self._quiet and self._spoken > 0.4
 
     def _maybe_blink(self, now: float, ended: bool) -> None:
+        # One random time in each cell, keyed by the number of the cell: irregular, and yet the same for a file and a
+        # stream, and from whatever step one looks.
         cell = math.floor(now / _BLINK_CELL)
         at = (cell + self._random(_BLINK, 2 * cell)) * _BLINK_CELL
         due = at <= now < at + 1 / RATE and self._random(_BLINK, 2 * cell + 1) < _BLINK_SHARE
@@ -154,6 +159,7 @@ class FaceLife:
 
     def _aim(self, now: float, up: tuple[float, float], side: float = 0.0) -> None:
         """Look aside, to a side or to either."""
+        # Three random numbers for each shift, keyed by its step: side, distance aside and height.
         number = 3 * self._step
         side = side or (1.0 if self._random(_SIDE, number) < 0.5 else -1.0)
         aside = _ASIDE[0] + (_ASIDE[1] - _ASIDE[0]) * self._random(_SIDE, number + 1)
@@ -170,6 +176,7 @@ class FaceLife:
 
     def _gaze(self, now: float) -> Array:
         """The shift and the small darts of fixating eyes."""
+        # The eyes of a person who fixates never stand: they jump by about a degree around the target.
         cell = math.floor(now / _DART_CELL)
         share = float(eased(np.array([(now - cell * _DART_CELL) / _SACCADE]))[0])
         before, after = (np.array([self._random(_SIDE, -2 * c - 2), self._random(_SIDE, -2 * c - 3)])

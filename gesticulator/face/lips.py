@@ -67,6 +67,7 @@ def load_weights(folder: Path = SHIPPED) -> Weights:
         data = path.read_bytes()
     except OSError:
         raise InputError(path, "cannot be read", _AGAIN) from None
+    # The hash is of the bytes that are read here, so that other weights never pass for the shipped ones.
     hashes: Any = record.get("sha256")
     expected = hashes.get(path.name) if isinstance(hashes, dict) else None
     if hashlib.sha256(data).hexdigest() != expected or record.get("visemes") != list(VISEMES):
@@ -94,6 +95,7 @@ class LipFeatures:
         """The frames that `samples` at 16 kHz complete."""
         self._sound = np.concatenate([self._sound, samples])
         out: list[Rows] = []
+        # A frame needs the rows around it, and each row the sound that its window reaches into.
         step, size = ROWS * HOP, (ROWS + 2 * CONTEXT) * HOP
         while len(self._sound) >= size:
             self._add(self._sound[:size])
@@ -126,6 +128,7 @@ class VisemeStepper:
 
     def __init__(self, weights: Weights) -> None:
         """weights: of the layers enter, memory (a GRU of torch) and leave, and the mean and deviation of frames."""
+        # The normalisation of the frames is folded into the first layer, which saves it for every frame.
         scale = 1.0 / weights["deviation"]
         self._enter = weights["enter.weight"] * scale
         self._enter_bias = weights["enter.bias"] - self._enter @ weights["mean"]
@@ -145,6 +148,7 @@ class VisemeStepper:
         new = np.tanh(inputs[2 * size:] + gates[:size] * memory[2 * size:])
         self._state = new + gates[size:] * (self._state - new)
         logits = self._leave @ np.concatenate([entered, self._state]) + self._leave_bias
+        # The greatest logit is taken off first: the exponential of a large one would overflow.
         powers = np.exp(logits - logits.max())
         return np.asarray(powers / powers.sum(), dtype=np.float32)
 
@@ -186,6 +190,7 @@ class Lips:
         """Forget what comes after `at` seconds of media time; the mouth shuts."""
         last = max(math.floor((at - self.start) * RATE) - self._forgotten, 0)
         del self._curve[last:], self._opens[last:]
+        # Sound that comes later follows a silence, and not what was cut off.
         self._features, self._gate = LipFeatures(), _Gate()
 
     def forget(self, before: float) -> None:
@@ -203,16 +208,19 @@ class Lips:
 
     def rows(self, first: int, last: int) -> Array:
         """[last - first, 15] weights of visemes as drawn: smoothed and with dominance; silence beyond the curve."""
+        # The kernel needs rows before the first and after the last one; beyond the curve the mouth is shut.
         half = len(_KERNEL) // 2
         raw = np.zeros((last - first + 2 * half, len(VISEMES)))
         raw[:, SILENT] = 1.0
         old = self._forgotten
         begin, end = max(first - half, old), min(last + half, old + min(len(self._curve), len(self._opens)))
         if end > begin:
+            # The gate takes weight off all shapes alike, and silence takes what they lose.
             opened = np.array(self._opens[begin - old:end - old])
             shaped = np.array(self._curve[begin - old:end - old]) * opened[:, None]
             shaped[:, SILENT] += 1.0 - shaped.sum(axis=1)
             raw[begin - first + half:end - first + half] = shaped
+        # Smoothed first: dominance then acts on what overlaps, as co-articulation does.
         smooth = sum(share * raw[place:place + last - first] for place, share in enumerate(_KERNEL))
         return with_dominance(np.asarray(smooth))
 
@@ -236,6 +244,7 @@ class _Gate:
     def feed(self, samples: Samples) -> list[float]:
         """0 to 1 for each frame that the samples complete; the silence is found in steps of 0.1 s."""
         self._sound = np.concatenate([self._sound, samples])
+        # Always in steps of one size: the tracker of loudness would give other numbers for other pieces.
         size = round(STEP * FRAME * SAMPLE_RATE)
         out: list[float] = []
         while len(self._sound) >= size:

@@ -37,6 +37,7 @@ class FaceMotion:
 
     def __post_init__(self) -> None:
         count = len(self.visemes)
+        # Faces come from networks and over wires; what draws them indexes these numbers unchecked.
         shapes = self.visemes.shape, self.blink.shape, self.brows.shape, self.smile.shape, self.gaze.shape
         if shapes != ((count, len(VISEMES)), (count,), (count,), (count,), (count, 2)):
             raise ValueError(f"{shapes} are not the shapes of one face")
@@ -63,6 +64,7 @@ class FaceMotion:
     def at(self, times: Array) -> Array:
         """[K, 20] `values` at times [K] in seconds, in proportion between frames; the last frame is held."""
         values = self.values()
+        # Later times hold the last frame, as the motion of the body does.
         where = np.clip(np.asarray(times) * self.fps, 0.0, len(self) - 1)
         low = np.floor(where).astype(np.int64)
         share = (where - low)[:, None]

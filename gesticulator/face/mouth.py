@@ -37,11 +37,14 @@ def mouth_outline(open_: Array, wide: Array, press: Array, bite: Array, smile: A
     the lower lip, 0 to 1; smile, -1 to 1.
     """
     open_, wide, press, bite, smile = (part[:, None] for part in (open_, wide, press, bite, smile))
+    # A pout is narrow and full, a spread mouth wide and thin, and pressed lips are thinner still.
     half = _HALF * (1.0 + 0.32 * wide + 0.14 * np.maximum(smile, 0.0))
     full = 1.0 + 0.35 * np.maximum(-wide, 0.0) - 0.5 * press
     t = np.linspace(-1.0, 1.0, count)
     bump = np.maximum(1.0 - t * t, 0.0) ** 0.7
+    # A smile lifts the corners and lowers the middle a little, so that the mouth keeps its place.
     line = smile * _CORNERS * (t * t - 0.4)
+    # The jaw opens the mouth: seven tenths of the gap lie below its line.
     top = line + bump * (_LINE / 2 + 0.3 * _GAP * open_ + 0.002 * bite)
     bottom = line - bump * (_LINE / 2 + 0.7 * _GAP * open_)
     upper = top + bump * full * _UPPER_LIP * (1.0 - 0.25 * np.exp(-((t / 0.2) ** 2)))  # it dips in the middle

@@ -35,6 +35,7 @@ def page_face(character: Character, lips_only: bool = False) -> dict[str, Any]:
     eyes = [] if lips_only else [character.node_ids[node] for node in rig.eyes]
     if not (morphs or eyes or rig.jaw is not None):
         return {}
+    # Only what this character has: all constants of all formats would be ten times as many.
     used = {curve for _, _, drivers in morphs for curve, _ in drivers} | ({"opening"} if rig.jaw is not None else set())
     known = curve_constants()
     return {"morphs": morphs, "curves": {name: known[name] for name in sorted(used)}, "eyes": eyes,
@@ -51,6 +52,7 @@ def _by_target(rig: FaceRig, node: int, lips_only: bool) -> list[tuple[int, list
 
 def curve_constants() -> dict[str, dict[int, float]]:
     """Curve -> place in the numbers of a face, or `NUMBERS` more for what they are below zero -> constant."""
+    # One face for each number, and one for its negative: what a curve gives is its constant.
     values = _STEP * np.concatenate([np.eye(NUMBERS), -np.eye(NUMBERS)])
     values[NUMBERS:NUMBERS + 16] = 0.0  # visemes and blinks are never below zero
     face = FaceMotion(values[:, :15], values[:, 15], values[:, 16], values[:, 17], values[:, 18:], 1.0)

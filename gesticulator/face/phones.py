@@ -71,6 +71,7 @@ class PhonesWarning(UserWarning):
 def with_phones(weights: Array, words: Sequence[PhonedWord]) -> Array | None:
     """[T, 15] the network's weights, 50 frames a second, drawn towards the phones of the words, which rise in time.
     Frames of words that are not heard keep theirs. None if too few of the words are heard."""
+    # Each run of words has a path of its own, since memory grows with the square of its length.
     out, recognised = weights.copy(), 0
     for first, last in _runs(words):
         frames, visemes, count = _path(weights, words[first:last])
@@ -82,8 +83,10 @@ def with_phones(weights: Array, words: Sequence[PhonedWord]) -> Array | None:
 
 def _mixed(sound: Array, visemes: NDArray[np.int64]) -> Array:
     """[K, 15] the sound's weights and the phones'. Lips shut where a phone shuts them, for sure, and nowhere else."""
+    # The sound alone shuts the mouth where no phone does, on noise above all: its share of closures is left out.
     open_ = np.where(np.arange(len(VISEMES)) == CLOSED, 0.0, sound)
     open_ /= np.maximum(open_.sum(axis=1, keepdims=True), 1e-9)
+    # A closure and a silence are certain where the phones are known; of a vowel the sound says how clear it is.
     share = np.where(np.isin(visemes, (CLOSED, SILENT)), 1.0, _SHARE)[:, None]
     return np.asarray(share * np.eye(len(VISEMES))[visemes] + (1.0 - share) * open_)
 
@@ -91,6 +94,7 @@ def _mixed(sound: Array, visemes: NDArray[np.int64]) -> Array:
 def spoken_weights(weights: Array, words: Sequence[Word]) -> Array:
     """`with_phones` for words as they are written. Where their pronunciations are not known, or they are not heard, the
     weights stay, and a `PhonesWarning` says so."""
+    # Recognisers send empty words, words without a duration, and some out of order.
     words = sorted((word for word in words if word.text.strip() and word.end > word.start),
                    key=lambda word: word.start)
     if not words:
@@ -113,6 +117,7 @@ def _runs(words: Sequence[PhonedWord]) -> Iterator[tuple[int, int]]:
             yield first, at
             first = at
         elif words[at].end - words[first].start > _LONGEST:
+            # Not at the limit but at the widest gap before it: a path that ends inside a word loses it.
             half = words[first].start + _LONGEST / 2
             later = [cut for cut in range(first + 1, at + 1) if words[cut].start >= half]
             cut = max(later, key=lambda cut: words[cut].start - words[cut - 1].end)
@@ -123,6 +128,7 @@ def _runs(words: Sequence[PhonedWord]) -> Iterator[tuple[int, int]]:
 def _path(weights: Array, words: Sequence[PhonedWord]) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
     """Frames of these words, the viseme of each, -1 in a word that is not heard, and how many words are heard. No
     frames if there is no path."""
+    # The window is as much longer than the words as their times may be wrong.
     begin = max(int((words[0].start - SLACK) * RATE), 0)
     end = min(int((words[-1].end + SLACK) * RATE) + 1, len(weights))
     states = _chained(words, begin, end)
@@ -130,6 +136,7 @@ def _path(weights: Array, words: Sequence[PhonedWord]) -> tuple[NDArray[np.int64
     path = _best(states, scores, begin)
     visemes = np.array([state.viseme for state in states], np.int64)[path]
     owners = np.array([state.word for state in states], np.int64)[path]
+    # A word of other speech gets a path, too, but an unlikely one: it is then left to the sound.
     likely = scores[np.arange(len(path)), visemes]  # -1 is the last column
     recognised = 0
     for word in np.unique(owners[owners >= 0]):
@@ -154,6 +161,7 @@ def _chained(words: Sequence[PhonedWord], begin: int, end: int) -> list[_State]:
     ends: list[int] = []
     edge = words[0].start
     for number, word in enumerate(words):
+        # Words may follow each other with or without a silence, so the next word starts after either.
         silence = add(SILENT, -1, min(edge, word.start), word.start, list(ends))
         starts, ends = [*ends, silence], []
         for way in word.ways or ((-1,),):
@@ -169,6 +177,8 @@ def _chained(words: Sequence[PhonedWord], begin: int, end: int) -> list[_State]:
 
 def _best(states: Sequence[_State], scores: Array, begin: int) -> NDArray[np.int64]:
     """[T] the state at each frame of `scores` [T, 16], on the best path (Viterbi); [0] if there is none."""
+    # A row for each state: itself, since a state may last, and the states before it. -1 is no state, whose score stays
+    # at minus infinity.
     count, most = len(states), max(len(state.before) for state in states)
     before = np.full((count, most + 1), -1)
     before[:, 0] = np.arange(count)
@@ -176,6 +186,7 @@ def _best(states: Sequence[_State], scores: Array, begin: int) -> NDArray[np.int
         before[number, 1:1 + len(state.before)] = state.before
     visemes, first, last = (np.array([getattr(state, name) for state in states]) for name in (
         "viseme", "first", "last"))
+    # A path begins with the first silence or with the first phone of the first word.
     begins = [number for number, state in enumerate(states) if not state.before or state.before[0] == 0]
     now = np.full(count + 1, -np.inf)  # the last entry is of no state
     steps = []
@@ -193,6 +204,7 @@ def _best(states: Sequence[_State], scores: Array, begin: int) -> NDArray[np.int
         step = np.full(count, -1)
         step[inside] = before[inside, chosen]
         steps.append(step)
+    # It ends with the last silence or with the last phone of a way to say the last word.
     ends = [count - 1, *states[-1].before]
     at = max(ends, key=lambda number: now[number])
     if not len(scores) or not np.isfinite(now[at]):

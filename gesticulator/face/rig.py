@@ -46,6 +46,7 @@ class FaceRig:
 
     def weights(self, face: FaceMotion) -> dict[int, Array]:
         """Node of the file -> [T, targets] weights over time."""
+        # Shapes that nothing drives keep the weight that the file gives them at rest.
         known, out = curves(face), {}
         for node, rows in self.morphs.items():
             values = np.tile(self.base[node], (len(face), 1))
@@ -60,6 +61,7 @@ class FaceRig:
     def turns(self, face: FaceMotion, character: Character, left: Array) -> dict[int, Array]:
         """Node of the character -> [T, 4] local rotations, w first. left: [3] the character's left, a unit vector of
         its world at rest, Y up."""
+        # In the world of the character at rest: eye and jaw bones of tools have axes of all kinds.
         up = np.array([0.0, 1.0, 0.0])
         world = {}
         if self.jaw is not None:
@@ -68,6 +70,7 @@ class FaceRig:
             gaze = rotation.multiply(rotation.from_exponential_map(face.gaze[:, :1] * up),
                                      rotation.from_exponential_map(-face.gaze[:, 1:] * left))
             world |= dict.fromkeys(self.eyes, gaze)
+        # Local to the parent: back out of the parent's rest, the turn, and into it again, then the rest of the bone.
         above = character.world_turns()
         out = {}
         for node, turn in world.items():
@@ -101,6 +104,7 @@ def _found(file: GltfFile, character: Character) -> FaceRig:
         if not 0 < count <= _MOST_TARGETS:
             continue
         sizes[number] = count
+        # A node overrides its mesh, and both may give fewer weights than there are targets.
         given = node.get("weights", mesh.get("weights", []))
         base[number] = np.array([float(weight) for weight in given][:count] + [0.0] * (count - len(given)))
         names[number] = [str(name) for name in _target_names(mesh)][:count]

@@ -74,6 +74,7 @@ def arkit(face: FaceMotion) -> dict[str, Array]:
                 out[name] += share * face.visemes[:, number]
     smiles, frowns = np.maximum(face.smile, 0.0), np.maximum(-face.smile, 0.0)
     raised, drawn = np.maximum(face.brows, 0.0), np.maximum(-face.brows, 0.0)
+    # Each eye has four looks, relative to the nose: looking to the left is out for the left eye and in for the right.
     left, up = (face.gaze / _FULL_LOOK).T
     for side, outward in (("Left", left), ("Right", -left)):
         out[f"mouthSmile{side}"] += 0.7 * smiles
@@ -173,10 +174,12 @@ def find_shapes(names: Iterable[str]) -> dict[str, tuple[str, float]]:
                   if (curve := _ARKIT_NAMES.get(_plain(name)) or _METAHUMAN.get(_plain(name)))},
         "oculus": {name: (curve, 1.0) for name in known if (curve := _OCULUS_NAMES.get(_plain(name)))},
         "tools": {name: tool for name in known if (tool := _TOOLS.get(_plain(name) or name.lower()))}}
+    # A character often has shapes of several kinds; driving two of them at once would open the mouth twice.
     mouth = next((way for way, least in (("arkit", 3), ("oculus", 5), ("tools", 1))
                   if sum(is_lips(curve) for curve, _ in ways[way].values()) >= least
                   and (way != "arkit" or any(curve == "jawOpen" for curve, _ in ways[way].values()))), "")
     chosen = {name: driver for name, driver in ways.get(mouth, {}).items() if is_lips(driver[0])}
+    # Lids and brows come from whatever kind has them: those do not add up with the mouth.
     for way in ways.values():
         chosen |= {name: driver for name, driver in way.items() if not is_lips(driver[0]) and name not in chosen}
     return chosen

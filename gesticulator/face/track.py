@@ -66,6 +66,7 @@ class FaceTrack:
         of a thinker turns to: positive to the left, negative to the right, 0 for either."""
         if side:
             name += " left" if side > 0 else " right"
+        # A state that is told again must not begin anew: a thinker would look aside again.
         if self._states[-1][1] != name:
             self._states.append((at, name))
 
@@ -82,6 +83,7 @@ class FaceTrack:
     def interrupt(self, at: float) -> None:
         """The speech stops at media time `at`, which may be in the past: later sound is forgotten, and the character is
         idle."""
+        # What was said after the moment is gone as a whole; the utterance across it is cut.
         while self._lips and self._lips[-1].start >= at:
             self._lips.pop()
         if self._lips:
@@ -102,8 +104,10 @@ class FaceTrack:
         none, lips = np.zeros(count), self._options.face == "lips"
         if lips or not count:
             return FaceMotion(visemes, none, none, none, np.zeros((count, 2)), motion.fps, lips)
+        # The face of the lips alone ends above: its steps are neither needed nor paid for.
         steps = self._stepped(times)
         mood, lifted = self._cues.at(times, self._options.mood)
+        # A wide mouth cannot smile as much as a shut one.
         smile = mood * (1.0 - (1.0 - _MOUTH_SMILES) * (1.0 - visemes[:, SILENT]))
         brows = np.clip(steps[:, 1] + lifted + 0.25 * np.minimum(mood, 0.0), -1.0, 1.0)
         face = FaceMotion(visemes, np.clip(steps[:, 0], 0.0, 1.0), brows, smile, in_head(steps[:, 2:], motion),
@@ -115,6 +119,7 @@ class FaceTrack:
         """[T, 15] weights at rising times [T], each of the latest utterance that had begun by then."""
         out = np.zeros((len(times), len(VISEMES)))
         out[:, SILENT] = 1.0
+        # Utterances follow each other in time: each has the frames from its start to the next one's.
         edges = [*np.searchsorted(times, [lips.start for lips in self._lips]), len(times)]
         for lips, first, last in zip(self._lips, edges, edges[1:], strict=False):
             if last > first:
@@ -123,6 +128,7 @@ class FaceTrack:
 
     def _stepped(self, times: Array) -> Array:
         """[T, 4] the values of `FaceLife.step` at rising times, between steps in proportion."""
+        # One step beyond the last time, so that every time lies between two steps.
         last = math.floor(times[-1] * RATE) + 1
         while self._first + len(self._steps) <= last:
             now = self._life.time
@@ -159,8 +165,10 @@ def in_head(target: Array, motion: Motion) -> Array:
     skeleton = motion.skeleton
     world = kinematics.global_rotations(skeleton, motion.rotations)[:, skeleton.index("Head")]
     ahead = rotation.rotate(world, np.array([0.0, 0.0, 1.0]))
+    # The gaze is meant for the world, and the body has turned the head: what it turned is taken off.
     head = np.stack([np.arctan2(ahead[:, 0], ahead[:, 2]), np.arcsin(np.clip(ahead[:, 1], -1.0, 1.0))], axis=1)
     most = np.array([_MOST_ASIDE, _MOST_UP])
+    # Softly limited: eyes that stop at a hard limit would jerk while the head turns on.
     return np.asarray(most * np.tanh((target - head) / most))
 
 
@@ -226,6 +234,7 @@ class FaceCues:
 
     def forget(self, oldest: float) -> None:
         """Forget the expressions that no longer show at media time `oldest`: moments, and moods before the last."""
+        # The last mood that is fully there still shows, however old it is; those before it do not.
         moods = [time for time, name in self._cues if np.isinf(_EXPRESSIONS[name].lasts)
                  and time + _MOOD_CHANGES <= oldest]
         last = max(moods, default=-np.inf)

@@ -153,6 +153,7 @@ def pack(frames: StreamFrames, request: StreamRequest, state: str, received: flo
     if request.output == "smplx":
         from data_module.motion.smplx import smplx_arrays
 
+        # Through the writer of files, so that a stream and a file have the same conventions.
         arrays = smplx_arrays(frames.motion())
         rotations, root = arrays["poses"].reshape(len(frames), -1, 3), arrays["trans"]
     else:

@@ -95,6 +95,7 @@ class Session:
             self._skipped += seconds
             yield from self._pass_over(seconds)
         else:
+            # Hurried audio has a low look-ahead, too: what is late must not wait for the next block.
             self._stream.hurried = effort == Effort.LESS
             self._stream.latency = self._latency if effort == Effort.FULL else "low"
             yield from map(self._answer, self._stream.steps("feed", samples))
@@ -111,6 +112,7 @@ class Session:
         if kind in ("idle", "think"):
             yield from self.wait(kind, float(message.get("seconds", 0.0)))
         elif kind == "interrupt":
+            # Words after the moment were not spoken; without a moment none of the waiting ones will be.
             at = message.get("time")
             self._words = [word for word in self._words if at is not None and word.start < at]
             yield from map(self._answer, self._interrupt(None if at is None else float(at)))

@@ -102,6 +102,7 @@ class VmcFrames:
 
     def bundles(self, frame: int, seconds: float) -> list[bytes]:
         """A frame as bundles of at most `DATAGRAM` bytes; seconds: the sender's time."""
+        # Receivers that join later learn from each frame that there is a model.
         messages = [*_available(1, seconds), self._root]
         numbers = self._numbers[frame].astype(">f4").tobytes()
         # Seven big-endian floats of 4 bytes for each bone.
@@ -155,6 +156,7 @@ def _available(loaded: int, seconds: float) -> list[bytes]:
 
 def packed(messages: list[bytes]) -> list[bytes]:
     """OSC messages as bundles of at most `DATAGRAM` bytes, in their order."""
+    # In their order, and each packet by itself complete: packets may be lost or overtake each other.
     parts: list[list[bytes]] = [[]]
     size = len(_BUNDLE)
     for message in messages:

@@ -23,8 +23,7 @@ from gesticulator.arguments import (
     settings_of,
 )
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
-from gesticulator.jobs import STDIN, Job, Worker, load, retargeter_for
-from gesticulator.page.export import exported, formats
+from gesticulator.jobs import STDIN, Job, Worker, load
 from gesticulator.page.saved_edits import SavedEdits, place_of, put_aside, read_saved
 from interpreters import INTERPRETERS
 
@@ -61,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
         with limited_threads(settings.threads):
             print_list(Gesticulator.from_pretrained(settings.bundle), settings.listing)
         return 0
+    # What can be wrong with the arguments is told before the models are loaded, which takes seconds.
     job = _job(args)
     check_choices(job.options, settings.bundle)
     with PageServer(args.port) as server, our_warnings(), limited_threads(settings.threads):
@@ -97,14 +97,16 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings, beside: str | 
     """
     from gesticulator.export import html
     from gesticulator.gesticulator import Gesticulator
-    from gesticulator.page.session import EditSession, directions_of, levels_of
+    from gesticulator.page.session import EditSession, levels_of
 
     source = job.source
     assert source is not None
+    # A character that stands on its legs in its file needs legs in the motion, too.
     chosen, stands = _character(job)
     gesticulator = Gesticulator.from_pretrained(settings.bundle)
     gesticulator.keeps_generations = True
     saved = None if beside is not None else SavedEdits(place_of(source))
+    # A plan that was given by name comes before the saved one, which it will replace.
     if saved is not None and not anew and job.options.plan is None:
         job = _with_saved_edits(gesticulator, job)
     job = replace(job, options=replace(job.options, legs=job.options.legs or stands))
@@ -113,7 +115,7 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings, beside: str | 
     session = EditSession(gesticulator, *takes.values())
     scenes = {name: take.scene() for name, take in takes.items()}
     live = {"token": server.token, "renderings": [session.opened(take) for take in takes.values()],
-            "formats": formats(), "levels": levels_of(gesticulator.bundle), "directions": directions_of(gesticulator)}
+            "levels": levels_of(gesticulator.bundle), "speakers": list(gesticulator.speakers)}
     character = {} if chosen is None else html.character_data(*chosen, next(iter(scenes.values())).face)
     notice = {} if first.retiming is None else {
         "notice": "The edits were moved onto the new sound. " + " ".join(first.retiming.lines())}
@@ -126,9 +128,7 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings, beside: str | 
     # second now and then.
     gc.collect()
     gc.freeze()
-    retargeter = retargeter_for(job.character, settings.quiet)
-    server.answers = {"render": session.answer,
-                      "export": lambda request, *_: exported(request, session.exported, retargeter)}
+    server.render = session.answer
     server.figures = cache(partial(_figures, gesticulator, first.decided.speaker))
     return saved
 
@@ -171,6 +171,7 @@ def _with_saved_edits(gesticulator: Gesticulator, job: Job) -> Job:
     except InputError as error:
         put_aside(job.source, str(error))
         return job
+    # The hash of a plan is of the sound as the models take it: with its gain, at their rate.
     speech = resample(amplified(load(job), float(plan.made_by.get("settings", {}).get("gain", 0.0))), SAMPLE_RATE)
     moved = sound_hash(speech) != plan.sound.sha256
     how = "moved onto the new sound" if moved else "opened"
@@ -182,6 +183,7 @@ def _takes(gesticulator: Gesticulator, job: Job, beside: str | None, quiet: bool
     """Name -> performance of each take. beside: the interpreter of the second one."""
     speech = load(job)
     worker = Worker(gesticulator, quiet=quiet)
+    # The takes share the sound; only the interpreter differs.
     first = worker.performed(job, speech)
     if first.retiming is not None:
         print("\n".join(f"  {line}" for line in first.retiming.lines()), flush=True)

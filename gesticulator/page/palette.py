@@ -42,6 +42,7 @@ def _lexemes(bundle: Bundle) -> list[dict[str, Any]]:
     silent = set(bundle.silent.tolist())
     out = []
     for lexeme in range(count):
+        # In the words by which the palette is searched; the bounds are those of the names of lexemes.
         moves = ways.paths[lexeme] > MOVES
         hand = "both" if moves.all() else "right" if moves[0] else "left" if moves[1] else "none"
         far = float(np.linalg.norm(ways.ways[lexeme], axis=-1).max()) > FAR
@@ -65,6 +66,7 @@ def _gestures(bundle: Bundle, speaker: int) -> list[dict[str, Any]]:
     out = []
     for name in GESTURES:
         before, after = span_of_gesture(name)
+        # Without the two ends, at which every gesture is at rest.
         times = np.linspace(-before, after, FRAMES + 2)[1:-1]
         poses = laid_over(np.repeat(rest[None], FRAMES, axis=0), times, [(GestureCue(name, time=0.0), 0.0)])
         motion = representation.motion(poses, FRAMES / (before + after))
@@ -88,6 +90,7 @@ def _ways(motion: Motion) -> dict[str, str]:
 def _points(motion: Motion) -> Array:
     """[T, joints, 2] hundredths of a metre to the right and up, as seen from the front, from the hips."""
     names = motion.skeleton.names
+    # Seen from the front, the character's left is to the right, where +X is.
     places = positions_of(motion)
     chosen = places[:, [names.index(name) for name in JOINTS]] - places[:, :1]
     return chosen[..., :2] * 100.0

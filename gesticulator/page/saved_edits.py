@@ -37,6 +37,7 @@ def read_saved(source: Path) -> GesturePlan | None:
 def put_aside(source: Path, why: str) -> None:
     """Rename the saved plan of a sound, and say so."""
     place = place_of(source)
+    # Never overwritten: it may be hours of work under another bundle.
     aside = place.with_name(place.name + ".old")
     place.replace(aside)
     complain(f"{place}: is not opened, and is now {aside.name}: {why}")
@@ -63,6 +64,7 @@ class SavedEdits:
     def save(self) -> None:
         """Save the latest plan now, if it was not saved yet. A file that cannot be written is reported."""
         with self._lock:
+            # Taken out under the lock, and written without it: a slow disk must not hold up an edit.
             plan, self._plan, self._timer = self._plan, None, None
         if plan is None:
             return

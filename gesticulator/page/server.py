@@ -1,11 +1,10 @@
 """A server for one page and one user: it listens on this machine only, and renders the plans sent by its page.
 
 `GET /SECRET/` is the page, and `GET /SECRET/figures` the figures of its palette; `POST /SECRET/render` takes the page's
-request and answers with the messages of `gesticulator.page.session`, or with `{"error": ...}`; `POST /SECRET/export`
-answers with a file. Other users of this machine can find the port, so the address holds a
-secret. Any page open in a browser can send requests to a local server; so a request must name this server as its host
-(which a foreign name resolved to this machine does not), and a rendering must come from its own page and carry the
-page's token.
+request and answers with the messages of `gesticulator.page.session`, or with `{"error": ...}`. Other users of this
+machine can find the port, so the address holds a secret. Any page open in a browser can send requests to a local
+server; so a request must name this server as its host (which a foreign name resolved to this machine does not), and a
+rendering must come from its own page and carry the page's token.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
 }
 
-Answer = Callable[[dict[str, Any], Callable[[], bool], Callable[[bytes], object]], bytes]
+Render = Callable[[dict[str, Any], Callable[[], bool], Callable[[bytes], object]], bytes]
 """A request with a plan, whether it has been abandoned, and what sends a first part of the answer -> the rest of it;
 `InputError` for an invalid request, `AbandonedError` for an abandoned one."""
 
@@ -58,7 +57,7 @@ class AbandonedError(Exception):
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves a page until `shutdown`. Pages and answers are set after the port has been opened."""
+    """Serves a page until `shutdown`. The page and its renderer are set after the port has been opened."""
 
     daemon_threads = True
     block_on_close = False
@@ -76,8 +75,8 @@ class PageServer(ThreadingHTTPServer):
         self.page = b""
         self.figures: Callable[[], bytes] = lambda: b"{}"
         """Makes the figures of the palette as JSON."""
-        self.answers: dict[str, Answer] = {}
-        """Place below the secret -> what answers requests there, one at a time."""
+        self.render: Render | None = None
+        """Answers requests with a plan, one at a time."""
         self.token, self.secret = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
         self.rendering = threading.Lock()
         self._changing = threading.Lock()
@@ -96,6 +95,7 @@ class PageServer(ThreadingHTTPServer):
     def abandons(self, page: str, number: int) -> Callable[[], bool]:
         """Note the latest request of a page; returns whether a later one has come."""
         with self._changing:
+            # Out and in again, so that the page that asked last is forgotten last.
             latest = self._latest.pop(page, 0)
             self._latest[page] = max(number, latest)
             while len(self._latest) > MOST_PAGES:
@@ -134,7 +134,7 @@ class _PageHandler(BaseHTTPRequestHandler):
         if not self._is_ours() or not self._is_from_page():
             return
         place = self._place()
-        if place not in self.server.answers:
+        if place != "render" or self.server.render is None:
             self._refuse(HTTPStatus.NOT_FOUND, "there is nothing here")
             return
         length = self.headers.get("Content-Length", "")
@@ -143,10 +143,11 @@ class _PageHandler(BaseHTTPRequestHandler):
         elif int(length) > MOST_BYTES:
             self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the plan has more than {MOST_BYTES >> 20} MB")
         else:
-            self._render(self.rfile.read(int(length)), self.server.answers[place])
+            self._render(self.rfile.read(int(length)), self.server.render)
 
     def _place(self) -> str | None:
         """The path below the secret one; None elsewhere."""
+        # In constant time: the time of a plain comparison tells how much of a guess is right.
         secret, _, place = self.path.partition("?")[0].removeprefix("/").partition("/")
         if not hmac.compare_digest(secret.encode("utf-8", "replace"), self.server.secret.encode()):
             return None
@@ -161,6 +162,7 @@ class _PageHandler(BaseHTTPRequestHandler):
     def _is_from_page(self) -> bool:
         token = self.headers.get(TOKEN_HEADER, "").encode()
         known = hmac.compare_digest(token, self.server.token.encode())
+        # The origin tells other pages off; the token tells off what sends no origin and guesses it.
         if self.headers.get("Origin") != f"http://{self.headers['Host']}" or not known:
             self._refuse(HTTPStatus.FORBIDDEN, "the request is not from this server's page: load the page again")
             return False
@@ -169,7 +171,7 @@ class _PageHandler(BaseHTTPRequestHandler):
             return False
         return True
 
-    def _render(self, body: bytes, answer: Answer) -> None:
+    def _render(self, body: bytes, render: Render) -> None:
         try:
             request = parse_json(body, "the request", "")
         except InputError as error:
@@ -179,14 +181,16 @@ class _PageHandler(BaseHTTPRequestHandler):
         if not isinstance(request.get("plan"), dict):
             self._refuse(HTTPStatus.BAD_REQUEST, "the request holds no plan")
             return
+        # A request without them counts as the first of a page of its own.
         page, number = request.get("page"), request.get("number")
         abandoned = self.server.abandons(page if isinstance(page, str) else "",
                                          number if isinstance(number, int) else 0)
+        # One at a time: the models hold all cores, and the renderer remembers what it sampled.
         if not self.server.rendering.acquire(timeout=self.server.queue):
             self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "another plan is being rendered")
             return
         try:
-            self._part(answer(request, abandoned, self._part))
+            self._part(render(request, abandoned, self._part))
         except AbandonedError:
             self._refuse(HTTPStatus.CONFLICT, "the page has asked for something else")
         except (InputError, OSError) as error:

@@ -26,7 +26,7 @@ from gesticulator.export.html import QUATERNION_STEPS, describe_shape, page_fps,
 from gesticulator.options import InferenceOptions
 from gesticulator.page.server import AbandonedError, message
 from gesticulator.performance import Performance
-from gesticulator.plan.plan import Block, GesturePlan, sound_hash
+from gesticulator.plan.plan import GesturePlan, sound_hash
 from gesticulator.plan.plan_file import plan_from
 
 if TYPE_CHECKING:
@@ -89,14 +89,11 @@ class EditSession:
         performance = self._gesticulator.render(self._speech, options, self._renderer(options))
         return performance.labelled(self._name, plan.notes)
 
-    def exported(self, plain: Mapping[str, Any]) -> Performance:
-        """The performance of a plan in plain values; `InputError` as in `perform`."""
-        return self.perform(plan_from(plain))
-
     def opened(self, performance: Performance) -> int:
         """The number of the rendering that a page begins with."""
         rendering = self._whole(performance, plan_from(performance.plan().to_dict()))
         options = planned(InferenceOptions(plan=rendering.sent))
+        # The first edit then computes a window of frames and not the whole take.
         if self._renders_parts and options.plan is not None and not options.plan.pins:
             generated = self._renderer(options).render(options.plan)
             self._share(rendering, options, self._frame_renderer(options).of_motion(
@@ -127,6 +124,7 @@ class EditSession:
                on_block: Callable[[int, int], None] | None = None) -> Rendering:
         """The rendering of a plan, which shares what it can with the one that the page has. on_block: see
         `PlanRenderer.render`."""
+        # Undo sends a plan that was sent or answered before, and most often the last but one.
         known = next((one for one in reversed(self._renderings.values()) if plan in (one.sent, one.plan)), None)
         if known is not None:
             self._renderings.move_to_end(known.number)
@@ -134,19 +132,15 @@ class EditSession:
         options = planned(InferenceOptions(plan=plan))
         assert options.plan is not None
         check_plan_of(self._gesticulator.bundle, options.plan, self._sound)
-        sent = plan
-        if have is not None and plan.interpreter != have.plan.interpreter and plan.drawn == have.plan.drawn:
-            plan = self._with_lexemes_chosen_anew(plan, options, on_block)
-            options = planned(InferenceOptions(plan=plan))
         if not self._renders_parts:
-            return self._whole(self.perform(plan), sent)
-        assert options.plan is not None
+            return self._whole(self.perform(plan), plan)
         generated = self._renderer(options).render(options.plan, on_block)
+        # The frames of the page's rendering, or else the latest ones: whatever differs is computed again.
         shared = self._frames.get(-1 if have is None else have.number) or next(reversed(self._frames.values()), None)
         before = shared[1] if shared is not None and shared[0] == self._framing(options) else None
         frames = self._frame_renderer(options).render(generated, self._shaping(options, generated), options.plan,
                                                       before)
-        rendering = self._kept(sent, self._decided(options, generated), frames.motion)
+        rendering = self._kept(plan, self._decided(options, generated), frames.motion)
         self._share(rendering, options, frames)
         return rendering
 
@@ -178,6 +172,7 @@ class EditSession:
 
     def _kept(self, sent: GesturePlan, plan: GesturePlan, motion: Motion) -> Rendering:
         """The rendering of a motion, from now on in memory."""
+        # A page plays fewer frames of a long recording, to be loaded in time.
         whole = standing(motion)
         page = kinematics.resample(whole, page_fps(self._speech.duration, whole.fps))
         self._count += 1
@@ -195,33 +190,6 @@ class EditSession:
         rendered = gesticulator.assembler(self._speech, options).plan(generated)
         rendered = replace(rendered, notes=plan.notes, sound=replace(rendered.sound, name=self._name))
         return named(fingerprinted(rendered, self._speech), gesticulator.lexeme_names())
-
-    def _with_lexemes_chosen_anew(self, plan: GesturePlan, options: InferenceOptions,
-                                  on_block: Callable[[int, int], None] | None) -> GesturePlan:
-        """The plan with the lexemes that its interpreter chooses. Locked blocks, and the size and side of the others,
-        stay where the beats are those that were detected."""
-        anew = replace(options, plan=None, cues=(), interpreter=plan.interpreter, variation=plan.variation,
-                       temperature=None, beta=None, gain=0.0, legs=False, seated=False)
-        performance = self._gesticulator(self._speech, on_block=on_block, **vars(anew))
-        chosen = performance.plan()
-        settings = {**plan.made_by["settings"], **{
-            name: value for name, value in chosen.made_by["settings"].items() if name in ("temperature", "beta")}}
-        if "beta" not in chosen.made_by["settings"]:
-            settings.pop("beta", None)
-        before = {(block.start, block.end): block for block in plan.blocks}
-
-        def as_edited(block: Block) -> Block:
-            old = before.get((block.start, block.end))
-            if old is None or old.locked:
-                return old or block
-            return replace(block, intensity=old.intensity, mirror=old.mirror)
-
-        decided = replace(chosen, made_by={**plan.made_by, "settings": settings}, sound=plan.sound, knobs=plan.knobs,
-                          blocks=tuple([as_edited(block) for block in chosen.blocks]), cues=plan.cues,
-                          meanings=plan.meanings, pins=plan.pins, curves=plan.curves, notes=plan.notes)
-        if performance.generation is not None:
-            self._generations = [*self._generations, (_identity(decided), performance.generation)][-MOST_GENERATIONS:]
-        return decided
 
     def _renderer(self, options: InferenceOptions) -> PlanRenderer:
         """The renderer of the first generation of the options' plan."""
@@ -245,11 +213,6 @@ def levels_of(bundle: Bundle) -> dict[str, list[float]] | None:
                                         for name, row in zip(FEATURES, levels.table, strict=True)}
 
 
-def directions_of(gesticulator: Gesticulator) -> dict[str, list[str]]:
-    """What the page offers as settings of the whole take: the names of performers and interpreters."""
-    return {"speakers": list(gesticulator.speakers), "interpreters": list(gesticulator.interpreters)}
-
-
 def _answer(rendering: Rendering, have: Rendering | None) -> bytes:
     """The message with a rendering for a page that has another one, or none: the header `rendering` (its number),
     `shape` (null for the same one), `plan`, `range` of the frames (first, last + 1) and `root`, the bytes of the root's
@@ -257,6 +220,7 @@ def _answer(rendering: Rendering, have: Rendering | None) -> bytes:
     alike = have is not None and have.shape == rendering.shape
     first, last = 0, len(rendering.frames)
     if alike and have is not None:
+        # In whole steps of the numbers that are sent, so that nothing is sent that looks the same.
         differs = np.flatnonzero((rendering.frames != have.frames).any(axis=(1, 2)))
         first, last = (int(differs[0]), int(differs[-1]) + 1) if len(differs) else (0, 0)
     root = b"" if alike and have is not None and have.root == rendering.root else rendering.root
@@ -267,6 +231,7 @@ def _answer(rendering: Rendering, have: Rendering | None) -> bytes:
 
 def _identity(plan: GesturePlan) -> str:
     """Everything that identifies a first generation. Legs are added to what was generated."""
+    # Curves of the hands steer the sampling; those of knobs are applied to its poses, and share a generation.
     controls = [curve for curve in plan.curves if curve.knob in FEATURES]
     generated_by = {name: value for name, value in plan.made_by.items() if name != "settings"}
     settings = {name: value for name, value in plan.made_by.get("settings", {}).items() if name != "legs"}

@@ -1,4 +1,4 @@
-// Who performs the take: performer, interpreter, variation and legs, as lists to choose from in the panel.
+// Who performs the take: performer, variation and legs, as lists to choose from in the panel.
 
 import { $, element } from "./dom.js";
 
@@ -13,14 +13,12 @@ export function withLegs(plan, legs) {
   return withSettings(plan, legs ? { ...settings, legs } : settings);
 }
 
-/** directions: the names that the renderer knows, { speakers, interpreters }; without them there is nothing to choose. */
-export function bindDirections(session, directions) {
-  $("directions").hidden = !directions;
-  if (!directions) return;
+/** speakers: the names that the renderer knows; without them there is nothing to choose. */
+export function bindDirections(session, speakers) {
+  $("directions").hidden = !speakers;
+  if (!speakers) return;
   const lists = {
-    "direction-speaker": [directions.speakers, (plan) => plan.speaker, (plan, speaker) => ({ ...plan, speaker })],
-    // The renderer has it choose all lexemes but those that are locked.
-    "direction-interpreter": [directions.interpreters, (plan) => plan.interpreter, (plan, interpreter) => ({ ...plan, interpreter })],
+    "direction-speaker": [speakers, (plan) => plan.speaker, (plan, speaker) => ({ ...plan, speaker })],
     "direction-variation": [Array.from({ length: VARIATIONS }, (_, number) => String(number)), (plan) => String(plan.variation ?? 0), varied],
     "direction-legs": [null, (plan) => plan.made_by?.settings?.legs ?? "", withLegs],
   };

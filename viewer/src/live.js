@@ -51,13 +51,6 @@ async function* messagesOf(answer) {
   }
 }
 
-const base64Of = (bytes) => new Promise((resolve, reject) => {
-  const reader = new FileReader();
-  reader.onload = () => resolve(reader.result.slice(reader.result.indexOf(",") + 1));
-  reader.onerror = () => reject(reader.error);
-  reader.readAsDataURL(new Blob([bytes]));
-});
-
 export class Live {
   /** told: { token } from the server, or null for a page without one. say(state, text): shows the state of rendering. */
   constructor(session, told, say) {
@@ -156,17 +149,6 @@ export class Live {
     } finally {
       if (this.asking === asking) this.asking = null;
     }
-  }
-
-  /** The bytes of a file of a plan. character: { name, bytes } that the user dropped on the page, or null. */
-  async export(plan, format, character) {
-    const told = character && { name: character.name, data: await base64Of(character.bytes) };
-    const answer = await fetch("export", {
-      method: "POST", headers: { "Content-Type": "application/json", "X-Gesticulator-Token": this.told.token },
-      body: JSON.stringify({ plan, format, character: told ?? undefined }),
-    });
-    if (!answer.ok) throw new Error(readJson(await answer.text()).error ?? answer.statusText);
-    return new Uint8Array(await answer.arrayBuffer());
   }
 
   /** Send a plan, with the number of the rendering that the page has. */

@@ -202,18 +202,6 @@ async function exportAs(kind) {
 }
 
 /** Export the plan in a format of the command line, with the character that is shown. */
-async function exportAny() {
-  const format = $("export-format").value, name = fileName(data.title, format);
-  const dropped = worn && !(data.character && worn.told === data.character) ? { name: worn.told.name, bytes: worn.bytes } : null;
-  notice(`${name} is being made …`);
-  try {
-    save(name, await live.export(session.plan, format, dropped), "application/octet-stream");
-    notice(`${name} is written.`);
-  } catch (error) {
-    notice(`${name} cannot be written: ${error.message}`, true);
-  }
-}
-
 // ---------------------------------------------------------------- time
 
 function step(frames) {
@@ -376,7 +364,6 @@ function bindDesk() {
   click("own-figure", undress);
   click("export-glb", () => exportAs("glb"));
   click("export-vrma", () => exportAs("vrma"));
-  click("export-go", exportAny);
   click("trails", toggleTrails);
   click("curve", toggleCurve);
   click("pose", () => pins.toggle());
@@ -469,9 +456,6 @@ const palette = data.live ? new Palette(session, clock, live, async () => {
 const pins = new Pins(session, clock, () => stage, changed);
 $("pose").hidden = !data.live;
 $("palette-open").hidden = !palette;
-$("export-any").hidden = !data.live?.formats;
-$("export-format").replaceChildren(...(data.live?.formats ?? []).map(([format, about]) => element("option", { value: format }, `${format}: ${about}`)));
-if (data.live?.formats) $("export-format").value = ".fbx";
 $("variations").hidden = !data.live;
 $("variations").replaceChildren(...[1, 2, 3].map((number) => {
   const plan = () => edits.varied(session.plan, ...inspector.stretch, number), see = () => live.try(plan()), leave = () => live.forget();
@@ -479,7 +463,7 @@ $("variations").replaceChildren(...[1, 2, 3].map((number) => {
     "onpointerenter": see, "onpointerleave": leave, "onfocus": see, "onblur": leave, "onclick": () => { leave(); session.edit(plan()); } }, `V${number}`);
 }));
 bindCurves(session, timeline, refresh);
-bindDirections(session, data.live?.directions);
+bindDirections(session, data.live?.speakers);
 if (curveOf(session.plan).length) toggleCurve();
 clock.load(data.sound, data.soundType, () => notice("This browser cannot play the sound (Ogg Vorbis).", true));
 refresh();
