@@ -12,16 +12,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError
-<<<<<<< HEAD
-from gesticulator.characters.blender import VARIABLE, check_blender, job_in_blender, run_in_blender
-from gesticulator.characters.fbx_rig import kept_scene, read_fbx_character
-from gesticulator.export.fbx import SCRIPT as WRITE
-from gesticulator.export.fbx_child import needed, played, reduce_keys, turned_by
-from tests.rigs import as_glb, draw
-=======
 from gesticulator.characters.blender import VARIABLE, run_in_blender
 from gesticulator.export.fbx_child import needed, played, reduce_keys, turned_by
->>>>>>> main
 
 SCRIPT = """import json, os, sys
 if sys.argv[2] == "fails":

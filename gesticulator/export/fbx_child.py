@@ -4,15 +4,9 @@
     python fbx_child.py IN.fbx OUT.fbx FRAMES_PER_SECOND KEYS NAME MOTION.npz
     python fbx_child.py IN.fbx OUT.glb
 
-<<<<<<< HEAD
-IN.fbx may be IN.blend, the scene into which Blender imported it. KEYS is the bound on the error of reduced keys in
-degrees, 0 for every frame; NAME that of the take. MOTION.npz holds bone poses, and values of shape keys, as from
-`gesticulator.export.fbx`. The script imports nothing from this package: Blender has its own Python.
-=======
 KEYS is the bound on the error of reduced keys in degrees, 0 for every frame; NAME that of the take. MOTION.npz holds
-bone poses, and values of shape keys, as from `gesticulator.export.own_fbx`. The script imports nothing from this
+bone poses, and values of shape keys, as from `gesticulator.export.fbx`. The script imports nothing from this
 package: Blender has its own Python.
->>>>>>> main
 """
 
 from __future__ import annotations
