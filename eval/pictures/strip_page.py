@@ -89,7 +89,7 @@ def sources_of(given: argparse.Namespace) -> tuple[list[Source], Speech | None]:
         if speech is None:
             raise InputError("--ours", "has no sound to gesture to", "give --sound, --take or --corpus")
         # Opens torch, which a page without ours does not need.
-        from gesticulator.pipeline import Gesticulator
+        from gesticulator.gesticulator import Gesticulator
 
         performance = Gesticulator.from_pretrained(given.ours or None)(speech, seed=given.seed)
         sources.append(Source("ours", performance.motion))
