@@ -36,7 +36,7 @@ from eval.ablate.actor_critic import ActorCritic, ActorCriticConfig
 from eval.ablate.policy import Decisions, PolicyJudge, walk
 from eval.ablate.rows import RACER_PRESETS, RACER_SUPERVISED, ROWS
 from eval.ablate.run import RgRows
-from eval.ablate.simulator import Choose, Replay, Simulator, collect
+from eval.ablate.simulator import Choose, Replay, Simulator
 from eval.baselines.interpreters import ReplayInterpreter
 from eval.context import EvalContext, Lexemes, with_judges
 from gesticulator.bundle import bundle as bundles
@@ -289,9 +289,9 @@ class Acting(ConservativeQ):
             rng = np.random.default_rng([self._seed, step, 1])  # not the numbers that the step's batch is drawn with
             epsilon = epsilon_at(step, self._config.schedules.cql.steps)
             with without_dropout(self.online):
-                self._memory.add(collect(self._simulator, epsilon_greedy(
-                    self.online, self._racer.corpus, epsilon, rng), rng, self._config.schedules.cql.batch,
-                    self._config.cql.decisions))
+                self._memory.add(self._simulator.collect(
+                    epsilon_greedy(self.online, self._racer.corpus, epsilon, rng), rng,
+                    self._config.schedules.cql.batch, self._config.cql.decisions))
 
     def batch(self, rng: np.random.Generator, size: int) -> fitting.Batch:
         """Windows of what it remembers."""
@@ -311,8 +311,8 @@ def actor_critic(racer: RacerRows, config: Config, network: QNetwork, seed: int)
     assert isinstance(supervised, QNetwork)
     model.begin_as(supervised)
     simulator = Simulator(racer.takes, racer.taught(config).rewards, racer.tables[""].window)
-    return model, lambda rng, size: q_batch(racer.corpus, collect(
-        simulator, sampled(model, racer.corpus, rng), rng, size, config.cql.decisions), config.cql.lookahead)
+    return model, lambda rng, size: q_batch(racer.corpus, simulator.collect(
+        sampled(model, racer.corpus, rng), rng, size, config.cql.decisions), config.cql.lookahead)
 
 
 TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
