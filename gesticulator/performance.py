@@ -228,6 +228,7 @@ class Performance:
 
         rig = character if isinstance(character, Character) else read_character(character)
         joints = mapping if mapping is None or isinstance(mapping, RigMapping) else load_mapping(mapping, rig)
+        # A clip of the upper body must not key the legs, or it could not be laid over a walk.
         legs = False if self.clip is not None and self.clip.bare else None
         return self.moved_by(Retargeter(rig, joints, contacts=contacts, legs=legs))
 
@@ -238,9 +239,7 @@ class Performance:
         if self.clip is not None and self.clip.bare:
             moved = replace(moved, translations=None)
         if self.clip is not None and self.clip.additive:
-            from gesticulator.characters.additive import added_to_rest
-
-            moved = added_to_rest(moved, retargeter(self._rest_of(self.motion)))
+            moved = moved.added_to_rest(retargeter(self._rest_of(self.motion)))
         return replace(self, character=moved)
 
     def plan(self) -> GesturePlan:

@@ -616,9 +616,6 @@ def _read_token(file: Path) -> object:
     return read_token(Namespace(token_file=file, no_token=False, host="0.0.0.0"))
 
 
-_TABLE = {"tables": [{"title": "T", "columns": ["a"], "rows": [["b", 1.5]]}]}
-
-
 def _results(folder: Path) -> Path:
     from test_table import ABOUT, TABLE
 
@@ -654,7 +651,7 @@ READERS: dict[str, Case] = {
     **{f"transcript of {name}": Case(_written(f"a{suffix}", write(MARKED)), lambda file: read_transcript(file, _SPEECH),
                                      examples=0.3)
        for name, (suffix, write) in recogniser_samples.FILES.items()},
-    "control curve": Case(_written("a.csv", "# from a tool\ntime;height;speed\n0;0,1;0,3\n1,5;0,2;0,4\n"),
+    "control curve": Case(_written("a.csv", "time,height,speed\n0,0.1,0.3\n1.5,0.2,0.4\n"),
                           lambda file: [read_curve(file, feature) for feature in FEATURES[:2]]),
     "store, listing": Case(_store("store.json"), _read_store),
     "store, edited listing": Case(_store("store.json"), _read_store, packed=_with_fingerprint),
@@ -781,5 +778,3 @@ _SHARE = st.floats(0, 1, exclude_max=True)
 def damages(draw: st.DrawFn) -> list[tuple[Callable[..., None], float, float, int]]:
     one = st.tuples(st.sampled_from(DAMAGE), _SHARE, _SHARE, st.integers(0, 15))
     return draw(st.lists(one, min_size=1, max_size=4))
-
-

@@ -17,7 +17,7 @@ from data_module.motion.skeletons import CHARACTERS, FINGERED, FINGERS
 from data_module.types import Array, Motion
 from gesticulator.body.clips import mirrored_motion
 from gesticulator.cli import main
-from gesticulator.contacts.columns import head_distances, trunk_distances
+from gesticulator.contacts.columns import HEAD, TRUNK
 from gesticulator.contacts.limbs import MARGIN, pose_of
 from gesticulator.directing.gesture_phases import SCRIPTS, drawn_gesture, longest
 from gesticulator.directing.hands import arm_turns, finger_turns, hand_rotation
@@ -174,7 +174,7 @@ def test_poses_are_those_of_a_body(name: str) -> None:
             bend = np.linalg.norm(turns[:, names.index(side + "Hand"), 1:], axis=-1)
             assert np.degrees(bend).max() < 70.0, "a wrist"
             assert speeds(wrist).max() < 4.5
-        assert min(gap.min() for gap in trunk_distances(pose_of(motion)).values()) > 0.0, "no hand in the trunk"
+        assert min(gap.min() for gap in TRUNK.distances(pose_of(motion)).values()) > 0.0, "no hand in the trunk"
 
 
 # -------------------------------------------------------------------------------------------------- size, variation
@@ -331,7 +331,7 @@ def test_no_hand_enters_the_head_or_is_thrown(name: str, start: Callable[[], Arr
     head_is_touched = any(script.faces for script in SCRIPTS[name])
     for size in (0.6, 1.0, 1.5):
         motion = motion_of(laid_over(start(), times(), [(GestureCue(name, time=AT, intensity=size), AT)]))
-        gaps = head_distances(pose_of(motion))
+        gaps = HEAD.distances(pose_of(motion))
         for side in hands_of(name):
             assert gaps[side].min() > (-0.012 if head_is_touched else MARGIN - 0.015)
             assert speeds(in_chest(motion, f"{side}Hand", "Spine3")).max() < 2.6

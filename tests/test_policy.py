@@ -92,8 +92,8 @@ def test_what_is_told_is_played_in_turn() -> None:
 def reward_of(own: Decisions, window: int = 3) -> RewardTable:
     torch.manual_seed(0)
     count = len(own.takes[0].blocks)
-    model = RewardModel(RewardConfig(width=8, projection=4, window=window, dropout=0.0), 2, 3, 2)
-    return RewardTable(freeze(model), torch.randn(count, 2, 2), torch.zeros(count), torch.randn(SIZE, 2, 3))  # type: ignore[arg-type]
+    model = RewardModel(RewardConfig(width=8, projection=4, window=window), 2, 3, 2)
+    return RewardTable(freeze(model), torch.randn(count, 2, 2), torch.randn(SIZE, 2, 3))  # type: ignore[arg-type]
 
 
 def test_values_of_a_take_by_hand() -> None:

@@ -53,17 +53,6 @@ def weights(module: torch.nn.Module) -> Tensor:
     return torch.cat([parameter.detach().flatten() for parameter in module.parameters()])
 
 
-def test_exploration_falls_to_its_least_by_half_of_the_steps() -> None:
-    shares = [training.epsilon_at(step, 100) for step in range(100)]
-    assert shares[0] == 1.0 and shares[50:] == [training.LEAST_EPSILON] * 50 and shares == sorted(shares, reverse=True)
-
-
-def test_all_rows_of_a_seed_begin_alike(context: RacerRows) -> None:
-    first = [weights(context.untrained(f"racer-{name}", 1)) for name in ("cql", "dqn", "literal")]
-    assert torch.equal(first[0], first[1]) and torch.equal(first[0], first[2])
-    assert not torch.equal(first[0], weights(context.untrained("racer-cql", 2)))
-
-
 def test_what_acts_keeps_to_the_silent_mask(context: RacerRows) -> None:
     network = context.untrained("racer-cql", 1).eval()
     actor = ActorCritic(context.untrained("racer-cql", 1))

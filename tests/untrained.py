@@ -50,7 +50,7 @@ def untrained(*settings: str, text_width: int = 385, seed: int = 0) -> Bundle:
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     learned = config.front_end.name == "vqwav2vec"
-    encoder = half(SpeechEncoder(config.encoder)) if learned else None
+    encoder = half(SpeechEncoder(config.encoder.width)) if learned else None
     front = front_end_for(config, encoder)  # type: ignore[arg-type]
     low, high = front.width_low + 1, front.width_high + 1
     width, frames, size = representation_of(config).width, config.rhythm.frames, config.lexicon.size

@@ -214,14 +214,13 @@ def rewarded(racer: RacerRows, config: Config) -> Episodes:
         return episodes
     lexicon = racer.bundle.block_lexicon
     table = rescaled(distance_rewards(lexicon.shown(), racer.corpus.motion), episodes).numpy()
-    return Episodes([replace(e, reward=table[e.blocks, e.actions].astype(np.float32)) for e in episodes.episodes],
-                    cloned=episodes.cloned, stretch=episodes.stretch)
+    return Episodes([replace(e, reward=table[e.blocks, e.actions].astype(np.float32)) for e in episodes.episodes])
 
 
 def _episodes(racer: RacerRows, config: Config) -> Episodes:
     """The offline data set with the contrastive reward, kept in the work folder; every seed learns from the same."""
     plain = replace(config.episodes, reward="contrastive")
-    file = racer.context.work / f"racer-{configs.digest(racer.shapes, plain, config.statistical, config.seed)}.npz"
+    file = racer.context.work / f"racer-{configs.digest(racer.shapes, plain, config.seed)}.npz"
     if not file.exists():
         interpreters: dict[str, LexemeInterpreter] = {
             "sampled": racer.bundle.interpreter, "statistical": racer.bundle.statistical()}
@@ -239,8 +238,7 @@ Learner = tuple[ConservativeQ | ActorCritic, fitting.MakeBatch]
 
 def latest(policy: QNetwork | ActorCritic, corpus: Corpus, observed: dict[str, Tensor]) -> Tensor:
     """Scores [B, S] of the lexeme to be chosen now, after what was seen (see `eval.ablate.simulator.Choose`)."""
-    config = (policy.actor if isinstance(policy, ActorCritic) else policy).config
-    batch = q_batch(corpus, observed, config.lookahead)
+    batch = q_batch(corpus, observed)
     return policy.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[:, -1]
 
 
@@ -275,7 +273,7 @@ def offline(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> L
     """Conservative Q-learning, or what the settings leave of it, on the recorded episodes (RACER Eq. 11)."""
     episodes = rewarded(racer, config)
     return ConservativeQ(network), lambda rng, size: q_batch(racer.corpus, episodes.windows(
-        rng, size, config.cql.decisions), config.cql.lookahead)
+        rng, size, config.cql.decisions))
 
 
 class Acting(ConservativeQ):
@@ -299,7 +297,7 @@ class Acting(ConservativeQ):
 
     def batch(self, rng: np.random.Generator, size: int) -> fitting.Batch:
         """Windows of what it remembers."""
-        return q_batch(self._racer.corpus, self._memory.windows(rng, size), self._config.cql.lookahead)
+        return q_batch(self._racer.corpus, self._memory.windows(rng, size))
 
 
 def online(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
@@ -316,7 +314,7 @@ def actor_critic(racer: RacerRows, config: Config, network: QNetwork, seed: int)
     model.begin_as(supervised)
     simulator = Simulator(racer.takes, racer.taught(config).rewards, racer.tables[""].window)
     return model, lambda rng, size: q_batch(racer.corpus, simulator.collect(
-        sampled(model, racer.corpus, rng), rng, size, config.cql.decisions), config.cql.lookahead)
+        sampled(model, racer.corpus, rng), rng, size, config.cql.decisions))
 
 
 TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}

@@ -136,7 +136,7 @@ class RgRows:
     def runs(self, name: str, seed: int) -> tuple[RowRun, RowRun]:
         """The run that makes a row's lexicon, at the preset's seed, and the one that does the rest."""
         first, config = self.first, configured(self.first.config, name)
-        about = (first.store, first.work, first.device, first.progress, (), first.workers)
+        about = (first.store, first.work, first.device, first.progress, first.workers)
         corpora = self._corpus_run(config)
         before = RowRun(config, *about, taken={ENCODER.name: first, BLOCKS.name: corpora, CORPUS.name: corpora})
         return before, RowRun(replace(config, seed=seed), *about, taken={**before.taken, LEXICON.name: before})
@@ -168,7 +168,7 @@ class RgRows:
         config = run.config
         # Beside the stages everything that is applied when they play: it changes the motion and no weights.
         return configs.digest(self.shared, run.key(LEXICON), [run.key(stage) for stage in wanted(config)], row.play,
-                              row.style, config.selection, config.silence, config.statistical, config.motion,
+                              row.style, config.selection, config.silence, config.motion,
                               self.names(row.split))
 
     # ------------------------------------------------------------------------------------------------------ recordings

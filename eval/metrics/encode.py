@@ -142,7 +142,6 @@ def judged_reward(bundle: Bundle, encoded: EncodedMotion, speech: SpeechBlocks) 
     # Windows that begin before the clip are padded and marked as not valid.
     at = torch.arange(len(encoded.poses))[:, None] + torch.arange(1 - model.config.window, 1)
     valid, at = (at >= 0).float(), at.clamp_min(0)
-    times = torch.as_tensor(np.log(speech.blocks.durations)).float()
-    cosines = model.window_rewards(encoded.poses[at], times[at], speech.audio[at], valid)
+    cosines = model.window_rewards(encoded.poses[at], speech.audio[at], valid)
     audible = ((valid > 0) & ~torch.as_tensor(speech.blocks.silent)[at]).any(dim=1)
     return float(cosines[audible].double().mean()) if audible.any() else float("nan")

@@ -39,7 +39,6 @@ from interpreters.settings import (
     PlannerConfig,
     QConfig,
     RewardConfig,
-    StatisticalConfig,
     StyleConfig,
 )
 from lexicon.settings import FRAMES, LexiconConfig, RacerConfig
@@ -47,7 +46,7 @@ from lexicon.settings import FRAMES, LexiconConfig, RacerConfig
 __all__ = ["BeatSettings", "BlockSettings", "Config", "ControlConfig", "CriticConfig", "EncoderConfig",
            "EpisodeConfig", "FitSettings", "FrontEndConfig", "GateConfig", "GeneratorConfig", "LexiconConfig",
            "LstmConfig", "MotionConfig", "QConfig", "RacerConfig", "RewardConfig", "Schedules", "SelectionConfig",
-           "SilenceConfig", "StatisticalConfig", "StyleConfig", "TextConfig", "digest", "from_dict", "section",
+           "SilenceConfig", "StyleConfig", "TextConfig", "digest", "from_dict", "section",
            "to_dict", "with_settings"]
 
 
@@ -95,20 +94,14 @@ class TextConfig:
 
     encoder: str = ""
     """Word encoder: "minilm", any BERT by name or folder, or empty for audio only."""
-    bridge: NotNegative = 0.15
-    """Gaps between words shorter than this, in seconds, belong to the nearer word."""
 
 
 @dataclass(frozen=True)
 class ControlConfig:
     """Style editing: one generator for all style features, trained with all or some of them omitted (RG 7.2.1)."""
 
-    window: Positive = 4.0
-    """Averaging window of a feature, seconds."""
     free: Share = 0.4
     """Share of training windows without any control."""
-    asked: Share = 0.5
-    """Probability that each feature is controlled in the other windows."""
 
 
 @dataclass(frozen=True)
@@ -235,7 +228,6 @@ class Config:
     lexicon: LexiconConfig = field(default_factory=LexiconConfig)
     generator: GeneratorConfig = field(default_factory=GeneratorConfig)
     interpreter: LstmConfig = field(default_factory=LstmConfig)
-    statistical: StatisticalConfig = field(default_factory=StatisticalConfig)
     style: StyleConfig = field(default_factory=StyleConfig)
     gate: GateConfig = field(default_factory=GateConfig)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
@@ -263,6 +255,7 @@ class Config:
     """Each stage derives its seed from this one and its name, so adding a stage changes no other."""
 
     def __post_init__(self) -> None:
+        # Read here, because their classes belong to packages that may not be installed.
         object.__setattr__(self, "others", {name: _other(name, value) for name, value in self.others.items()})
         check(self)
         if not self.lexicon.widths:
@@ -287,6 +280,7 @@ def section(config: Config, name: str) -> Any:
 
 def _other(name: str, value: Any) -> Any:
     """The settings of an interpreter in `Config.others` as an instance of its class; InputError if it is unknown."""
+    # Sections of our own interpreters are fields, and checked like all others.
     kinds = {entry.settings: entry for entry in entries().values()
              if entry.part and entry.settings not in {known.name for known in fields(Config)}}
     if name not in kinds:

@@ -12,7 +12,7 @@ import numpy as np
 from data_module.files import write_bytes
 from data_module.motion import rotation
 from data_module.types import Array
-from gesticulator.characters.blender import job_in_blender
+from gesticulator.characters.blender import run_in_blender
 from gesticulator.characters.rig import CharacterMotion
 from gesticulator.export.clip import ClipLayout
 from gesticulator.export.key_reduction import STEADY
@@ -41,24 +41,16 @@ def write_animated(path: Path, moved: CharacterMotion, clip: ClipLayout, face: F
     """
     with tempfile.TemporaryDirectory() as folder:
         resting, target, motion = (Path(folder) / name for name in ("rest.glb", "out.fbx", "motion.npz"))
-        source, is_glb = _source(moved.character.path), path.suffix.lower() == ".glb"
+        source, is_glb = str(moved.character.path.resolve()), path.suffix.lower() == ".glb"
         if is_glb or face is not None:
-            job_in_blender(path, SCRIPT, source, str(resting))
+            run_in_blender(path, SCRIPT, source, str(resting))
         if is_glb:
             write_bytes(path, _animated_glb(resting, moved, clip, face))
             return path
         np.savez(motion, **(pose(moved) if face is None else _with_face(pose(moved), resting, moved, face)))
-        job_in_blender(path, SCRIPT, source, str(target), repr(moved.fps), repr(clip.keys), clip.name, str(motion))
+        run_in_blender(path, SCRIPT, source, str(target), repr(moved.fps), repr(clip.keys), clip.name, str(motion))
         write_bytes(path, target.read_bytes())
     return path
-
-
-def _source(file: Path) -> str:
-    """The file for Blender to read: the scene that it kept when it read the character, else the file itself."""
-    from gesticulator.characters.fbx_rig import kept_scene
-
-    scene = kept_scene(file) if file.exists() else file
-    return str(scene if scene.exists() else file.resolve())
 
 
 def _face_tracks(file: Path, gltf: GltfDocument, moved: CharacterMotion, face: FaceMotion
