@@ -389,10 +389,9 @@ def clip_names(jobs: Sequence[Job]) -> list[str]:
 
 def load(job: Job) -> Speech:
     """The recording; warns if it is too quiet even after the requested gain."""
-    from data_module.speech.audio import amplified, level_note, speech_pieces
+    from data_module.speech.audio import amplified, level_note, load_speech
 
-    with speech_pieces(job.source or sys.stdin.buffer, job.any_length) as sound:
-        speech = sound.whole()
+    speech = load_speech(job.source or sys.stdin.buffer, job.any_length)
     note = level_note(amplified(speech, job.options.gain))
     if note is not None:
         complain(f"{PROGRAM}: warning: {job.name}: {note}")

@@ -230,9 +230,7 @@ class Performance:
         if self.clip is not None and self.clip.bare:
             moved = replace(moved, translations=None)
         if self.clip is not None and self.clip.additive:
-            from gesticulator.characters.additive import added_to_rest
-
-            moved = added_to_rest(moved, retargeter(self._rest_of(self.motion)))
+            moved = moved.added_to_rest(retargeter(self._rest_of(self.motion)))
         return replace(self, character=moved)
 
     def plan(self) -> GesturePlan:

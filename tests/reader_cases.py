@@ -651,7 +651,7 @@ READERS: dict[str, Case] = {
     **{f"transcript of {name}": Case(_written(f"a{suffix}", write(MARKED)), lambda file: read_transcript(file, _SPEECH),
                                      examples=0.3)
        for name, (suffix, write) in recogniser_samples.FILES.items()},
-    "control curve": Case(_written("a.csv", "# from a tool\ntime;height;speed\n0;0,1;0,3\n1,5;0,2;0,4\n"),
+    "control curve": Case(_written("a.csv", "time,height,speed\n0,0.1,0.3\n1.5,0.2,0.4\n"),
                           lambda file: [read_curve(file, feature) for feature in FEATURES[:2]]),
     "store, listing": Case(_store("store.json"), _read_store),
     "store, edited listing": Case(_store("store.json"), _read_store, packed=_with_fingerprint),

@@ -92,10 +92,6 @@ def test_what_is_taken(text: str, value: object) -> None:
     assert value is None or parse_json(text, "a", "") == value
 
 
-def test_every_whole_number_that_is_taken_fits_a_float() -> None:
-    assert math.isfinite(float(parse_json("-" + "9" * MOST_DIGITS, "a", "")))
-
-
 def test_marks_zero_bytes_and_other_encodings(tmp_path: Path) -> None:
     file = tmp_path / "a.json"
     for encoding in ("utf-8", "utf-8-sig", "utf-16"):

@@ -28,18 +28,6 @@ def test_a_crop_never_runs_over_two_recordings(sizes: list[int], seed: int) -> N
     assert (drawn == drawn[:, :1]).all() and set(drawn[:, 0]) <= set(range(1, len(sizes) + 1))
 
 
-def test_every_beginning_is_drawn_and_none_more_often_than_another() -> None:
-    sizes, length = [5, 3, 9], 3
-    samples = np.arange(sum(sizes), dtype=np.float16)
-    own = end_to_end(sizes, length)
-    crops = Crops(samples, own.first, own.room, length)
-    starts = crops.sample(np.random.default_rng(0), 11_000)[:, 0].astype(int)
-    allowed = [0, 1, 2, 5, *range(8, 15)]  # 3 + 1 + 7
-    counts = np.bincount(starts, minlength=sum(sizes))
-    assert np.flatnonzero(counts).tolist() == allowed
-    np.testing.assert_allclose(counts[allowed], 1000, rtol=0.15)
-
-
 def test_of_a_store(tiny_store: Path) -> None:
     store = Store.open(tiny_store)
     crops = Crops.of_store(store, store.names[:2], RATE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -309,22 +308,6 @@ def test_legs_stay_on_their_floor_in_what_is_written(tmp_path: Path) -> None:
     assert np.median(performance.positions()[:, 0, 1]) == pytest.approx(HIP_HEIGHT), "without legs as ever"
 
 
-def test_the_command_gives_her_legs(tmp_path: Path) -> None:
-    import soundfile
-
-    from gesticulator.infer import main
-
-    samples, rate = soundfile.read("examples/speech.flac", stop=4 * 16_000)
-    sound = tmp_path / "short.wav"
-    soundfile.write(sound, samples, rate)
-    for flag, told, height in (("--legs", "standing", 0.94), ("--seated", "seated", 0.535)):
-        out, plan = tmp_path / "o.bvh", tmp_path / "o.json"
-        assert main([str(sound), "-o", str(out), "--explain", str(plan), flag, "--quiet"]) == 0
-        motion = read_bvh(out)
-        assert len(motion.skeleton) == 54 and motion.root_positions[:, 1].mean() == pytest.approx(height, abs=0.02)
-        assert json.loads(plan.read_text())["made_by"]["settings"]["legs"] == told
-
-
 def test_pictures_draw_the_legs_that_are_there() -> None:
     from gesticulator.export.figure import VIEWS, figure_points, seen
 
@@ -337,22 +320,6 @@ def test_pictures_draw_the_legs_that_are_there() -> None:
     assert len(seen(now, VIEWS["front"])) == len(seen(figure_points(motion, np.zeros(1)), VIEWS["front"])) + 1
     with pytest.raises(InputError, match="legs"):
         figure_points(still(seconds=1.0), np.zeros(1), legs=True)
-
-
-def test_legs_that_are_only_drawn_stand_as_ours_do() -> None:
-    from gesticulator.export.figure import legs
-
-    (part,) = legs()
-    left, right = part.limbs[:4], part.limbs[4:]
-    bends = []
-    for sign, (thigh, shin, sole, toes) in ((1.0, left), (-1.0, right)):
-        assert np.array_equal(thigh.end, shin.start) and np.array_equal(sole.end, toes.start)
-        bones = [limb.end[0] - limb.start[0] for limb in (thigh, shin)]
-        assert [np.linalg.norm(bone) for bone in bones] == pytest.approx([0.420, 0.405], abs=0.01)
-        bends.append(np.degrees(np.arccos(bones[0] @ bones[1] / np.linalg.norm(bones[0]) / np.linalg.norm(bones[1]))))
-        assert bones[0][2] > bones[1][2], "bent forward"
-        assert sign * (toes.end - toes.start)[0, 0] > 0.0 and toes.end[0, 1] == pytest.approx(BALL)
-    assert 15.0 < bends[0] < 24.0 and 3.0 < bends[1] < 15.0, "on the right leg"
 
 
 def test_planted_feet_do_not_slide_and_pushed_ones_do() -> None:

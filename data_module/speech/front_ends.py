@@ -22,11 +22,11 @@ from data_module.types import Array, Samples
 Features = NDArray[np.float32]
 
 _BATCH = 256
+# Least power under a logarithm.
 _FLOOR = 1e-8
-"""Least power under a logarithm."""
+# Hertz at which the bands of a robust front end end, and the power that it adds under a logarithm: 30 dB under the
+# typical level.
 _ROBUST_TOP, _ROBUST_FLOOR = 7000.0, 1e-5
-"""Hertz at which the bands of a robust front end end, and the power that it adds under a logarithm: 30 dB under the
-typical level."""
 
 
 @dataclass(frozen=True)

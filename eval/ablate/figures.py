@@ -117,6 +117,7 @@ def strip(name: str) -> Draw:
     """RG Fig. 9, of a row or of the performer."""
     def drawn(rg: RgRows, rows: Summaries) -> Drawn:
         recording, motion = shown_recording(rg), rg.motions(name)[0]
+        # Nine figures over four seconds: close enough to see a stroke, few enough to tell them apart.
         times = frame_times(motion, start_of(recording), STRETCH / 2, 9)
         return draw_page([Source("", motion)], times, recording.speech, find_beats(recording.speech),
                          layout=replace(STRIP, views=("front",))), (
@@ -152,6 +153,7 @@ def clusters(rg: RgRows, rows: Summaries) -> Drawn:
     spoken = [~np.asarray(corpus.silent)[numbers].astype(bool) for numbers in blocks]
     every = np.concatenate([numbers[voiced] for numbers, voiced in zip(blocks, spoken, strict=True)])
     place = np.repeat(np.arange(len(blocks)), [int(voiced.sum()) for voiced in spoken])
+    # Features hold the block before and the one after it too; the block itself is the middle third.
     levels = {f"{kind} level": audio_clusters.cluster(
         features[every][:, frames:2 * frames].float().mean(dim=1).numpy())
         for kind, features in (("low", corpus.low), ("high", corpus.high))}
