@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bursts import turned
 from performances import perform
 
 from data_module.blocks import cut
 from data_module.errors import InputError
-from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter
 from data_module.types import Blocks, Motion, Speech
@@ -33,9 +33,7 @@ def still(seconds: float, fps: float = 20.0) -> Motion:
 
 def turning(seconds: float, fps: float, turn: np.ndarray) -> Motion:
     """The right arm turned at the shoulder about the axis that points forward, by turn [T] radians."""
-    pose = np.zeros((round(seconds * fps), len(CHARACTER), 3))
-    pose[:, CHARACTER.index("RightArm"), 2] = turn
-    return Motion(CHARACTER, rotation.from_exponential_map(pose), np.zeros((len(pose), 3)), fps)
+    return turned(round(seconds * fps), fps, {"RightArm": np.outer(turn, [0, 0, 1])})
 
 
 def test_survey_counts_and_measures() -> None:
