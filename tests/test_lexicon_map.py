@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import re
 import shutil
 from pathlib import Path
 
@@ -92,11 +91,6 @@ def test_neighbours_and_embedding_of_two_heaps() -> None:
     flat = embedding.embed(heaps)
     assert flat.shape == (80, 2) and embedding.neighbours_agree(flat, labels) == 1.0
     np.testing.assert_array_equal(flat, embedding.embed(heaps))
-
-
-def test_colours_differ() -> None:
-    made = embedding.colours(100)
-    assert len(set(made)) == 100 and all(re.fullmatch("#[0-9a-f]{6}", own) for own in made)
 
 
 # ----------------------------------------------------------------------------------------------------- the whole
