@@ -339,6 +339,7 @@ class _Way:
         # Velocity of the hands by a finite difference: the chain from angles to places is not linear.
         moves, ahead = (then - now) / tiny, end - now
         speeds, ways = np.linalg.norm(moves, axis=-1), np.linalg.norm(ahead, axis=-1)
+        # The cubic covers v T / 3: the faster the hand, the less time it gets.
         seconds[:] = np.clip(3.0 * _STOP_WITHIN / max(float(speeds.max()), 1e-6), _SHORTEST_STOP, LONGEST_STOP)
         stopped = pose + velocity * seconds / 3.0
         for side, columns in enumerate(self._hands_of.arms):
@@ -406,6 +407,7 @@ class Rest:
                  ) -> None:
         """representation: of exponential maps; activity: share of speech time that is gestured; seed: of the choice of
         phrases and of the idle motion."""
+        # Head and body rest apart: in a phrase without gestures the head still moves.
         rest_pose = statistics.rest_pose[speaker]
         names = representation.motion(rest_pose[None], 1.0).skeleton.names
         turned = np.repeat([name in HEAD for name in names], 3)
@@ -440,6 +442,7 @@ class Rest:
         pause = self._pauses.step(span)
         gestured = self._phrases.step(span, pause, score, activity)
         self._span = span
+        # In a phrase that is not gestured the hands rest as in a pause.
         hands = pause if gestured else np.ones_like(pause)
         self._rests = [pause, hands if still is None else hands | still]
         self._asked = still is not None and bool(still.any())
@@ -454,6 +457,7 @@ class Rest:
         """Instead of `analyse`, for a block without sound: rest throughout."""
         # A new `Pauses` starts at rest, as after a long silence.
         self._pauses, self._span, self._asked = Pauses(), span, False
+        # Nothing is heard, so nothing is decided: a phrase begins anew afterwards.
         self._rests = [np.ones(len(span.quiet), bool)] * 2
 
     def break_off(self, shown: RestKnots, word: float) -> None:
