@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         with limited_threads(settings.threads):
             print_list(Gesticulator.from_pretrained(settings.bundle), settings.listing)
         return 0
-    # What can be wrong with the arguments is told before the models are loaded, which takes seconds.
+    # Faulty arguments are reported before the models are loaded, which takes seconds.
     job = _job(args)
     check_choices(job.options, settings.bundle)
     with PageServer(args.port) as server, our_warnings(), limited_threads(settings.threads):

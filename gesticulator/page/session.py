@@ -124,7 +124,8 @@ class EditSession:
         """The rendering of a plan, which shares what it can with the one that the page has. on_block: see
         `PlanRenderer.render`."""
         # Undo sends a plan that was sent or answered before, and most often the last but one.
-        known = next((one for one in reversed(self._renderings.values()) if plan in (one.sent, one.plan)), None)
+        known = next((rendering for rendering in reversed(self._renderings.values())
+                      if plan in (rendering.sent, rendering.plan)), None)
         if known is not None:
             self._renderings.move_to_end(known.number)
             return known
