@@ -27,17 +27,17 @@ LARGEST = 1 << 30
 """Bytes (1 GiB) of all arrays of a file together: two hours of SMPL-X at 120 frames a second in double precision."""
 
 _MAGIC = b"\x93NUMPY"
+# Largest header, bytes: that of a plain array has 128.
 _HEADER = 1 << 14
-"""Largest header, bytes: that of a plain array has 128."""
+# Booleans, integers, real numbers and text of fixed length; no objects, records or times.
 _KINDS = re.compile(r"[<>|=]?[biufSU]\d{1,6}|[<>|=]?\?")
-"""Booleans, integers, real numbers and text of fixed length; no objects, records or times."""
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+# Greatest compression ratio of deflate (1032 by its format), to detect false sizes.
 _DEFLATED_MOST = 1040
-"""Greatest compression ratio of deflate (1032 by its format), to detect false sizes."""
+# Exceptions of zipfile, zlib and the parser of literals for broken files.
 _BROKEN = (ValueError, SyntaxError, TypeError, KeyError, EOFError, OverflowError, RecursionError, MemoryError,
            NotImplementedError, RuntimeError, UnicodeError, struct.error, zlib.error, zipfile.BadZipFile,
            zipfile.LargeZipFile)
-"""Exceptions of zipfile, zlib and the parser of literals for broken files."""
 
 
 def read_npy(path: str | os.PathLike[str], advice: str = "save it again") -> NDArray[Any]:
@@ -139,6 +139,7 @@ def _array(stream: IO[bytes], size: int) -> NDArray[Any]:
 
 
 def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
+# The format: magic, two bytes of version, the length of the header, the header as a Python literal.
     start = stream.read(8)
     if start[:6] != _MAGIC or len(start) < 8:
         raise ValueError("it has no numpy header")

@@ -15,11 +15,10 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from data_module import build_report as reports
 from data_module.build_report import Outcome, Report
@@ -28,7 +27,6 @@ from data_module.files import lock, remove_unfinished, write_text
 
 if TYPE_CHECKING:
     from data_module.corpora.base import Item, Options
-    from data_module.truth import Truth
 
 DATASET = "dataset"
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -63,6 +61,7 @@ class Workshop:
             self.dataset is None or (self.dataset / f"{name}.json").is_file())
         return outcome if whole else None
 
+    # A worker writes the recording and its outcome; the parent only counts them.
     def make(self, item: Item) -> Outcome:
         # The outcome is written after the recording, so one that has an outcome is complete.
         outcome = self._written(item)
@@ -80,6 +79,7 @@ class Workshop:
         from data_module.motion.relaxed_hands import with_relaxed_hands
         from data_module.motion.standing_legs import with_standing_legs
 
+        # Once in each process: a reader may hold open databases, which cannot be sent to another one.
         if self.reader is None:
             self.reader = open_corpus(self.corpus, self.source, self.options)
         with warnings.catch_warnings(record=True) as caught:
@@ -88,6 +88,7 @@ class Workshop:
                 recording = load(self.reader, item)
                 character = with_relaxed_hands(skeletons.to_character(recording.motion,
                                                                       skeleton=skeletons.WHOLE_BODY))
+                # A performer who stands gets planted feet, so that the legs of a store do not slide.
                 if recording.stands:
                     character = with_standing_legs(character)
             except DroppedError as reason:
@@ -102,27 +103,11 @@ class Workshop:
         blocks, apart = intervals.measure(recording.speech)
         known = "given" if recording.speech.words else ""
         unit, words = (recording.unit, recording.words) if isinstance(recording, Imported) else ("", known)
+        # A warning is repeated for every file that a recording has; the report needs it once.
         messages = tuple(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
         self.writer.add(recording, character)
         return Outcome(item.info.name, recording.speech.duration, character.absent, blocks, apart.as_json(), unit,
-                       words, warnings=messages, meanings=_meanings(recording.truth))
-
-
-def _meanings(truth: Truth | None) -> dict[str, tuple[int, int]]:
-    """Label of each gesture with a meaning -> how many come from clips and from scripts."""
-    from data_module.truth import SCRIPTED
-
-    out: dict[str, tuple[int, int]] = {}
-    for stroke in truth.strokes if truth else ():
-        if stroke.meaning:
-            clips, scripts = out.get(stroke.meaning, (0, 0))
-            drawn = stroke.clip.startswith(SCRIPTED)
-            out[stroke.meaning] = (clips + (not drawn), scripts + drawn)
-    return out
-
-
-Making: TypeAlias = "Callable[[Workshop, Sequence[Item]], Iterator[Outcome]]"
-"""Makes recordings in any order and yields their outcomes, except for those that failed."""
+                       words, warnings=messages)
 
 
 @dataclass(frozen=True)
@@ -136,100 +121,68 @@ class BuildRequest:
     dataset: bool = True
 
 
-def build(request: BuildRequest, making: Making | None = None, progress: bool = True) -> Report:
-    """Build a store; making: by default in this process, in sequence. An existing store with the same settings is not
-    changed. `InputError` if it has other settings, if nothing is usable, if recordings failed, or if another process
-    builds there."""
-    begun = time.monotonic()
-    with lock(request.out, "a build", beside=True):
-        site = _Site.opened(request)
-        if isinstance(site, Report):
-            return site
-        outcomes = {outcome.name: outcome for outcome in site.build(site.items, making or one_by_one, progress)}
-        return replace(site.finish(outcomes), elapsed=time.monotonic() - begun)
+def build(request: BuildRequest, workers: int = 1, progress: bool = True) -> Report:
+    """Build a store. An existing store with the same settings is not changed. `InputError` if it has other settings, if
+    nothing is usable, or if another process builds there."""
+    from tqdm import tqdm
 
+    from data_module import store
+    from data_module.corpora.table import open_corpus
 
-@dataclass
-class _Site:
-    """An unfinished build. reused: number of existing recordings."""
-
-    request: BuildRequest
-    workshop: Workshop
-    items: Sequence[Item]
-    reused: int = 0
-
-    @classmethod
-    def opened(cls, request: BuildRequest) -> _Site | Report:
-        """A new or resumed build; or the report of an existing store."""
-        from data_module import store
-        from data_module.corpora.table import open_corpus
-
-        begun, corpus, source, out = time.monotonic(), request.corpus, request.source, request.out
-        reader = open_corpus(corpus, source, request.options)
+    begun, out = time.monotonic(), request.out
+    with lock(out, "a build", beside=True):
+        reader = open_corpus(request.corpus, request.source, request.options)
         settings, seed = dict(reader.settings()), request.options.seed
-        there = store.matching(out, corpus, settings, seed)
+        there = store.matching(out, request.corpus, settings, seed)
         if there is not None:
             if request.dataset and not (out / DATASET).is_dir():
                 raise InputError(out, "was built without its data set", "delete it, or say --no-dataset")
             return Report(there, reports.report_of(there), time.monotonic() - begun, len(there.recordings))
-        writer = store.StoreWriter(out, corpus, settings, seed, reader.licence)
+        writer = store.StoreWriter(out, request.corpus, settings, seed, reader.licence)
         folder = writer.partial / DATASET if request.dataset else None
         if folder is not None:
             folder.mkdir(exist_ok=True)
-        return cls(request, Workshop(corpus, source, request.options, writer, folder, reader), reader.items())
-
-    def build(self, items: Sequence[Item], making: Making, progress: bool) -> Iterator[Outcome]:
-        from tqdm import tqdm
-
-        todo = []
-        for item in items:
-            there = self.workshop.made(item)
-            if there is None:
-                todo.append(item)
-            else:
-                yield there
-        self.reused = len(items) - len(todo)
-        # A reader is opened again in each process. None: no bar if the output is not a terminal.
+        # Without the reader, which each process opens again.
+        workshop, items = Workshop(request.corpus, request.source, request.options, writer, folder), reader.items()
+        # Finished recordings of an interrupted build are not made again.
+        outcomes = {item.info.name: made for item in items if (made := workshop.made(item)) is not None}
+        reused, todo = len(outcomes), [item for item in items if item.info.name not in outcomes]
+        # disable=None: no bar if the output is not a terminal.
         with tqdm(total=len(todo), unit="recording", disable=None if progress else True) as bar:
-            for outcome in making(replace(self.workshop, reader=None), todo):
+            for outcome in _made(workshop, todo, workers):
+                outcomes[outcome.name] = outcome
                 bar.update()
-                yield outcome
-
-    def finish(self, outcomes: Mapping[str, Outcome]) -> Report:
-        workshop, items, writer = self.workshop, self.items, self.workshop.writer
-        failed = [item.info.name for item in items if item.info.name not in outcomes]
-        # Not renamed to its final name: the next build resumes it.
-        if failed:
-            raise InputError(self.request.out, f"is not finished: {len(failed)} of {len(items)} recordings failed, "
-                             f"such as {failed[0]}", "correct them and build again; finished recordings are kept")
-        usable = [item.info for item in items if not outcomes[item.info.name].dropped]
-        if not usable:
-            reason = next((outcome.dropped for outcome in outcomes.values()), "it is empty")
-            writer.discard()
-            raise InputError(workshop.source or workshop.corpus, f"has no recording that can be used ({reason})",
-                             "see the formats in --help")
-        if workshop.dataset is not None:
-            for info in usable:
-                _share(writer.partial / "recordings" / f"{info.name}.flac", workshop.dataset / f"{info.name}.flac")
-        infos = [replace(info, seconds=outcomes[info.name].seconds, absent=outcomes[info.name].absent)
-                 for info in usable]
-        content = reports.summary(infos, [outcomes[item.info.name] for item in items], workshop.reader.notes())
+        content, names = _finished(workshop, items, outcomes, reader.notes())
         write_text(writer.partial / reports.FILE, json.dumps(content, indent=1, ensure_ascii=False))
+        # Temporary files of workers that were killed.
         remove_unfinished(writer.partial)
-        return Report(writer.finish([info.name for info in usable]), content, 0.0, self.reused)
+        return Report(writer.finish(names), content, time.monotonic() - begun, reused)
 
 
-def one_by_one(workshop: Workshop, items: Sequence[Item]) -> Iterator[Outcome]:
-    return map(workshop.make, items)
+def _finished(workshop: Workshop, items: Sequence[Item], outcomes: Mapping[str, Outcome], notes: Sequence[str]
+              ) -> tuple[dict[str, Any], list[str]]:
+    """The content of the report, and the names of the usable recordings; their sound is put into the data set."""
+    usable = [item.info for item in items if not outcomes[item.info.name].dropped]
+    if not usable:
+        reason = next((outcome.dropped for outcome in outcomes.values()), "it is empty")
+        workshop.writer.discard()
+        raise InputError(workshop.source or workshop.corpus, f"has no recording that can be used ({reason})",
+                         "see the formats in --help")
+    if workshop.dataset is not None:
+        for info in usable:
+            _share(workshop.writer.partial / "recordings" / f"{info.name}.flac", workshop.dataset / f"{info.name}.flac")
+    infos = [replace(info, seconds=outcomes[info.name].seconds, absent=outcomes[info.name].absent) for info in usable]
+    return (reports.summary(infos, [outcomes[item.info.name] for item in items], notes),
+            [info.name for info in usable])
 
 
 _workshop: Workshop | None = None
 
 
-def in_processes(workers: int, workshop: Workshop, items: Sequence[Item]) -> Iterator[Outcome]:
+def _made(workshop: Workshop, items: Sequence[Item], workers: int) -> Iterator[Outcome]:
     """Make recordings in so many processes."""
     if workers <= 1:
-        yield from one_by_one(workshop, items)
+        yield from map(workshop.make, items)
         return
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -279,6 +232,7 @@ def _share(file: Path, place: Path) -> None:
     """The same file in two places: a hard link if possible, else a copy."""
     import shutil
 
+    # An interrupted build may have left a link to a file that was written anew since.
     place.unlink(missing_ok=True)
     try:
         os.link(file, place)
@@ -313,6 +267,7 @@ def add_arguments(parser: argparse.ArgumentParser, corpus: str) -> None:
     an unknown corpus."""
     from data_module.corpora.table import reader_of
 
+    # Only now is it known which data set is meant, and so which options there are.
     reader = reader_of(corpus)
     parser.set_defaults(corpus=corpus)
     parser.add_argument("--source", type=Path, metavar="DIR", help="the source data")
@@ -324,23 +279,12 @@ def add_arguments(parser: argparse.ArgumentParser, corpus: str) -> None:
     parser.add_argument("--no-dataset", action="store_true", help="write only the store, without BVH files")
     parser.add_argument("--fps", type=float, help="frames per second, if the header of the BVH files is wrong")
     parser.add_argument("--unit", type=float, help="metres per unit of the BVH files, if not as reported")
-    parser.add_argument("--verbose", action="store_true", help="print the histogram of intervals between onsets too")
-    parser.add_argument("--histogram", type=Path, metavar="FILE.png",
-                        help="plot the intervals between onsets and between beats (needs matplotlib)")
 
 
-def _check_histogram(file: Path) -> None:
-    import importlib.util
-
-    if file.suffix.lower() != ".png" or not file.parent.is_dir():
-        raise InputError(file, "cannot be written", "give a .png file in a folder that is there")
-    if importlib.util.find_spec("matplotlib") is None:
-        raise InputError("--histogram", "needs matplotlib, which is not installed",
-                         "pip install 'gesticulator[figures]'")
-
-
-def asked_for(arguments: argparse.Namespace) -> BuildRequest:
-    """The request in the arguments of `add_arguments`; InputError for invalid ones."""
+def run(arguments: argparse.Namespace) -> int:
+    """Build the request in `arguments`, as of `add_arguments`, and print the report. Returns 0; InputError if the input
+    cannot be used."""
+    # Before numpy is imported, which reads these variables once; processes are parallel already.
     for variable in _ONE_THREAD:
         os.environ.setdefault(variable, "1")
     from data_module.corpora.base import Options
@@ -350,25 +294,11 @@ def asked_for(arguments: argparse.Namespace) -> BuildRequest:
         value = getattr(arguments, name)
         if value is not None and not 0 < value < float("inf"):
             raise InputError(f"--{name}", f"is {value:g}", "give a number above 0")
-    if arguments.histogram is not None:
-        _check_histogram(arguments.histogram)
     reader = reader_of(arguments.corpus)
     options = reader.options(arguments) if hasattr(reader, "options") else Options(arguments.fps, arguments.unit)
-    return BuildRequest(arguments.corpus, arguments.source, arguments.out, options, not arguments.no_dataset)
-
-
-def run(arguments: argparse.Namespace, making: Making | None = None) -> int:
-    """Build the request in `arguments` and print the report; making: see `build` (by default in --workers processes).
-    Returns 0; InputError if the input cannot be used."""
-    request = asked_for(arguments)
-    report = build(request, making or partial(in_processes, arguments.workers))
-    for line in report.lines(arguments.verbose):
+    request = BuildRequest(arguments.corpus, arguments.source, arguments.out, options, not arguments.no_dataset)
+    for line in build(request, arguments.workers).lines():
         print(line)
-    if arguments.histogram is not None:
-        from data_module import intervals
-
-        intervals.draw(arguments.histogram, report.intervals(), f"{report.store.corpus} ({report.store.path.name})")
-        print(f"  {arguments.histogram}: the histogram of intervals")
     return 0
 
 

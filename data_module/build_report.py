@@ -17,7 +17,6 @@ from data_module.errors import InputError
 from data_module.files import parse_json, read_json
 
 if TYPE_CHECKING:
-    from data_module.intervals import Intervals
     from data_module.store import RecordingInfo, Store
 
 FILE = "report.json"
@@ -27,7 +26,7 @@ FILE = "report.json"
 class Outcome:
     """The result of building one recording: what was written, or why it was dropped, and the warnings. absent: joints
     that the source lacks. blocks: with the default settings. intervals: `Intervals.as_json`. unit, words: see
-    `corpora.Imported`. meanings: label of each gesture with a meaning -> how many come from clips and from scripts."""
+    `corpora.Imported`."""
 
     name: str
     seconds: float = 0.0
@@ -38,7 +37,6 @@ class Outcome:
     words: str = ""
     dropped: str = ""
     warnings: tuple[str, ...] = ()
-    meanings: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
     def as_json(self) -> str:
         return json.dumps(asdict(self))
@@ -59,17 +57,10 @@ class Report:
     elapsed: float = 0.0
     reused: int = 0
 
-    def intervals(self) -> Intervals:
-        """Intervals between onsets and between beats over all recordings; `InputError` if they were not measured."""
+    def lines(self) -> Iterator[str]:
+        """The report, line by line, for the terminal."""
         from data_module.intervals import Intervals
 
-        try:
-            return Intervals.from_json(self.content["intervals"])
-        except (AttributeError, KeyError, TypeError, ValueError):
-            raise InputError(self.store.path, "was built without a histogram of intervals", "build it again") from None
-
-    def lines(self, verbose: bool = False) -> Iterator[str]:
-        """The report, line by line, for the terminal. verbose: with the histogram of intervals."""
         content = self.content
         yield (f"{self.store.path}: {self.store.corpus}, {content['recordings']} recordings, "
                f"{content['minutes']:.1f} minutes{_blocks(content)}, built in {self.elapsed:.0f} s "
@@ -85,10 +76,7 @@ class Report:
         for joint, count in content["lacking"].items():
             yield f"  joint {joint} is missing in {count} recordings: it follows its parent and is masked"
         if content["intervals"]:
-            intervals = self.intervals()
-            yield from (f"  {line}" for line in (intervals.lines() if verbose else [intervals.line()]))
-        if content.get("meanings"):
-            yield from (f"  {line}" for line in _meanings(content["meanings"]))
+            yield f"  {Intervals.from_json(content['intervals']).line()}"
         for name, why in content["dropped"].items():
             yield f"  dropped {name}: {why}"
         for name, lines in content["warnings"].items():
@@ -110,6 +98,7 @@ def doubts(store: Store) -> Iterator[str]:
     for split, use in uses.items():
         if not any(info.split == split for info in store.recordings):
             yield f"the {split} split is empty, so {use}; add recordings, or change --split"
+    # Zero minutes have been reported above as an empty split.
     minutes = _minutes([info for info in store.recordings if info.split == "train"])
     if 0 < minutes < LEAST_MINUTES:
         yield (f"{minutes:.0f} minutes of training data are little, and the weights will memorise them; "
@@ -126,14 +115,10 @@ def summary(infos: Sequence[RecordingInfo], outcomes: Sequence[Outcome], notes: 
     from data_module.intervals import Intervals
 
     used = {outcome.name: outcome for outcome in outcomes if not outcome.dropped}
+    # Blocks and minutes by split: whether a corpus suffices depends on its training part.
     splits = {split: _part([info for info in infos if info.split == split], used) for split in ("train", "val", "test")}
     measured = (Intervals.from_json(outcome.intervals) for outcome in used.values() if outcome.intervals)
     intervals = sum(measured, Intervals())
-    meanings: dict[str, list[int]] = {}
-    for outcome in used.values():
-        for label, (clips, scripts) in outcome.meanings.items():
-            before = meanings.get(label, [0, 0])
-            meanings[label] = [before[0] + clips, before[1] + scripts]
     return {
         "recordings": len(infos), "minutes": _minutes(infos), "blocks": sum(o.blocks for o in used.values()),
         "splits": splits,
@@ -144,24 +129,7 @@ def summary(infos: Sequence[RecordingInfo], outcomes: Sequence[Outcome], notes: 
         "dropped": {outcome.name: outcome.dropped for outcome in outcomes if outcome.dropped},
         "warnings": {outcome.name: list(outcome.warnings) for outcome in outcomes if outcome.warnings},
         "notes": list(notes),
-        # Only where there are some: reports of other corpora, and of older builds, lack it.
-        **({"meanings": dict(sorted(meanings.items()))} if meanings else {}),
     }
-
-
-def _meanings(counts: Mapping[str, Sequence[int]]) -> Iterator[str]:
-    """Lines on gestures with a meaning. counts: label -> from clips, from scripts."""
-    clips, scripts = (sum(row[source] for row in counts.values()) for source in (0, 1))
-    yield (f"gestures with a meaning: {clips + scripts} of {len(counts)} labels, {clips} from clips and {scripts} from "
-           "scripts:")
-    line = ""
-    for label, row in counts.items():
-        entry = f"{label} {row[0]}+{row[1]}"
-        if len(line) + len(entry) > 110:
-            yield f"  {line}"
-            line = ""
-        line += f", {entry}" if line else entry
-    yield f"  {line}"
 
 
 def _part(infos: Sequence[RecordingInfo], used: Mapping[str, Outcome]) -> dict[str, Any]:
@@ -186,6 +154,7 @@ def report_of(store: Store) -> dict[str, Any]:
     if not file.is_file():
         return summary(store.recordings, (), ())
     try:
+        # A report may have been edited by hand, so its entries are checked before any is printed.
         content = read_json(file, "delete it", python=True)
         if not set(summary((), (), ())) <= set(content):
             raise ValueError("entries are missing")

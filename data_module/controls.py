@@ -7,19 +7,17 @@ recording, because normalising a block changes speeds.
 
 from __future__ import annotations
 
-import csv
 import math
 import os
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from data_module.errors import InputError, shown
-from data_module.files import read_text
+from data_module.files import read_table
 from data_module.motion import skeletons
 from data_module.motion.kinematics import positions_of
 from data_module.types import Array, Blocks, Motion
@@ -38,7 +36,9 @@ WINDOW = 4.0
 _HANDS = ("RightHand", "LeftHand")
 LIMITS = {"height": (-1.5, 2.0), "speed": (0.0, 20.0), "radius": (0.0, 2.0)}
 """Smallest and greatest values of the features: no body does more."""
-_FAR = 3.0  # spreads from the mean
+# Spreads from the mean beyond which a value is far from the training data.
+_FAR = 3.0
+# Spread below which a feature counts as constant, in its unit.
 _LEAST_SPREAD = 1e-3
 
 
@@ -158,7 +158,7 @@ class Controls:
     radius: float | Curve | None = None
 
     def __post_init__(self) -> None:
-        for name, value in zip(FEATURES, self._asked, strict=True):
+        for name, value in zip(FEATURES, self._targets, strict=True):
             if isinstance(value, int | float) and not math.isfinite(value):
                 raise ValueError(f"{name} must be finite, not {value}")
 
@@ -167,16 +167,16 @@ class Controls:
         return cls()
 
     @property
-    def _asked(self) -> tuple[float | Curve | None, ...]:
+    def _targets(self) -> tuple[float | Curve | None, ...]:
         return self.height, self.speed, self.radius
 
     def at(self, times: Array) -> tuple[Array, NDArray[np.bool_]]:
         """At times [T]: the targets [T, 3] (0 for a free feature), and which features have one, [3]."""
         out = np.zeros((len(times), len(FEATURES)))
-        for index, value in enumerate(self._asked):
+        for index, value in enumerate(self._targets):
             if value is not None:
                 out[:, index] = value.at(times) if isinstance(value, Curve) else value
-        return out, np.array([value is not None for value in self._asked])
+        return out, np.array([value is not None for value in self._targets])
 
 
 # ------------------------------------------------------------------------------------------ the command line
@@ -191,9 +191,8 @@ def controls_from(height: str | None, speed: str | None, radius: str | None, lev
 def parse(flag: str, text: str, feature: str, levels: Levels) -> float | Curve:
     """The target of a feature from "low", "mid" or "high", a number in its unit, or the path of a CSV file.
 
-    A file has the columns time (s) and value, with or without a header; with a header the column may be named after the
-    feature, and other columns are ignored. `InputError` names the flag, or the file and its line. A value far from the
-    training data gives a `ControlWarning` and is used.
+    A file has the columns time (s) and value; the second may be named after the feature. `InputError` names the flag,
+    or the file and its line. A value far from the training data gives a `ControlWarning` and is used.
     """
     plain = text.strip()
     if plain.lower() in LEVELS:
@@ -213,73 +212,34 @@ def parse(flag: str, text: str, feature: str, levels: Levels) -> float | Curve:
 
 
 def read_curve(path: str | os.PathLike[str], feature: str) -> Curve:
-    """The curve of a feature in a CSV file (see `parse`), UTF-8, separated by commas, semicolons or tabs. Beside
-    semicolons and tabs numbers may have a decimal comma. Empty lines and lines that start with # are skipped."""
-    file = Path(path)
-    rows = _rows(file)
-    _, first = rows[0]
-    columns = (0, 1)
-    if all(_number(cell) is None for cell in first):
-        columns = _columns(f"{file}, line {rows[0][0]}", first, feature)
-        rows = rows[1:]
-    elif len(first) != 2:
-        raise InputError(f"{file}, line {rows[0][0]}", f"has {len(first)} columns and no header",
-                         "give two columns, time and value, or a header")
+    """The curve of a feature in a CSV file with a header (see `parse`); other columns are ignored."""
+    rows = read_table(path, "give the columns time and value")
     if not rows:
-        raise InputError(file, "has a header and no values", "give a line for each point in time")
+        raise InputError(path, "holds no values", "give the columns time and value, and a line for each point in time")
+    names = {name.strip().lower(): name for name in rows[0][1] if name}
+    if "time" not in names or not names.keys() & {feature, "value"}:
+        raise InputError(path, f"names the columns {shown(', '.join(names), 100)}",
+                         f"name them time and {feature}, or time and value")
+    columns = names["time"], names[feature if feature in names else "value"]
     times: list[float] = []
     values: list[float] = []
-    for line, cells in rows:
-        time, value = _point(f"{file}, line {line}", cells, columns)
+    for line, row in rows:
+        where = f"{path}, line {line}"
+        time, value = (_cell(where, row[column]) for column in columns)
         if times and time <= times[-1]:
-            raise InputError(f"{file}, line {line}", f"goes back to {time:g} s", "let times rise from line to line")
-        _check_limits(f"{file}, line {line}: {value:g}", value, feature)
+            raise InputError(where, f"goes back to {time:g} s", "let times rise from line to line")
+        _check_limits(f"{where}: {value:g}", value, feature)
         times.append(time)
         values.append(value)
     return Curve(tuple(times), tuple(values))
 
 
-def _rows(file: Path) -> list[tuple[int, list[str]]]:
-    """The lines with content, numbered from 1, split into cells."""
-    text = read_text(file, "export it as a CSV file")
-    lines = [(number, line) for number, line in enumerate(text.split("\n"), 1)
-            if line.strip() and not line.lstrip().startswith("#")]
-    if not lines:
-        raise InputError(file, "is empty", "give the columns time and value")
-    # A comma may be a decimal comma, so it separates only where no other mark does.
-    mark = next((mark for mark in ";\t" if mark in lines[0][1]), ",")
-    try:
-        return [(number, list(_cells(line, mark))) for number, line in lines]
-    except csv.Error as error:
-        raise InputError(file, f"is not a CSV file ({error})", "give the columns time and value") from None
-
-
-def _cells(line: str, mark: str) -> Iterator[str]:
-    for cell in next(csv.reader([line], delimiter=mark)):
-        yield cell.strip() if mark == "," else cell.strip().replace(",", ".")
-
-
-def _columns(where: str, header: list[str], feature: str) -> tuple[int, int]:
-    names = [name.lower() for name in header]
-    wanted = next((name for name in (feature, "value") if name in names), None)
-    if "time" not in names or wanted is None:
-        raise InputError(where, f"names the columns {shown(', '.join(header), 100)}",
-                         f"name them time and {feature}, or time and value")
-    if names.count("time") > 1 or names.count(wanted) > 1:
-        raise InputError(where, "names a column twice", "leave one out")
-    return names.index("time"), names.index(wanted)
-
-
-def _point(where: str, cells: list[str], columns: tuple[int, int]) -> tuple[float, float]:
-    if len(cells) <= max(columns):
-        raise InputError(where, f"has {len(cells)} columns, too few", "give a time and a value in each line")
-    numbers = [_number(cells[column]) for column in columns]
-    for cell, number in zip((cells[column] for column in columns), numbers, strict=True):
-        if number is None or not math.isfinite(number):
-            raise InputError(where, f"has {cell[:40]!r} in place of a number",
-                             "give seconds, and metres or metres per second")
-    time, value = (float(number) for number in numbers if number is not None)
-    return time, value
+def _cell(where: str, cell: str | None) -> float:
+    number = _number(cell or "")
+    if number is None or not math.isfinite(number):
+        raise InputError(where, f"has {(cell or '')[:40]!r} in place of a number",
+                         "give seconds, and metres or metres per second")
+    return number
 
 
 def _number(text: str) -> float | None:
@@ -301,6 +261,7 @@ def _warn_if_far(what: str, values: ArrayLike, feature: str, levels: Levels) -> 
     index = FEATURES.index(feature)
     mean, spread = float(levels.mean[index]), float(levels.spread[index])
     numbers = np.asarray(values, dtype=np.float64)
+# One warning for a curve, with its value that lies farthest out.
     furthest = float(numbers[np.argmax(np.abs(numbers - mean))])
     if abs(furthest - mean) > _FAR * spread:
         # Attributed to this module, because commands show only the warnings of our packages.

@@ -19,9 +19,8 @@ EXIT_PIPE = 141
 """Exit code of a program ended by SIGPIPE (13): 128 + 13."""
 EXIT_STOPPED = 130
 """Exit code of a program ended by SIGINT (2): 128 + 2."""
+# Control characters, which can clear a terminal or change its title, and those that hide text or change its direction.
 _INVISIBLE = re.compile("[\x00-\x1f\x7f-\x9f\u200b\u200e\u200f\u2028-\u202e\u2060\u2066-\u2069\ufeff\ud800-\udfff]")
-"""Control characters, which can clear a terminal or change its title, and those that hide text or change its direction.
-"""
 
 
 class InputError(Exception):
@@ -46,6 +45,7 @@ def printable(text: str) -> str:
 
 def shown(value: object, width: int = 40) -> str:
     """A value from a file in at most `width` characters, for a message; fast for long and deep values."""
+# Plain values as they are; reprlib bounds the time that long and deep ones take.
     text = value if isinstance(value, str) else str(value) if isinstance(value, float | bool) or value is None \
         else reprlib.repr(value)
     return printable(text[:width])[:width]

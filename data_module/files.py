@@ -35,19 +35,19 @@ MOST_DIGITS = 300
 MOST_VALUES = 1 << 22
 """Most values of a document (4,194,304), about 80 bytes each: a listing of 100,000 recordings has 2 million."""
 
+# A whole number of too many digits (or similar text).
 _LONG_NUMBER = re.compile(rf"(?<![\d.])\d{{{MOST_DIGITS + 1},}}", re.ASCII)
-"""A whole number of too many digits (or similar text)."""
+# Strings. The closing quote is optional so that a match that has begun cannot fail: failing on a string that is never
+# closed takes exponential time, since each way of dividing its characters is tried.
 _STRINGS = re.compile(r'"(?:[^"\\]+|\\.)*"?', re.DOTALL)
-"""Strings. The closing quote is optional so that a match that has begun cannot fail: failing on a string that is never
-closed takes exponential time, since each way of dividing its characters is tried."""
 
 # Byte order marks of text files and their encodings: Praat writes UTF-16.
 _MARKED = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+# Characters of a file's name, and random ones, in the name of its temporary file: a long name plus a suffix could
+# exceed the limit of the file system.
 _PREFIX, _TOKEN = 40, 12
-"""Characters of a file's name, and random ones, in the name of its temporary file: a long name plus a suffix could
-exceed the limit of the file system."""
+# Names of the temporary files of `write_bytes`.
 _UNFINISHED = re.compile(rf"\..{{1,{_PREFIX}}}\.[0-9a-f]{{{_TOKEN}}}")
-"""Names of the temporary files of `write_bytes`."""
 
 
 # ---------------------------------------------------------------------------------------------------- writing
@@ -122,6 +122,7 @@ def new_folder(target: Path) -> Iterator[Path]:
     raised. InputError if `target` exists and is not empty."""
     if not is_free(target):
         raise InputError(target, "is already there", "delete it or choose another folder")
+# Beside the target, as a rename is atomic within one file system only.
     partial = target.with_name(target.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
     try:

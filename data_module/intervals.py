@@ -3,9 +3,7 @@ and d_max for a corpus: most intervals between onsets should lie within them."""
 
 from __future__ import annotations
 
-import io
-import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +20,6 @@ if TYPE_CHECKING:
 STEP = 0.05
 LONGEST = 2.0
 """Width of a bin, and start of the last bin, which contains everything longer, seconds."""
-_BAR = 40
 _BINS = round(LONGEST / STEP) + 1
 KINDS = ("onsets", "beats")
 
@@ -42,6 +39,7 @@ class Intervals:
         """Share of the intervals between onsets that is at least `low` and less than `high` seconds, to whole bins; 0
         without any.
         """
+# Bounds are rounded to whole bins, in which the counts are.
         first, last = round(low / STEP), round(high / STEP)
         return sum(self.onsets[first:last]) / max(1, sum(self.onsets))
 
@@ -53,22 +51,6 @@ class Intervals:
         if content.get("step") != STEP or any(len(content.get(kind, ())) != _BINS for kind in KINDS):
             raise ValueError("other bins")
         return cls(tuple(map(int, content["onsets"])), tuple(map(int, content["beats"])))
-
-    def lines(self) -> Iterator[str]:
-        """A text histogram: a line per bin from the first to the last non-empty one, for onsets and beats; and `line`.
-        """
-        filled = [place for place in range(_BINS) if self.onsets[place] or self.beats[place]]
-        if not filled:
-            return
-        top = max((*self.onsets, *self.beats))
-        half = _BAR // 2
-        yield f"{'seconds':>11s}  {'between onsets':<{half + 8}s}  between beats"
-        for place in range(filled[0], filled[-1] + 1):
-            name = f"{place * STEP:.2f}-{(place + 1) * STEP:.2f}" if place < _BINS - 1 else f"{LONGEST:.2f} and on"
-            onsets, beats = (f"{'#' * round(half * count / top):<{half}s} {count:<7d}"
-                             for count in (self.onsets[place], self.beats[place]))
-            yield f"{name:>11s}  {onsets}  {beats}".rstrip()
-        yield self.line()
 
     def line(self) -> str:
         """One line: the share of the onsets within the default bounds of a block."""
@@ -95,7 +77,7 @@ def drawn(intervals: Intervals, title: str = "") -> Figure:
     try:
         from matplotlib.figure import Figure as NewFigure
     except ImportError:
-        raise InputError("--histogram", "needs matplotlib, which is not installed",
+        raise InputError("the histogram", "needs matplotlib, which is not installed",
                          "pip install 'gesticulator[figures]'") from None
     beats = BlockSettings().beats
     figure = NewFigure(figsize=(8, 4), layout="constrained")
@@ -111,11 +93,3 @@ def drawn(intervals: Intervals, title: str = "") -> Figure:
     axes.set(title=title, xlabel=f"seconds (the last bar: {LONGEST:g} and longer)", ylabel="share of the intervals")
     axes.legend()
     return figure
-
-
-def draw(path: str | os.PathLike[str], intervals: Intervals, title: str = "") -> None:
-    from data_module.files import write_bytes
-
-    memory = io.BytesIO()
-    drawn(intervals, title).savefig(memory, format="png", dpi=120)
-    write_bytes(path, memory.getvalue())

@@ -16,14 +16,14 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 SLOPE = 0.2
 """Negative slope of every LeakyReLU."""
+# Most rows of a batch for which an LSTM is faster without oneDNN.
 _FEW_ROWS = 64
-"""Most rows of a batch for which an LSTM is faster without oneDNN."""
+# Columns of a product.
 _COLUMNS = 32
-"""Columns of a product."""
+# Numbers in the rows: up to these the BLAS uses one thread for a product, as more would wait for each other.
 _MOST = (1 << 18) // _COLUMNS
-"""Numbers in the rows: up to these the BLAS uses one thread for a product, as more would wait for each other."""
+# Numbers in a weight: with fewer the call takes longer than the product.
 _LEAST = 1 << 15
-"""Numbers in a weight: with fewer the call takes longer than the product."""
 
 
 def few(rows: Tensor) -> bool:
@@ -119,6 +119,7 @@ def run_lstm(lstm: nn.LSTM, rows: Tensor, hidden: tuple[Tensor, Tensor] | None =
             and not _has_narrow_lstm(torch.get_autocast_dtype("cpu")):
         with torch.autocast("cpu", enabled=False):
             return run_lstm(lstm, rows.float(), None if hidden is None else (hidden[0].float(), hidden[1].float()))
+# In training the module itself runs: it has dropout, and kernels for gradients.
     live = rows.shape[0] * rows.shape[1] <= _FEW_ROWS and rows.device.type == "cpu"
     if not live or torch.is_grad_enabled() or lstm.training:
         out, hidden = lstm(rows, hidden)

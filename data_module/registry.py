@@ -1,4 +1,4 @@
-"""Tables of plug-ins: one class for interpreters, writers, corpora, characters, metrics, stages, probes and verbs.
+"""Tables of plug-ins: one class for interpreters, writers, corpora, characters, metrics, probes and verbs.
 
 A plug-in of this project is an entry of its table: a name, where its object is ("module:object"), what it needs, one
 line of help. Another package adds one by an entry point of the group `gesticulator.<kind>`. Nothing is imported until
@@ -71,8 +71,8 @@ class Registry(Mapping[str, E], Generic[E]):
     can be read". entries: the table. fits: whether an object can be such a plug-in.
 
     An entry point names either the object itself or a `RegistryEntry` (of the class `entry`), which names the object
-    and says more. If two packages add one name, the table wins, else the package that comes first in the alphabet;
-    a warning of one line names the other. Iterating, `in`, and `registry[name]` import no plug-in.
+    and says more. If two packages add one name, the table wins, else the package that comes first in the alphabet.
+    Iterating, `in`, and `registry[name]` import no plug-in.
     """
 
     def __init__(self, kind: str, what: str, entries: Mapping[str, E], entry: type[E],
@@ -94,6 +94,7 @@ class Registry(Mapping[str, E], Generic[E]):
     def __getitem__(self, name: str) -> E:
         """The entry; for a plug-in of another package one that names the package and the object, without importing it
         (`entry` gives the rest)."""
+        # An entry point's own description would need an import, so only its package is named.
         if name in self._table:
             return self._table[name]
         point = self.points()[name]
@@ -101,36 +102,20 @@ class Registry(Mapping[str, E], Generic[E]):
 
     def points(self) -> Mapping[str, EntryPoint]:
         """The entry points of this kind, without those whose name is taken already. Read once."""
+        # Reading the files of all installed packages takes tens of milliseconds.
         if self._points is None:
             self._points = self._read()
         return self._points
 
     def _read(self) -> dict[str, EntryPoint]:
-        try:
-            every = entry_points(group=self.group)
-        except (OSError, ValueError) as error:  # the files of a broken installation
-            complain(f"{PROJECT}: warning: the {self.kind} of other packages cannot be read ({error})")
-            return {}
-        points: dict[str, EntryPoint] = {}
-        # This project's distribution first, then by name and package, so that the result does not depend on the order
-        # of installation.
-        for point in sorted(every, key=lambda point: (_owner(point) != PROJECT, point.name, _owner(point))):
-            if point.name not in self._table and point.name not in points:
-                points[point.name] = point
-            elif (_owner(point), point.value) != self._taken_by(point.name, points):
-                owner, _ = self._taken_by(point.name, points)
-                complain(f"{PROJECT}: warning: {point.name} of {self.kind} is that of {owner}; "
-                         f"{point.value} of {_owner(point)} is not used")
-        return points
-
-    def _taken_by(self, name: str, points: Mapping[str, EntryPoint]) -> tuple[str, str]:
-        """The package and the object that have a name."""
-        if name in self._table:
-            return PROJECT, self._table[name].where
-        return _owner(points[name]), points[name].value
+        # By package in reverse, so that the result does not depend on the order of installation and the first one wins.
+        every = sorted(entry_points(group=self.group), key=lambda point: (_owner(point) != PROJECT, _owner(point)))
+        points = {point.name: point for point in reversed(every) if point.name not in self._table}
+        return dict(sorted(points.items()))
 
     def unknown(self, name: object) -> InputError:
         """The error for a name that is in no table: it lists the known ones, and the nearest first."""
+        # A misspelt name is the usual mistake; the list alone would have to be searched by eye.
         near = difflib.get_close_matches(str(name), list(self), 1)
         return InputError(name, f"is not {self.what}",
                           (f"did you mean {near[0]}? " if near else "") + f"take one of {', '.join(self)}")
@@ -151,6 +136,7 @@ class Registry(Mapping[str, E], Generic[E]):
             return plugin
         if plugin.needs is not None:
             plugin.needs.check(name)
+        # Errors in modules of this project are bugs, and keep their traceback.
         return plugin.load() if name in self._table else self._guarded(name, plugin.load)
 
     def _object(self, name: str) -> Any:

@@ -93,7 +93,6 @@ SCORE = verb("compare real, generated and other motion, with negative controls",
              "score --truth real --system ours=generated --speech wav --bundle shipped --out score.json")
 ABLATE = verb("repeat the tables, figures and claims of both papers", "eval.ablate.command",
               "ablate --list", "ablate --data STORE --work DIR --only ours no-style --seeds 1",
-              "ablate --data STORE --work DIR --bundle default --rewards",
               "ablate --tables --out docs/results/ablation")
 PROBE = choice("probe", "answer one question about a bundle or a data set (--list shows them)", PROBES, _publish, _out,
                ("probe --list", "probe corpus --data STORE"))

@@ -12,13 +12,12 @@ import hashlib
 import importlib
 import io
 import json
-import time
 import zipfile
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,14 +39,11 @@ from eval.metrics.eye.body import HZ
 from eval.metrics.eye.pitch import pitch_track
 from gesticulator.assembly import Assembler
 from gesticulator.bundle import bundle as bundles
-from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.bundle.files import INDEX, bundle_folder
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.performance import Performance
 from gesticulator.sampling.loop import GeneratedMotion
-
-T = TypeVar("T")
 
 TAKE, TEST = "take", "test"
 """Where a voice comes from: the real take, or the store's test split."""
@@ -105,15 +101,13 @@ def held_out_voices(store: Store, limit: int | None, joints: int) -> list[Accept
 @dataclass(frozen=True)
 class Rendering:
     """Output of a system. edges: [N + 1] seconds of its blocks, None where they are not known; silent: [N]; lexemes:
-    [N] those played; drawn: [N, K, D_m] the blocks as they were drawn; both empty where there are none. spent: seconds
-    of computing."""
+    [N] those played; drawn: [N, K, D_m] the blocks as they were drawn; both empty where there are none."""
 
     motion: Motion
     edges: Array | None
     silent: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     lexemes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     drawn: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0, 0), np.float32))
-    spent: float = 0.0
 
     def packed(self) -> bytes:
         """As an archive of arrays."""
@@ -123,7 +117,7 @@ class Rendering:
                  names=np.array(skeleton.names), parents=np.array(skeleton.parents), offsets=skeleton.offsets,
                  absent=np.array(self.motion.absent, dtype=str),
                  edges=np.zeros(0) if self.edges is None else self.edges, silent=self.silent, lexemes=self.lexemes,
-                 drawn=self.drawn, spent=self.spent)
+                 drawn=self.drawn)
         return memory.getvalue()
 
     @classmethod
@@ -134,7 +128,7 @@ class Rendering:
             motion = Motion(skeleton, rotation.normalise(as_floats(held["rotations"])), as_floats(held["root"]),
                             float(held["fps"]), tuple(held["absent"].tolist()))
             return cls(motion, held["edges"] if len(held["edges"]) else None, held["silent"], held["lexemes"],
-                       held["drawn"], float(held["spent"]))
+                       held["drawn"])
 
 
 Pair = tuple[Rendering, Rendering | None]
@@ -159,20 +153,16 @@ class KeptRenderings:
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
 
-    def get(self, key: Sequence[Any]) -> tuple[Rendering | None, Path | None]:
-        """The rendering of a key and where it belongs; a damaged file counts as none."""
-        if self._folder is None:
-            return None, None
-        file = self._folder / f"{hashlib.sha256(json.dumps(list(key), default=str).encode()).hexdigest()[:24]}.npz"
-        try:
-            return Rendering.unpacked(file.read_bytes()), file
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-            return None, file
-
-    @staticmethod
-    def put(rendering: Rendering, file: Path | None) -> Rendering:
-        """Keep it; what comes back is what would be read."""
-        data = rendering.packed()
+    def of(self, key: Sequence[Any], make: Callable[[], Rendering]) -> Rendering:
+        """The rendering of a key; it is made where it is not there, and where its file is damaged."""
+        file = None
+        if self._folder is not None:
+            file = self._folder / f"{hashlib.sha256(json.dumps(list(key), default=str).encode()).hexdigest()[:24]}.npz"
+            try:
+                return Rendering.unpacked(file.read_bytes())
+            except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+                pass
+        data = make().packed()
         if file is not None:
             file.parent.mkdir(parents=True, exist_ok=True)
             write_bytes(file, data)
@@ -208,22 +198,13 @@ class BundleSystem:
         self.name, self.folder, self._kept = name, folder, kept
         self.gesticulator = ListeningGesticulator(bundle or bundles.load(folder))
         self.key = hashlib.sha256((folder / INDEX).read_bytes()).hexdigest()
-        self._encoded: dict[str, tuple[SpeechFeatures, float]] = {}
+        self._encoded: dict[str, SpeechFeatures] = {}
         self._asked: dict[str, Any] = {}
 
     @property
     def bundle(self) -> bundles.Bundle:
         """The bundle that is rendered."""
         return self.gesticulator.bundle
-
-    def bare(self) -> BundleSystem:
-        """The same without rest and life laid over what the generator draws."""
-        other = copy.copy(self)
-        # A decay of 0 takes nothing away, so rest leaves the sampled motion as it is.
-        config = with_settings(self.bundle.config, ["silence.rest=decay", "silence.rest_decay=0"])
-        other.gesticulator = ListeningGesticulator(replace(self.bundle, config=config))
-        other.key, other._encoded = f"{self.key} bare", {}
-        return other
 
     def asking(self, name: str, **asked: Any) -> BundleSystem:
         """The same under another name, with these options in every rendering."""
@@ -240,36 +221,28 @@ class BundleSystem:
         """The voice's performer where the bundle knows that name, else None, the bundle's default."""
         return voice.performer if voice.performer in self.gesticulator.speakers else None
 
-    def render(self, voice: AcceptanceVoice, seed: int, rolled: bool = False, *, named: Any = None, **asked: Any
-               ) -> Rendering:
-        """A voice with a seed. asked: options beside speaker and seed; named: plain values that stand for them, where
-        they are none."""
+    def render(self, voice: AcceptanceVoice, seed: int, rolled: bool = False, **asked: Any) -> Rendering:
+        """A voice with a seed. asked: options beside speaker and seed."""
         asked = self._asked | asked
-        rendering, file = self._kept.get((
-            "bundle", self.key, program_key(), voice.key, self.speaker(voice), seed, rolled,
-            named or sorted(asked.items())))
-        if rendering is not None:
-            return rendering
-        performance, spent = self.perform(voice, seed, rolled, **asked)
-        blocks = performance.blocks
-        return self._kept.put(Rendering(performance.motion, blocks.edges, blocks.silent, performance.lexemes,
-                                        self.gesticulator.drawn, spent), file)
 
-    def perform(self, voice: AcceptanceVoice, seed: int, rolled: bool = False, **asked: Any
-                ) -> tuple[Performance, float]:
-        """The same as a performance that is not kept, and the seconds that it took, features included."""
-        asked = self._asked | asked
+        def made() -> Rendering:
+            performance = self.perform(voice, seed, rolled, **asked)
+            blocks = performance.blocks
+            return Rendering(performance.motion, blocks.edges, blocks.silent, performance.lexemes,
+                             self.gesticulator.drawn)
+
+        return self._kept.of(("bundle", self.key, program_key(), voice.key, self.speaker(voice), seed, rolled,
+                              sorted(asked.items())), made)
+
+    def perform(self, voice: AcceptanceVoice, seed: int, rolled: bool = False, **asked: Any) -> Performance:
+        """The same as a performance that is not kept."""
         speech = audio.resample(voice.speech, audio.SAMPLE_RATE)
-        begin = time.perf_counter()
         if voice.key not in self._encoded:
             # One voice at a time: the features of an hour do not fit.
-            encoded = self.gesticulator.encode_speech(speech)
-            self._encoded = {voice.key: (encoded, time.perf_counter() - begin)}
-            begin = time.perf_counter()
-        encoded, listening = self._encoded[voice.key]
-        performance = self.gesticulator(speech, encoded=baselines.rolled(encoded) if rolled else encoded, seed=seed,
-                                        speaker=self.speaker(voice), **asked)
-        return performance, listening + time.perf_counter() - begin
+            self._encoded = {voice.key: self.gesticulator.encode_speech(speech)}
+        encoded = self._encoded[voice.key]
+        return self.gesticulator(speech, encoded=baselines.rolled(encoded) if rolled else encoded, seed=seed,
+                                 speaker=self.speaker(voice), **self._asked | asked)
 
     def pairs(self, voice: AcceptanceVoice, seeds: Sequence[int]) -> list[Pair]:
         """Every seed, and with the sound rolled."""
@@ -287,14 +260,11 @@ class UnitSystem:
         return UnitSelection(UnitDatabase.of(self._store, work=self._work))
 
     def _render(self, voice: AcceptanceVoice, seed: int, rolled: bool) -> Rendering:
-        rendering, file = self._kept.get(("units", self._store.fingerprint, program_key(), voice.key, seed, rolled))
-        if rendering is not None:
-            return rendering
-        # The database is built before the clock starts: its cost is paid once, not for each clip.
-        units, begin = self._units, time.perf_counter()
-        made = units(voice.speech, seed=seed, rolled=baselines.ROLLED if rolled else 0)
-        return self._kept.put(Rendering(made.motion, made.blocks.edges, made.blocks.silent,
-                                        spent=time.perf_counter() - begin), file)
+        def made() -> Rendering:
+            played = self._units(voice.speech, seed=seed, rolled=baselines.ROLLED if rolled else 0)
+            return Rendering(played.motion, played.blocks.edges, played.blocks.silent)
+
+        return self._kept.of(("units", self._store.fingerprint, program_key(), voice.key, seed, rolled), made)
 
     def pairs(self, voice: AcceptanceVoice, seeds: Sequence[int]) -> list[Pair]:
         """Every seed, and with the sound rolled."""
@@ -311,6 +281,7 @@ class FiledSystem:
 
     def pairs(self, voice: AcceptanceVoice, seeds: Sequence[int]) -> list[Pair]:
         """All of its files for a voice, whatever the seeds; nothing rolled."""
+        # VOICE.0, VOICE.1 and so on are renderings of one voice with different seeds.
         files = [file for stem, file in self._files.items() if stem == voice.name or stem.startswith(f"{voice.name}.")]
         return [(Rendering(resample(read_motion(file), HZ),
                            edges_of_plan(file.with_suffix(".json"))), None) for file in files]
@@ -319,17 +290,6 @@ class FiledSystem:
 def system_at(name: str, place: Path, kept: KeptRenderings) -> RenderedSystem:
     """A bundle where the folder holds one or where it is the name of a shipped one and no folder, else motion files;
     InputError where it holds neither."""
+    # A folder goes before a shipped bundle of the same name.
     place = place if place.exists() else bundle_folder(str(place))
     return BundleSystem(name, place, kept) if (place / INDEX).is_file() else FiledSystem(name, place)
-
-
-def described(voices: Sequence[AcceptanceVoice]) -> dict[str, Any]:
-    """Voices for the facts of a table."""
-    return {"voices": [{"name": voice.name, "seconds": round(voice.speech.duration, 2), "place": voice.place}
-                       for voice in voices]}
-
-
-def plan_of(rendering: Rendering) -> str:
-    """The JSON file beside a motion file, by which its motion is judged at the edges of its own blocks."""
-    return json.dumps({"edges": [] if rendering.edges is None else rendering.edges.tolist()})
-

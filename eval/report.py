@@ -21,11 +21,11 @@ from data_module.files import read_text, write_text
 from eval.table import load_with_provenance, loads
 
 TITLE = "Gesticulator: what was measured"
-FIRST = ("limits", "claims", "ablation/table", "score")
-"""Sections that stand first where they exist: the limits of the corpus, then the subject of both papers."""
+FIRST = ("claims", "ablation/table", "score")
+"""Sections that stand first where they exist: the subject of both papers."""
 
 
-def document(folder: Path, out: Path, title: str = TITLE) -> str:
+def document(folder: Path, out: Path) -> str:
     """The whole page as Markdown, for a file in `out`; InputError where the folder holds no results."""
     if not folder.is_dir():
         raise InputError(folder, "is not a folder", "name the one that the evaluation commands write to")
@@ -34,7 +34,7 @@ def document(folder: Path, out: Path, title: str = TITLE) -> str:
     unreadable = []
     for name in dict.fromkeys((*FIRST, *names)):
         try:
-            parts = _figures(folder, name, out) if name.endswith("figures") else {name: _section(folder, name, out)}
+            parts = _figures(folder, name, out) if name.endswith("figures") else {name: _section(folder, name)}
         except InputError:
             unreadable.append(f"`{name}.json`")
             continue
@@ -45,14 +45,12 @@ def document(folder: Path, out: Path, title: str = TITLE) -> str:
     contents = [f"- [{name}](#{name.lower().replace(' ', '-')})" for name in sections]
     left_out = [f"No tables of results: {', '.join(unreadable)}.", ""] if unreadable else []
     body = [line for name, lines in sections.items() for line in (f"## {name}", "", *lines, "")]
-    return "\n".join([f"# {title}", "", *contents, "", *left_out, *body]).rstrip() + "\n"
+    return "\n".join([f"# {TITLE}", "", *contents, "", *left_out, *body]).rstrip() + "\n"
 
 
-def _section(folder: Path, name: str, out: Path) -> list[str]:
+def _section(folder: Path, name: str) -> list[str]:
     """The lines of a file of results; none where it is not there."""
     file = folder / f"{name}.json"
-    if name == "limits" and file.with_suffix(".md").is_file():
-        return [_included(file.with_suffix(".md"), out)]
     if not file.is_file():
         return []
     tables, about = load_with_provenance(file)
@@ -73,19 +71,9 @@ def _figures(folder: Path, name: str, out: Path) -> dict[str, list[str]]:
 def _figure(place: Path, title: str, caption: str, out: Path) -> list[str]:
     """A picture, whose path has no suffix here, with its caption."""
     picture = next((file for ending in (".svg", ".png") if (file := Path(f"{place}{ending}")).is_file()), None)
+    link = quote(Path(os.path.relpath(picture, out)).as_posix()) if picture else ""
     alt = re.sub(r"[\[\]\n]", " ", title)
-    return [f"![{alt}]({_link(picture, out)})" if picture else "The picture is not there.", "", f"{title}. {caption}"]
-
-
-def _included(file: Path, out: Path) -> str:
-    """A Markdown file as part of a page in `out`: headings below those of the page, links from there."""
-    text = re.sub(r"^#{1,6}(?= )", "###", read_text(file, "save it as text in UTF-8").strip(), flags=re.MULTILINE)
-    return re.sub(r"(?<=\]\()(?![a-z]+:|#|/)([^)\s]+)(?=\))", lambda link: _link(file.parent / link[1], out), text)
-
-
-def _link(file: Path, out: Path) -> str:
-    """A file as a link from `out`."""
-    return quote(Path(os.path.relpath(file, out)).as_posix())
+    return [f"![{alt}]({link})" if picture else "The picture is not there.", "", f"{title}. {caption}"]
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -94,12 +82,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="folder of stored results (default docs/results)")
     parser.add_argument("--out", type=Path, default=Path("docs/report"), metavar="DIR",
                         help="output folder for report.md (default docs/report)")
-    parser.add_argument("--title", default=TITLE, help=f"heading of the page (default: {TITLE})")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Write it and name it."""
-    text = document(arguments.results, arguments.out, " ".join(arguments.title.split()) or TITLE)
+    text = document(arguments.results, arguments.out)
     arguments.out.mkdir(parents=True, exist_ok=True)
     write_text(arguments.out / "report.md", text)
     print(arguments.out / "report.md")

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from data_module.types import Array
 
-__all__ = ["Interval", "mean_interval", "paired", "share"]
+__all__ = ["Interval", "mean_interval", "paired"]
 
 DRAWS = 2000
 """Redrawn sets for a mean: the third digit of the bounds is then still."""
@@ -58,9 +58,9 @@ class Interval:
 
     @classmethod
     def from_dict(cls, held: Mapping[str, Any]) -> Interval:
-        """The inverse of `to_dict`; null counts as undefined. Results of version 0.1 call `n` "clips"."""
+        """The inverse of `to_dict`; null counts as undefined."""
         mean, low, high = (math.nan if held[key] is None else float(held[key]) for key in ("mean", "low", "high"))
-        return cls(mean, low, high, int(held["n"] if "n" in held else held["clips"]))
+        return cls(mean, low, high, int(held["n"]))
 
     def to_dict(self) -> dict[str, float]:
         """For JSON."""
@@ -115,14 +115,6 @@ def mean_interval(values: ArrayLike, weights: ArrayLike | None = None, *, groups
     index = np.random.default_rng(seed).integers(len(mass), size=(draws, len(mass)))
     means = total[index].sum(1) / mass[index].sum(1)
     return limits(float(total.sum() / mass.sum()), means, len(mass))
-
-
-def share(hits: int, count: int) -> Interval:
-    """A share with its 95 % interval (Wilson)."""
-    z, p = 1.96, hits / max(count, 1)
-    middle = (p + z * z / (2 * count)) / (1 + z * z / count) if count else 0.0
-    half = z * np.sqrt(p * (1 - p) / count + z * z / (4 * count * count)) / (1 + z * z / count) if count else 1.0
-    return Interval(p, float(middle - half), float(middle + half), count)
 
 
 def paired(first: ArrayLike, second: ArrayLike, weights: ArrayLike | None = None, *,
@@ -200,14 +192,14 @@ def runs(mask: ArrayLike) -> NDArray[np.int64]:
     return ends.reshape(-1, 2)
 
 
-def jackknife(of: Callable[[list[int]], float], count: int) -> Array:
+def jackknife(of: Callable[[Indices], float], count: int) -> Array:
     """[n] pseudo-values n f(all) - (n - 1) f(all but k): what clip k adds to a figure of a set (Tukey 1958).
 
     of: the figure of the clips with these numbers. Their mean is the figure less the greater part of its bias, and
     their spread is the figure's, as if it were a mean.
     """
-    every = list(range(count))
+    every = np.arange(count)
     whole = of(every)
     if count < 2:
         return np.full(count, whole)
-    return np.array([count * whole - (count - 1) * of([k for k in every if k != left]) for left in every])
+    return np.array([count * whole - (count - 1) * of(np.delete(every, left)) for left in every])

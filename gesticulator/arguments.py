@@ -85,6 +85,7 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
                        "(--meaning): plain text, TextGrid, SRT, VTT, TSV or JSON with word times; or a folder of "
                        "transcripts named like the recordings")
     audio.add_argument("--any-length", action="store_true", help="accept recordings longer than an hour")
+    # The help of an option is its docstring, so that both say the same.
     docs = field_docs(InferenceOptions)
     for field in fields(InferenceOptions):
         if "flag" in field.metadata:
@@ -103,6 +104,7 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--bundle", metavar="NAME|DIR", help="trained weights: default, paper (both papers in their own "
                    "form), or a folder (default: default)")
     p.add_argument("--list", choices=("speakers", "interpreters"), help="list what the bundle contains and exit")
+    # One thread: blocks are small, and threads that wait for each other cost more than they gain.
     p.add_argument("--threads", type=number("threads"), default=1, metavar="N",
                    help="number of torch threads; it affects the last bits of the output (default 1, usually the "
                    "fastest)")
@@ -123,6 +125,7 @@ def _help_of(doc: str, field: Field[Any], flag: OptionFlag) -> str:
 
 def _add_option(group: argparse._ArgumentGroup, field: Field[Any], flag: OptionFlag, text: str) -> None:
     name = f"--{(flag.name or field.name).replace('_', '-')}"
+    # A list that can be appended to, not the tuple of the field's default.
     more = dict[str, Any](dest=field.name, default=[] if flag.many else field.default)
     if flag.metavar is None:
         group.add_argument(name, action="store_true", help=text, **more)
@@ -237,6 +240,7 @@ def check_cues(gesticulator: Gesticulator, options: InferenceOptions) -> None:
     """`InputError` for a cue that names an unknown gesture, or an expression without a face to show it."""
     from gesticulator.plan.gestures import EXPRESSIONS, GESTURES, near_gestures
 
+    # Without a face the cue would have no effect, which no message would tell.
     shown_by_face = [cue.gesture for cue in options.cues if cue.gesture in EXPRESSIONS]
     if shown_by_face and options.face != "full":
         raise InputError(f"--cue {shown_by_face[0]}", "is of the face", "add --face full, or leave it out")
@@ -287,6 +291,7 @@ def settings_of(args: argparse.Namespace, upper: bool = False) -> Job:
     if args.transcribe is not None and args.text is not None:
         raise InputError("--transcribe", "hears words, and --text gives them", "leave one of them out")
     values = {field.name: getattr(args, field.name) for field in fields(InferenceOptions) if "flag" in field.metadata}
+    # argparse collects repeated options in lists; options are frozen and hashed.
     values.update({name: tuple(value) for name, value in values.items() if isinstance(value, list)})
     options = InferenceOptions(**{**values, "plan": _plan_of(args)})
     return Job(None, options=options, character=_character_of(args, upper), any_length=args.any_length)
@@ -306,6 +311,7 @@ def _character_of(args: argparse.Namespace, upper: bool) -> CharacterRequest | N
             if getattr(args, name) is not None:
                 raise InputError(f"--{name.replace('_', '-')}", "is about a character", "name one with --character")
         return None
+    # None leaves it to the character's own pose (`retargeter_for`).
     legs = False if args.seated or upper else True if args.legs else None
     return CharacterRequest(args.character, args.mapping, args.save_mapping, not args.no_contacts, legs)
 
@@ -339,6 +345,7 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
 
 def _clip_of(args: argparse.Namespace) -> ClipLayout | None:
     """The layout of clips; None if no option of clips is given. `InputError` for options that exclude each other."""
+    # Without any of these options files are laid out as they always were, byte for byte.
     given = (args.clip_name, args.loop, args.mask, args.layer, args.sound, args.one_file, args.keys is not None,
              args.root != "hips")
     if not any(given):
@@ -360,6 +367,7 @@ def _output_files(args: argparse.Namespace) -> dict[str, str]:
             raise InputError(name, f"is a second {suffix} beside {outputs[suffix]}", "name one of them")
         check_output(Path(name) / f"gesture{suffix}" if is_folder(name) else name)
         outputs[suffix] = name
+    # BVH names no unit; all other formats do, or are defined in metres.
     if args.unit != "cm" and ".bvh" not in outputs:
         raise InputError("--unit", "is only for .bvh", "leave it out: other formats have their own")
     return outputs

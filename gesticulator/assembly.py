@@ -68,6 +68,7 @@ class Assembler:
 
     def shaping(self, edges: Array) -> Shaping | None:
         """The changes of the generated poses in blocks with these edges [N + 1]; None for none."""
+        # Without shaping poses go through untouched, which keeps the bytes of a plain performance.
         if not self.options.shaped and not self.meanings:
             return None
         from gesticulator.directing.knobs import Shaping
@@ -102,6 +103,7 @@ class Assembler:
             return None
         from gesticulator.face.track import face_of
 
+        # Expressions are cues of the face; those of the body were directed during generation.
         cues: list[tuple[float, str]] = []
         if options.cues:
             from gesticulator.directing.cues import expressions_at

@@ -97,6 +97,7 @@ def _read(function: Callable[[_Given], _Found], items: Sequence[_Given]) -> list
     """Apply a function to all items in several threads: a shared folder has high latency but serves many requests."""
     from concurrent.futures import ThreadPoolExecutor
 
+    # Threads, not processes: hashing and waiting for a network folder both release the lock of Python.
     with ThreadPoolExecutor(READERS, thread_name_prefix="reader") as readers:
         try:
             return list(readers.map(function, items))
@@ -116,6 +117,7 @@ def parse_shard(text: str | None) -> tuple[int, int]:
 
 def sharded(tasks: Sequence[BatchTask], shard: int, count: int) -> list[BatchTask]:
     """The tasks of one shard (1 to `count`): longest first, each goes to the shard with the least work so far."""
+    # A heap of (work so far, shard): equal work goes to the lower number, so all machines agree.
     loads = [(0.0, index) for index in range(1, count + 1)]
     chosen = []
     for task in sorted(tasks, key=lambda task: task.order):
@@ -130,6 +132,7 @@ def sharded(tasks: Sequence[BatchTask], shard: int, count: int) -> list[BatchTas
 
 def attempted(doing: Doing, number: int) -> TaskOutcome:
     """Process a recording; an error becomes part of the outcome."""
+    # An error is a result, because one bad file must not end a batch of thousands.
     begin, seconds, fault = time.perf_counter(), 0.0, ""
     try:
         seconds = doing(number)
@@ -155,9 +158,11 @@ def run_jobs(jobs: Sequence[Job], request: BatchRequest, bundle: str | None, thr
     if any(job.source is None for job in jobs):
         raise InputError("standard input", "is not a recording of a batch", "name files or folders")
     shard = parse_shard(request.shard)
+    # Beside the outputs, so that a folder of results is self-contained.
     path = Path(request.manifest or jobs[0].targets[0].parent / default_name(*shard))
     check_manifest(path)
     folder = bundle_folder(bundle)
+    # A broken bundle is refused before recordings are hashed, which may take minutes.
     read_index(folder)
     index = file_hash(folder / INDEX)
     tasks = [BatchTask(number, job.source, job.targets, (__version__, index, _settings(job, threads)), job.fault)
@@ -194,6 +199,7 @@ def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Outcomes, sh
         unchanged = sum(notes.rows[str(task.source)].status == DONE for task in chosen
                    if task.number not in waiting and task.fault is None)
         # A killed run or worker may have left partially written files.
+        # Only files of this shard: another machine may be writing its own into the same folder.
         outputs = [output for task in chosen if task.number in waiting for output in task.outputs]
         remove_unfinished_of(outputs)
         with tqdm(total=round(sum(row.seconds for row in waiting.values())), unit=" s of sound",
@@ -206,6 +212,7 @@ def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Outcomes, sh
                 if outcome.error:
                     complain(f"{PROGRAM}: {outcome.error}")
         remove_unfinished_of(outputs)
+        # Rows of recordings that are no longer named stay in the manifest, but not in the summary.
         rows = [notes.rows[str(task.source)] for task in chosen]
     if not quiet:
         print(f"{manifest}:\n{table(rows, unchanged)}", flush=True)

@@ -28,7 +28,7 @@ PROGRAM = "gesticulator"
 LOG_LEVELS = {"error": logging.ERROR, "warning": logging.WARNING, "info": logging.INFO, "debug": logging.DEBUG}
 DEFAULT = "infer"
 """The verb used if the first word is not a verb: `gesticulator speech.wav -o gesture.bvh`."""
-ELSEWHERE = {"submission": "gesticulator-extra", "tune": "gesticulator-extra"}
+ELSEWHERE = {"submission": "gesticulator-extra"}
 """Verb -> the distribution that adds it, for the message where that is not installed."""
 
 
@@ -38,6 +38,7 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise the message as an `InputError` instead of printing the usage."""
         subject, colon, wrong = message.partition(": ")
+        # argparse says what is wrong with an option, but does not guess what was meant.
         near = self._nearest(wrong) if subject == "unrecognized arguments" else ""
         raise InputError(subject if colon else "arguments", wrong or message,
                          (f"did you mean {near}? " if near else "") + f"see {self.prog} --help")
@@ -74,9 +75,11 @@ class Command:
 
     def main(self, program: str, argv: Sequence[str] | None = None) -> int:
         """Parse and run; exit code 2 with one line for bad input."""
+        # Before anything is printed, also where a verb is run without the program.
         steady_streams()
         with one_line_errors(PROGRAM):
             arguments = self.parser(program).parse_args(argv)
+            # Warnings of the product go through this logger's level, see `_say_warning`.
             logging.getLogger("gesticulator").setLevel(LOG_LEVELS[arguments.log_level])
             try:
                 code = self.run(arguments)
@@ -113,6 +116,7 @@ def steady_streams() -> None:
 def our_warnings() -> Iterator[None]:
     """Show only warnings of this package, one line each; suppress those of libraries."""
     with warnings.catch_warnings():
+        # Libraries warn of deprecations that a user of the command can do nothing about.
         warnings.simplefilter("ignore")
         for name in ("data_module", "gesticulator"):
             warnings.filterwarnings("default", module=name)
@@ -166,6 +170,7 @@ def usage(known: Mapping[str, Command], program: str = PROGRAM) -> str:
 
 def _usable() -> dict[str, Command]:
     """The commands that can be loaded; an error line is printed for each of the others."""
+    # A broken third-party package must not make the help of the others unusable.
     known = {}
     for name in verbs():
         try:
@@ -177,6 +182,7 @@ def _usable() -> dict[str, Command]:
 
 def _check_is_no_verb(word: str, known: Sequence[str]) -> None:
     """`InputError` if the first word is neither an option nor could name a recording."""
+    # A word with a dot, a slash or a wildcard is a path, even if nothing is there.
     plain = word and not word.startswith("-") and not set(word) & set("./\\*?[")
     if plain and not os.path.lexists(word):
         if word in ELSEWHERE:
@@ -200,6 +206,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not arguments or arguments[0] in ("-h", "--help"):
             print(usage(_usable()), end="", flush=True)
             return 0 if arguments else 2
+        # What is no verb is the first argument of the default one.
         verb, program = DEFAULT, f"{PROGRAM} {DEFAULT}"
         if arguments[0] in VERBS:
             verb = arguments.pop(0)

@@ -47,6 +47,7 @@ class Gesticulator:
 
     def __init__(self, bundle: Bundle) -> None:
         self.bundle = bundle
+        # One for all performances: it remembers interpreter objects and warnings that were given.
         self.resolver = SetupResolver(bundle)
         self.keeps_generations = False
         """Whether performances keep the state before each block (`Performance.generation`), from which edits start."""
@@ -111,6 +112,7 @@ class Gesticulator:
         checked = InferenceOptions(**options)
         if checked.transcribe is not None and text is not None:
             raise InputError("transcribe", "hears words, and text gives them", "leave one of them out")
+        # A plan brings its own gain, so the sound is prepared after the plan is read.
         recording = as_speech(speech, sample_rate)
         name = Path(speech).name if isinstance(speech, str | os.PathLike) else ""
         if checked.plan is not None:
@@ -171,11 +173,13 @@ class Gesticulator:
     def _generate(self, speech: Speech, options: InferenceOptions, encoded: SpeechFeatures | None,
                   on_block: OnBlock | None) -> Performance:
         """A first generation, for speech at 16 kHz with its words."""
+        # Marks in the text ([shrug]) become cues; the words themselves are read without them.
         if any(word.marks for word in speech.words or ()):
             from gesticulator.directing.marks import with_mark_cues
 
             options = with_mark_cues(options, speech.words or ())
         setup = self._setup(speech, options)
+        # Copies of the cutter let an edited beat be cut again without the whole sound.
         cutters: list[BlockCutter] | None = [] if self.keeps_generations else None
         encoded = self.encode_speech(speech, cutters=cutters) if encoded is None else encoded
         state = loop.begin(self.bundle, setup, encoded.text is not None)
@@ -205,6 +209,7 @@ class Gesticulator:
             return [Request(block, control) for block, control in parts]
         from gesticulator.directing.directions import Director
 
+        # Directions are resolved to block times once: cues, stillness and handedness.
         director = Director(self.bundle, options, speech.words or (), float(encoded.blocks.edges[-1]))
         return [director.request(block, knots, control)
                 for (block, control), knots in zip(parts, times, strict=True)]
@@ -260,6 +265,7 @@ class Gesticulator:
 
         plan = options.plan
         assert plan is not None
+        # A curve may pass through values that a bundle without a gate cannot follow.
         for curve in plan.manner.curves:
             for time in curve.times:
                 self.resolver.check_activity(plan.manner.share_at(time))
@@ -280,11 +286,13 @@ class Gesticulator:
 
         directing.check_bundle_of(self.bundle, plan)
         recording = _prepared(as_speech(speech, sample_rate), directing.planned(InferenceOptions(plan=plan)))
+        # Words of the new file are not read: those of the plan are moved, or the given text is aligned.
         recording = replace(recording, words=None)
         words = None if text is None else words_of(self._with_words(recording, text, None)[0])
         if words is None and sound_hash(recording) == plan.sound.sha256:
             return retiming.unchanged(plan)
         draft = retiming.drafted(plan, recording, self.encode_speech(recording), words)
+        # Blocks whose beats found no counterpart are decided anew by the models.
         if None not in draft.plan.drawn.lexemes:
             return draft
         renderer = self.plan_renderer(directing.with_planned_words(recording, draft.plan),
@@ -314,8 +322,10 @@ class Gesticulator:
         if text in self._warm:
             return
         self._warm.add(text)
+        # Noise with the level of speech: silence would never reach the generator.
         noise = np.random.default_rng(0).normal(0, 0.05, _WARM_SECONDS * SAMPLE_RATE).astype(np.float32)
         try:
+            # Each latency takes another way through the cutter, and a stream may change between them.
             for latency in ("full", "low"):
                 stream = self._stream(SAMPLE_RATE, latency, text, InferenceOptions())
                 stream.feed(noise)

@@ -45,6 +45,7 @@ def run(args: argparse.Namespace) -> int:
     if batch is not None:
         return _run_batch(jobs, settings, batch)
     retargeter = retargeter_for(jobs[0].character, settings.quiet)
+    # The error of a single recording is that of the command: exit code 2, and no summary.
     alone, done = len(jobs) == 1, 0
     with our_warnings():
         # Recordings that cannot be read fail before the models are loaded.
@@ -79,6 +80,7 @@ def _run_batch(jobs: Sequence[Job], settings: RunSettings, request: BatchRequest
     """Process recordings that are not done yet and record them in a manifest; the exit code of `run`."""
     from gesticulator import batch
 
+    # A function that can be pickled: with Ray it is called on other machines.
     make = partial(_worker, jobs, settings)
     outcomes = partial(batch.done_here, make)
     if request.ray is not None:
@@ -95,6 +97,7 @@ def _worker(jobs: Sequence[Job], settings: RunSettings) -> Callable[[int], float
     """Load the models; returns a function that processes a job by its number and returns its duration in seconds."""
     retargeter = retargeter_for(jobs[0].character, settings.quiet)
     with limited_threads(settings.threads):
+        # In a batch the bar of the whole batch is shown, not one for each recording.
         worker = Worker(_loaded(settings), retargeter, quiet=True)
     check_options(worker.gesticulator, jobs[0].options)
 
@@ -124,6 +127,7 @@ def _conclude(count: int, done: int, quiet: bool) -> int:
     if done < count:
         complain(f"{PROGRAM}: {done} of {count} recordings done, {count - done} failed")
         return EXIT_PART_FAILED if done else EXIT_BAD_INPUT
+    # One line at the end, because lines of single recordings scroll away.
     if not quiet:
         print(f"{count} recordings done", flush=True)
     return 0

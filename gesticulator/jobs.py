@@ -82,6 +82,7 @@ class Job:
     def digest(self) -> str:
         """SHA-256 of what decides the bytes of the output, but for the recording itself and the names of the files. A
         file that a setting names counts by its content, so that a moved folder changes nothing."""
+        # A digest instead of the values: rows of a manifest stay short, and hold no paths.
         parts = [(entry.name, _content(getattr(self, entry.name))) for entry in fields(self)
                  if entry.name not in ("source", "targets", "any_length", "fault")]
         return hashlib.sha256(repr(parts).encode()).hexdigest()
@@ -159,6 +160,7 @@ def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None 
     if not outputs:
         raise InputError("output", "is missing", "name a file or a folder with -o")
     for suffix, given in outputs.items():
+        # A file of clips has one name; a folder would need one for each recording.
         if together and is_folder(given):
             raise InputError(given, "is a folder, and --one-file writes one file", f"name a file that ends in {suffix}")
         _check_output(given, suffix, 1 if together else len(sources))
@@ -200,6 +202,7 @@ def _sources(names: Sequence[str]) -> list[Path | None]:
         if name == STDIN:
             unique[None] = None
             continue
+        # A folder is not searched for more folders: what lies deeper is often a copy or an export.
         path = Path(name)
         if path.is_dir():
             inside = sorted(file for file in path.iterdir()
@@ -214,6 +217,7 @@ def _sources(names: Sequence[str]) -> list[Path | None]:
                 raise InputError(name, "matches no file", "check the pattern")
         else:
             inside = [path]
+        # The first name that a recording was given under stays, so messages show what was typed.
         unique.update({file.resolve(): file for file in inside if file.resolve() not in unique})
     return list(unique.values())
 
@@ -222,6 +226,7 @@ def _check_output(given: str, suffix: str, count: int) -> None:
     if is_folder(given):
         return
     ending = suffix_of(given)
+    # The advice names the path that was most likely meant.
     stem = given[:-len(ending)] if ending else given
     if count > 1:
         raise InputError(given, f"is one file for {count} recordings", f"name a folder: {stem}/")
@@ -286,11 +291,13 @@ def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> R
     from gesticulator.characters.retarget import Retargeter
     from gesticulator.characters.rig import note_of
 
+    # An unclear rig is an error here, before any sound is read.
     rig, mapping = choose(character.file, character.mapping, character.save_mapping)
     note = note_of(rig, mapping.joints["Hips"])
     retargeter = Retargeter(rig, mapping, contacts=character.contacts, legs=character.legs)
     remarks = [note] if note else []
     remarks += [f"{doubt}; look at the result" for doubt in retargeter.doubts]
+    # A chair cannot be seen in a skeleton, so legs of a seated character are not moved by default.
     if character.legs is None and not retargeter.legs:
         remarks.append("is seated, so hips and legs stay as they are; --legs makes it stand")
     for remark in () if quiet else remarks:
@@ -372,6 +379,7 @@ class Worker:
 
 def clip_names(jobs: Sequence[Job]) -> list[str]:
     """The names of recordings without suffix, with a number appended to repeated ones."""
+    # Animation tools find clips by name, so names in one file must differ.
     names: list[str] = []
     for job in jobs:
         stem = "stdin" if job.source is None else Path(job.name).stem[:90] or NAME
@@ -381,10 +389,9 @@ def clip_names(jobs: Sequence[Job]) -> list[str]:
 
 def load(job: Job) -> Speech:
     """The recording; warns if it is too quiet even after the requested gain."""
-    from data_module.speech.audio import amplified, level_note, speech_pieces
+    from data_module.speech.audio import amplified, level_note, load_speech
 
-    with speech_pieces(job.source or sys.stdin.buffer, job.any_length) as sound:
-        speech = sound.whole()
+    speech = load_speech(job.source or sys.stdin.buffer, job.any_length)
     note = level_note(amplified(speech, job.options.gain))
     if note is not None:
         complain(f"{PROGRAM}: warning: {job.name}: {note}")

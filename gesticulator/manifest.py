@@ -147,6 +147,7 @@ class Manifest:
         assert self._file is not None
         self.rows[row.input] = row
         self._file.write(row.line)
+        # Flushed, not synced: the rows must survive a killed process, not a power failure.
         self._file.flush()
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -161,6 +162,7 @@ class Manifest:
 
 def table(rows: Sequence[ManifestRow], unchanged: int = 0) -> str:
     """The summary of a batch. unchanged: number of rows that were up to date before."""
+    # Failed recordings took time, too, but say nothing of the speed.
     done = [row for row in rows if row.status == DONE]
     hours, spent = sum(row.seconds for row in done) / 3600, sum(row.time for row in done)
     cells = [("recordings", f"{len(rows)}"), ("done", f"{len(done)}"), ("of which before", f"{unchanged}"),

@@ -188,6 +188,7 @@ class InferenceOptions:
         if self.controls is not None and any(part is not None for part in self.hands):
             raise InputError("controls", "cannot be combined with hand_height, hand_speed or hand_radius",
                              "give one or the other")
+        # An option without effect is a mistake of the user, and cheaper to report than to find.
         if self.face == "off" and (self.mouth != 1.0 or self.mood != 0.0):
             raise InputError("mouth" if self.mouth != 1.0 else "mood", "is for a face",
                              "add --face full, or leave it out")
@@ -223,11 +224,13 @@ class InferenceOptions:
     @property
     def directed(self) -> bool:
         """Whether options influence the generation of blocks."""
+        # Size and mirroring are left out: they are applied to poses after generation.
         return bool(self.hold_still or self._moves or self.handedness)
 
     @property
     def shaped(self) -> bool:
         """Whether options change the generated poses."""
+        # Energy changes the size as well as how often somebody gestures.
         resized = self.intensity != 1.0 or ENERGIES[self.energy][0] != 1.0
         return bool(self._moves or self.handedness or resized
                     or (self.plan is not None and (shapes(self.plan) or shows_meanings(self.plan))))

@@ -36,6 +36,7 @@ class SetupResolver:
         """The index of a performer, or of the default one for None; `InputError` lists the known names."""
         speakers = self._bundle.speakers
         if name is None:
+            # A bundle of other data may not have the performer that the preset names.
             preferred = self._bundle.config.default_speaker
             return speakers.index(preferred) if preferred in speakers else 0
         if name not in speakers:
@@ -52,6 +53,7 @@ class SetupResolver:
             raise InputError(f"variation {options.variation}", "needs a generator that samples, and this bundle's is "
                              "deterministic", "leave it out, or choose another seed")
         interpreter = as_interpreter(self._interpreter(options, text))
+        # Interpreters of other packages have no figures of ours, so there is nothing to warn of.
         known = INTERPRETERS.get(interpreter.name)
         if known is not None and known.doubt and interpreter.name not in self._warned:
             self._warned.add(interpreter.name)
@@ -62,8 +64,9 @@ class SetupResolver:
         if temperature is None:
             # Q values and log-probabilities have different scales, so each has a default of its own.
             temperature = defaults.q_temperature if interpreter.gives_values else defaults.temperature
+        # beta depends on the temperature: it is a weight on scores that are divided by it.
         interpreter = interpreter.steered(options.beta, temperature)
-        return Setup(interpreter, self.speaker(options.speaker), temperature, defaults.top, int(options.seed), activity,
+        return Setup(interpreter, self.speaker(options.speaker), temperature, int(options.seed), activity,
                      hand_controls(bundle, options), int(options.variation), interpreter.beta, text)
 
     def check_activity(self, activity: float) -> None:
@@ -76,6 +79,7 @@ class SetupResolver:
         """The interpreter object of the options, or the one of their name: the bundle's, or an object used before."""
         chosen = options.interpreter or self._bundle.interpreters[0]
         if not isinstance(chosen, str):
+            # A plan stores the name alone; the object is needed again where a block is edited.
             self._objects[interpreter_name(chosen)] = chosen
             return chosen
         if chosen in self._bundle.interpreters or options.plan is None:
@@ -102,6 +106,7 @@ def hand_controls(bundle: Bundle, options: InferenceOptions) -> Controls:
     def number(feature: str, value: HandControl) -> float | Curve | None:
         if value is None or isinstance(value, Curve):
             return value
+        # The same parser as on the command line, so a level, a number and a file mean the same.
         text = os.fspath(value) if isinstance(value, str | os.PathLike) else repr(float(value))
         return parse(f"hand_{feature}", text, feature, levels)
 
@@ -110,6 +115,7 @@ def hand_controls(bundle: Bundle, options: InferenceOptions) -> Controls:
 
 def origin_of(bundle: Bundle, options: InferenceOptions, setup: Setup, meanings: tuple[PlanMeaning, ...]) -> Origin:
     """The provenance of a performance, as a plan records it: the options with everything filled in."""
+    # A plan must render alike with a later version whose defaults differ.
     used = replace(options, speaker=bundle.speakers[setup.speaker],
                    interpreter=options.interpreter or bundle.interpreters[0],
                    temperature=setup.temperature, beta=setup.beta,

@@ -26,7 +26,7 @@ from data_module.speech import onsets, silence
 from data_module.speech.audio import SAMPLE_RATE, SampleFeed
 from data_module.types import Array, Blocks, Motion, Samples, Skeleton, Word
 from gesticulator.body.head_turns import HeadTurns
-from gesticulator.body.motion_path import HISTORY, LONGEST_HISTORY, MotionPath
+from gesticulator.body.motion_path import LONGEST_HISTORY, MotionPath
 from gesticulator.body.rest import RestKnots
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, representation_of
@@ -114,17 +114,20 @@ class Stream:
                              "use one with a lexicon of blocks and silence.rest=life")
         self._bundle, self._setup, self._new_cutter = bundle, setup, cutter
         self._gain = float(options.gain)
+        # Two feeds: resampling has a memory, and another speaker's sound must not leak into it.
         self._sound = SampleFeed(sample_rate, self._gain)
         self._voice = SampleFeed(sample_rate, self._gain)
         self._cutter: BlockCutter | None = cutter()
         self._text = self._cutter.reads
         self._performance = loop.begin(bundle, setup, self._text)
+        # A plan says what happens at times of a sound that is known; a stream's is not.
         if options.plan is not None:
             raise InputError("plan", "needs a whole recording", "render it without a stream")
         self._director: Director | None = None
         self._marks: StreamMarks | None = None
         self._meanings = self._meaning_track(options)
         shaping: Callable[[Array, Array], Array] | None = None
+        # Imported where it is needed: a plain stream starts faster without it.
         if options.shaped or options.directed or self._meanings is not None:
             from gesticulator.directing.directions import Director
             from gesticulator.directing.knobs import Shaping
@@ -138,7 +141,6 @@ class Stream:
             self._marks = StreamMarks(representation_of(bundle.config).name == "rotations")
             shaping = shaping or gestures_over(self._meant, options.seed or 0)
         self._path = MotionPath(bundle, setup.speaker, options, self._cutter.latency == "low", shaping)
-        self._path.history = HISTORY
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
         self._turns = HeadTurns(int(options.seed), joints)
         self._face = _face_of(options)
@@ -147,6 +149,7 @@ class Stream:
         self._begun = self._committed = 0.0  # media time at which the utterance begins, and of the last knot
         self._past_blocks = 0
         rest = bundle.rest_feature(setup.speaker).cpu().numpy().astype(np.float32).reshape(1, -1)
+        # The resting pose at time 0 is the knot from which the first frames come.
         self._shown = deque([(RestKnots(np.zeros(1), rest, np.zeros((1, 2, 2))), rest)])
 
     # ------------------------------------------------------------------------------------------------------- state
@@ -243,6 +246,7 @@ class Stream:
         generator): then idling ends at the frames returned so far, and so does media time; what else the call had to do
         is dropped."""
         self._check_open()
+        # All calls that return frames are generators, so that a server can take turns between blocks.
         parts: _Parts = getattr(self, f"_{call}")(*arguments)
         first = self._path.next
         try:
@@ -275,6 +279,7 @@ class Stream:
         if not self._text:
             raise InputError("words", "are not read by this stream", "open it with text=True")
         assert self._marks is not None
+        # Marks first: they are taken out of the words, which are encoded as they are spoken.
         words = self._marks.take(words, self._committed)
         self._express(words)
         if self._meanings is not None:
@@ -346,7 +351,9 @@ class Stream:
             raise InputError("the stream", "is finished", "open another")
 
     def _speak(self) -> None:
+        # Turns of the head that belong to listening end when speech begins.
         if self._state != StreamState.SPEAKING:
+            # A nod or a look away ends with the state that it belongs to.
             self._turns.release(self._committed)
             self._state = StreamState.SPEAKING
 
@@ -369,6 +376,7 @@ class Stream:
 
     def _begin(self, time: float) -> None:
         """Begin the next utterance at media time `time`, without the sound that was fed before."""
+        # The new feed has no memory of the old sound: an utterance is cut by itself.
         self._begun, self._sound, self._cutter = time, SampleFeed(self._sound.rate, self._gain), None
 
     def _feed(self, samples: NDArray[Any]) -> _Parts:
@@ -387,6 +395,7 @@ class Stream:
             self._meanings.forget(self._committed)
         if self._face is not None:
             self._face.end()
+        # Media time goes on, although nothing is generated for what was passed over.
         self._begin(self.time + seconds)
         yield from self._advance(self._begun)
 
@@ -407,6 +416,7 @@ class Stream:
         if not knots.times[0] <= at <= max(self.time, final):
             raise InputError(f"interrupt at {at:g} s", f"is not between {knots.times[0]:.2f} and {final:.2f} s",
                              "give the media time of the last frame that was played")
+        # Sound may be fed further than frames are final; nothing can be taken back there.
         at = min(at, final)
         if self._marks is not None:
             self._marks.interrupt(at)
@@ -464,6 +474,7 @@ class Stream:
             self._state = state
             if self._face is not None:
                 self._face.state(self._begun, state.value, self._turns.side)
+        # Nods come in the pauses of the other voice, which are found in its sound.
         if voice is not None:
             self._turns.listen(voice, max(self._committed, self._begun))
         until = self._begun + seconds
@@ -483,6 +494,7 @@ class Stream:
             yield waiting, None
         while self._path.next < count:
             missing = until + self._path.reach - self._committed
+            # At most as many knots as a block has, so a step costs no more than a block.
             knots, start = min(max(math.ceil(missing / _KNOT), 1), frames), self._committed
             features, self._performance = loop.idle(self._bundle, self._performance, start, _KNOT, knots)
             times = start + _KNOT * np.arange(1, knots + 1, dtype=np.float64)
@@ -490,6 +502,7 @@ class Stream:
 
     def _draw(self, blocks: Sequence[SpeechBlock]) -> _Parts:
         for block in blocks:
+            # The cutter counts from the start of the utterance; keys and times need media time.
             speech = replace(block, number=self._past_blocks, start=block.start + self._begun,
                              end=block.end + self._begun)
             edges = np.array([speech.start, speech.end])
@@ -504,6 +517,7 @@ class Stream:
 
     def _show(self, times: Array, features: NDArray[np.float32], until: int | None = None) -> Motion | None:
         """Add knots, features [K, D_m] at times [K]; return the frames that became final, those before `until`."""
+        # Head turns are added to what is shown, not to what the generator continues from.
         turned = self._turns(times)
         if turned is not None:
             features = (features + turned * self._scale).astype(np.float32)
@@ -515,6 +529,7 @@ class Stream:
 
     def _history(self) -> tuple[RestKnots, NDArray[np.float32]]:
         """All knots in the history, and their features [M, D_m] with head turns."""
+        # Joined only for an interruption, which is rare; every block would cost a copy.
         entries = [knots for knots, _ in self._shown]
         times, poses, gains = (np.concatenate([getattr(knots, name) for knots in entries])
                                for name in ("times", "poses", "gains"))

@@ -86,7 +86,7 @@ INTERPRETERS: Registry[InterpreterEntry] = Registry("interpreters", "an interpre
         "the LSTM, biased by a learned reward; see --beta", "interpreters.advantage:AdvantageInterpreter", "advantage",
         prior="lstm", model="interpreters.advantage:Critics"),
     "statistical": InterpreterEntry(
-        "the speaker's lexeme frequencies", "interpreters.statistical:StatisticalInterpreter", section="statistical"),
+        "the speaker's lexeme frequencies", "interpreters.statistical:StatisticalInterpreter"),
 }, InterpreterEntry)
 """By name; the default is the first that a bundle has."""
 

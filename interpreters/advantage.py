@@ -41,6 +41,12 @@ from interpreters.transformer import begin_small
 
 __all__ = ["AdvantageInterpreter", "Critics"]
 
+CRITICS = 2
+"""J; the least of their advantages is used."""
+VALUE = 0.3
+"""Weight of the error of the state's value, which does not affect the choice."""
+GAMMA = 0.9
+"""Discount per block. A lexeme affects the rewards of `reward.window` blocks."""
 _MOMENTUM = 0.02
 """Weight of a batch in the running spread of the advantages, which averages about fifty batches."""
 
@@ -55,9 +61,9 @@ class CriticValues:
     future: Tensor
     value: Tensor
 
-    def q(self, gamma: float) -> Tensor:
+    def q(self) -> Tensor:
         """[..., J, S] Q up to a constant of the state."""
-        return self.reward + gamma * self.future
+        return self.reward + GAMMA * self.future
 
 
 def advantages(q: Tensor, log_prior: Tensor) -> Tensor:
@@ -65,6 +71,7 @@ def advantages(q: Tensor, log_prior: Tensor) -> Tensor:
     """
     prior = log_prior.softmax(-1)
     each = q - (q * prior.unsqueeze(-2)).sum(-1, keepdim=True)
+    # The least estimate counts, because a maximum over lexemes picks out errors upwards.
     least = each.amin(-2)
     return least - (least * prior).sum(-1, keepdim=True)
 
@@ -82,12 +89,13 @@ class Critics(nn.Module):
         """frames: K; audio_width: d; lexemes: S; speakers: P."""
         super().__init__()
         self.config, self.lexemes = config, lexemes
+        # All critics share the transformer: it costs most, and their heads differ enough to disagree.
         self.trunk = QNetwork(config.network, frames, audio_width, lexemes, speakers)
         # The trunk ends in features; the three linear heads below read them.
         self.trunk.head = nn.LayerNorm(config.width)  # type: ignore[assignment]
-        self.reward = nn.Linear(config.width, config.critics * lexemes)
-        self.future = nn.Linear(config.width, config.critics * lexemes)
-        self.value = nn.Linear(config.width, config.critics)
+        self.reward = nn.Linear(config.width, CRITICS * lexemes)
+        self.future = nn.Linear(config.width, CRITICS * lexemes)
+        self.value = nn.Linear(config.width, CRITICS)
         for head in (self.reward, self.future, self.value):
             head.apply(begin_small)
         self.register_buffer("unit", torch.ones(()))  # of the values, in rewards
@@ -103,10 +111,10 @@ class Critics(nn.Module):
 
     @property
     def weights(self) -> dict[str, float]:
-        return {"reward": 1.0, "future": 1.0, "value": self.config.value}
+        return {"reward": 1.0, "future": 1.0, "value": VALUE}
 
     def _of(self, features: Tensor) -> CriticValues:
-        shape = (self.config.critics, self.lexemes)
+        shape = (CRITICS, self.lexemes)
         return CriticValues(self.reward(features).unflatten(-1, shape),
                             self.future(features).unflatten(-1, shape) * self.future_scale,
                             self.value(features) * self.value_scale + self.value_mean)
@@ -152,8 +160,9 @@ class Critics(nn.Module):
         with torch.no_grad():
             spread = self.advantage(values, batch["log_prior"]).square() * prior
             now = masked_mean(spread.sum(-1), batch["valid"]).sqrt()
-            # The first steps replace the initial spread at once; later ones follow slowly.
-            self.spread.lerp_(now, _MOMENTUM if progress > _MOMENTUM else 1.0)
+            if self.training:
+                # The first steps replace the initial spread at once; later ones follow slowly.
+                self.spread.lerp_(now, _MOMENTUM if progress > _MOMENTUM else 1.0)
         share = tried.float().mean().clamp_min(1e-3)
         return {"reward": masked_mean(error.sum(-1), valid),
                 "future": masked_mean(missed.sum(-1), valid) / share / tried.shape[-1],
@@ -162,7 +171,7 @@ class Critics(nn.Module):
 
     def advantage(self, values: CriticValues, log_prior: Tensor) -> Tensor:
         """A [..., S] in units of `unit`."""
-        return advantages(values.q(self.config.gamma), log_prior)
+        return advantages(values.q(), log_prior)
 
     @torch.inference_mode()
     def step(self, state: QState, features: BlockFeatures, previous_lexeme: int) -> tuple[CriticValues, QState]:

@@ -23,20 +23,21 @@ from interpreters.transformer import INITIAL, Head, KeyValue, Layer, begin_small
 
 __all__ = ["ConservativeQ", "LiteralQNetwork", "QNetwork", "conservative_q_loss"]
 
+DROPOUT = 0.1
+"""As in the paper (RACER 5.2)."""
+
 
 @dataclass(frozen=True)
 class QState:
     """The pairs that the next decision attends to, and the speaker. Never changed in place.
 
     tokens: [1, 2, n, C] audio and action tokens of the last n <= T decisions, without positions. past: keys and values
-    of these tokens, layer by layer; None once the window slides, or without a cache. before: [3K, d] the audio window
-    of the previous block, which is the input of a decision without look-ahead; None at first.
+    of these tokens, layer by layer; None once the window slides, or without a cache.
     """
 
     speaker: Tensor
     tokens: Tensor
     past: tuple[KeyValue, ...] | None
-    before: Tensor | None = None
 
 
 class QNetwork(nn.Module, InterpreterDefaults):
@@ -54,19 +55,19 @@ class QNetwork(nn.Module, InterpreterDefaults):
         super().__init__()
         if any(not 0 <= index < lexemes for index in silent):
             raise ValueError(f"silent lexemes {list(silent)} lie outside a lexicon of {lexemes}")
-        if config.lookahead not in (0, 1):
-            raise ValueError(f"lookahead is {config.lookahead}: it must be 1 (the next block is an input) or 0")
         self.config, self.frames, self.lexemes, self.speakers = config, frames, lexemes, speakers
         self.cached = True
         """Cache keys and values while the window fills (the same scores, faster)."""
         self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, config.audio_blocks,
                                         config.audio_bottleneck)
+        # One more input than audio and speaker: whether the block is silent.
         width = frames * config.audio_features + (speakers if config.use_speaker else 0) + 1
         self.audio_token = nn.Linear(width, config.width)
         self.action_token = nn.Embedding(lexemes, config.width)
         self.positions = nn.Parameter(torch.randn(2, config.decisions, config.width) * INITIAL)
-        self.dropout = nn.Dropout(config.dropout)
-        self.layers = nn.ModuleList(Layer(config.width, config.heads, config.dropout) for _ in range(config.layers))
+        self.dropout = nn.Dropout(DROPOUT)
+        self.layers = nn.ModuleList(Layer(config.width, config.heads, DROPOUT) for _ in range(config.layers))
+        # Values are linear in the last features: no bound, unlike probabilities.
         self.head = Head(config.width, lexemes)
         self.apply(begin_small)
         # A lexicon without silent lexemes must not leave a silent block without any action.
@@ -134,10 +135,7 @@ class QNetwork(nn.Module, InterpreterDefaults):
     def step(self, state: QState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, QState]:
         """Q values [S] of this block's lexeme, and the state after it. The silent mask is applied by the caller."""
         device = self.positions.device
-        audio = features.high
-        if not self.config.lookahead:
-            audio = torch.zeros_like(features.high) if state.before is None else state.before
-        pair = self.tokens(torch.tensor([[previous_lexeme]], device=device), audio[None, None].to(device),
+        pair = self.tokens(torch.tensor([[previous_lexeme]], device=device), features.high[None, None].to(device),
                            state.speaker, torch.tensor([[features.silent]], device=device))
         filled, window = state.tokens.shape[2], self.config.decisions
         tokens = torch.cat([state.tokens, pair], dim=2)[:, :, -window:]
@@ -149,7 +147,7 @@ class QNetwork(nn.Module, InterpreterDefaults):
         # A full window slides at the next step, which could not use the cache.
         keep = self.cached and tokens.shape[2] < window
         scores = self.head(out[0, 1, -1]).double().cpu().numpy()
-        return scores, QState(state.speaker, tokens, present if keep else None, features.high)
+        return scores, QState(state.speaker, tokens, present if keep else None)
 
 
 class LiteralQNetwork(QNetwork):
@@ -189,7 +187,7 @@ class DecisionBatch:
     cloned: Tensor
 
 
-def conservative_q_loss(values: Tensor, next_value: Tensor, done: DecisionBatch, gamma: float, huber: float = 0.0
+def conservative_q_loss(values: Tensor, next_value: Tensor, done: DecisionBatch, gamma: float
                         ) -> tuple[Tensor, Tensor]:
     """The terms of RACER Eq. 11, unweighted: E[log sum_a exp Q(s, a) - Q(s, a_data)] and E[(Q(s, a_data) - y)^2] / 2.
     values: [B, T, S] Q(s, .); next_value: [B, T] max_a' of the target at s'. The first mean is over valid steps, the
@@ -197,9 +195,7 @@ def conservative_q_loss(values: Tensor, next_value: Tensor, done: DecisionBatch,
     conservative = data_nll(values, done.action, done.allowed)
     chosen = values.gather(-1, done.action.unsqueeze(-1)).squeeze(-1)
     target = backed_up(done.reward, done.terminal, next_value, gamma).detach()
-    # Both forms are e^2 / 2 for small errors, so `huber` does not change the balance of the two terms there.
-    error = functional.huber_loss(chosen, target, reduction="none", delta=huber) if huber else (
-        0.5 * (chosen - target).square())
+    error = 0.5 * (chosen - target).square()
     return masked_mean(done.cloned * conservative, done.valid), masked_mean(error, done.valid * done.known)
 
 
@@ -284,6 +280,6 @@ class ConservativeQ(nn.Module):
         conservative, difference = conservative_q_loss(
             values, self.next_values(batch) if learns else torch.zeros_like(now["reward"]),
             DecisionBatch(now["action"], now["reward"], now["terminal"], self.online.allowed(now["silent"]),
-                          now["valid"], next_known(batch), now["cloned"]), self.config.gamma, self.config.huber)
+                          now["valid"], next_known(batch), now["cloned"]), self.config.gamma)
         terms = {"conservative": conservative}
         return {**terms, "temporal_difference": difference} if learns else terms

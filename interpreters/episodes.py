@@ -10,10 +10,9 @@ The first block of a recording has the given a_0; decisions begin with the secon
 
 from __future__ import annotations
 
-import hashlib
 import io
-import json
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,12 +21,11 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 from torch import Tensor
 
 from data_module.errors import InputError
 from data_module.files import write_bytes
-from interpreters.base import BlockFeatures, LexemeInterpreter, Scores, select
+from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.settings import BEHAVIOURS, EpisodeConfig
 
 Integers = NDArray[np.int64]
@@ -35,6 +33,10 @@ Reward = Callable[[Tensor, Tensor], Tensor]
 """Lexemes [M] and block numbers [M] of a stretch of a recording to the reward of each step [M], which depends on this
 stretch only. Examples are `RewardTable.sequence` and `looked_up`."""
 
+REPLACED, NEAREST = 0.2, 3
+"""Of the perturbed share: probability that a lexeme is replaced, and number of its nearest lexemes."""
+TEMPERATURE = 1.0
+"""Of the roll-outs: lexemes are sampled from softmax(scores / temperature)."""
 _AT_RANDOM = 0.5
 """Share of the perturbed lexemes that are replaced by any other; the rest are replaced by one of the nearest."""
 
@@ -58,7 +60,7 @@ class Demonstration:
 @dataclass(frozen=True)
 class Episode:
     """One performance of a recording or of its beginning. actions: [M] lexemes, the first of them given. behaviour: [M]
-    index in BEHAVIOURS of the policy. log_behaviour: [M] ln pi_beta(a | s), 0 for recorded actions. reward: [M].
+    index in BEHAVIOURS of the policy. reward: [M].
     terminal: [M], True only on the last block of the whole recording: an episode that ends earlier is truncated."""
 
     recording: int
@@ -66,7 +68,6 @@ class Episode:
     blocks: Integers
     actions: Integers
     behaviour: NDArray[np.int8]
-    log_behaviour: NDArray[np.float32]
     reward: NDArray[np.float32]
     silent: NDArray[np.bool_]
     terminal: NDArray[np.bool_]
@@ -79,20 +80,20 @@ class Episode:
             raise ValueError("an episode goes on after its terminal step")
 
 
-_COLUMNS = {"blocks": np.int64, "actions": np.int64, "behaviour": np.int8, "log_behaviour": np.float32,
+_COLUMNS = {"blocks": np.int64, "actions": np.int64, "behaviour": np.int8,
             "reward": np.float32, "silent": np.bool_, "terminal": np.bool_}
 
 
 class Episodes:
     """A data set of episodes, from which windows of decisions are sampled."""
 
-    def __init__(self, episodes: Sequence[Episode], *, cloned: float = 0.0, stretch: int = 0) -> None:
-        """cloned: weight of the data term on actions other than the recorded ones. stretch: windows have this length
-        and begin at its multiples; 0 for any start and length. InputError without any decision."""
-        self.episodes, self.cloned, self.stretch = tuple(episodes), cloned, stretch
+    def __init__(self, episodes: Sequence[Episode]) -> None:
+        """InputError without any decision."""
+        self.episodes = tuple(episodes)
         self.lengths = np.array([len(episode.blocks) for episode in self.episodes], dtype=np.int64)
         if len(self.lengths) == 0 or self.lengths.max() < 2:
             raise InputError("episodes", "hold no decision", "give recordings of two blocks at least")
+        # Episodes lie end to end in one array of each kind, so that a batch is one indexing operation.
         self._offsets = np.cumsum(self.lengths) - self.lengths
         self._columns: dict[str, NDArray[Any]] = {
             name: np.concatenate([getattr(episode, name) for episode in self.episodes]).astype(kind)
@@ -110,9 +111,7 @@ class Episodes:
         the given a_0. A window cut from a longer take is truncated; position T is for bootstrapping. After the end of
         an episode the last block is repeated, with valid 0 and reward 0.
         """
-        if self.stretch not in (0, decisions):
-            raise ValueError(f"these rewards are of stretches of {self.stretch} decisions, not of {decisions}")
-        return self.cut(*draw_starts(rng, self.lengths, count, decisions, self.stretch), decisions)
+        return self.cut(*draw_starts(rng, self.lengths, count, decisions), decisions)
 
     def cut(self, episode: Integers, start: Integers, decisions: int) -> dict[str, Tensor]:
         last = self.lengths[episode, None] - 1
@@ -123,59 +122,46 @@ class Episodes:
         before = self._offsets[episode, None] + np.minimum(index - 1, last)
         rows = {name: column[at] for name, column in self._columns.items()}
         # The data term imitates people; actions of other policies are there to compare values.
-        weights = np.where(rows["behaviour"] == 0, 1.0, self.cloned)
         batch = {
             "block": rows["blocks"], "previous": self._columns["actions"][before], "action": rows["actions"],
             "reward": rows["reward"] * valid, "terminal": rows["terminal"] & valid, "valid": valid.astype(np.float32),
             "silent": rows["silent"], "speaker": self._speakers[episode],
-            "behaviour": rows["behaviour"].astype(np.int64), "cloned": (weights * valid).astype(np.float32),
+            "behaviour": rows["behaviour"].astype(np.int64),
+            "cloned": ((rows["behaviour"] == 0) & valid).astype(np.float32),
         }
         return {key: torch.as_tensor(value) for key, value in batch.items()}
 
-    @property
-    def digest(self) -> str:
-        return _digest(self._arrays())
-
     def save(self, path: str | Path) -> None:
-        """Write one npz atomically, with the hash of its contents; the same episodes give the same bytes."""
-        arrays, stream = self._arrays(), io.BytesIO()
-        np.savez(stream, allow_pickle=False, **arrays, sha256=np.array(_digest(arrays)))
+        """Write one npz atomically; the same episodes give the same bytes."""
+        stream = io.BytesIO()
+        recordings = [episode.recording for episode in self.episodes]
+        np.savez(stream, allow_pickle=False, lengths=self.lengths, recordings=recordings, speakers=self._speakers,
+                 **self._columns)
         write_bytes(path, stream.getvalue())
 
     @classmethod
     def load(cls, path: str | Path) -> Episodes:
-        """The inverse of `save`; InputError for another or a changed file."""
+        """The inverse of `save`; InputError for another or a damaged file."""
         try:
             with np.load(path, allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}
-            if str(arrays.pop("sha256")) != _digest(arrays):
-                raise InputError(path, "was changed since it was written", "make the episodes again")
-            return cls(list(_unpacked(arrays)), cloned=float(arrays["cloned"]), stretch=int(arrays["stretch"]))
-        except (KeyError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+            return cls(list(_unpacked(arrays)))
+        except (OSError, KeyError, ValueError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
             raise InputError(path, f"holds no episodes ({error})", "make the episodes again") from None
 
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        recordings = np.array([episode.recording for episode in self.episodes], dtype=np.int64)
-        return {"lengths": self.lengths, "recordings": recordings, "speakers": self._speakers, **self._columns,
-                "cloned": np.array(self.cloned, np.float64), "stretch": np.array(self.stretch, np.int64)}
 
-
-def draw_starts(rng: np.random.Generator, lengths: Integers, count: int, decisions: int, stretch: int = 0
-                ) -> tuple[Integers, Integers]:
+def draw_starts(rng: np.random.Generator, lengths: Integers, count: int, decisions: int) -> tuple[Integers, Integers]:
     """Random starts of windows of T decisions: sequence numbers [count] and the position of a_0 in each [count]. All
     starts in all sequences of `lengths` [E] are equally likely. T decisions follow a start if the sequence is long
-    enough; with `stretch`, starts are its multiples."""
-    if stretch:
-        choices = -(-(lengths - 1) // stretch)
-    else:
-        # A sequence of L blocks holds L - 1 decisions, so L - T windows of T; a shorter one is padded and has one
-        # start, or none without a decision.
-        choices = np.where(lengths > 1, np.maximum(lengths - decisions, 1), 0)
+    enough."""
+    # A sequence of L blocks holds L - 1 decisions, so L - T windows of T; a shorter one is padded and has one start, or
+    # none without a decision.
+    choices = np.where(lengths > 1, np.maximum(lengths - decisions, 1), 0)
     until = np.cumsum(choices)
     sampled = rng.integers(until[-1], size=count)
     which = np.searchsorted(until, sampled, side="right")
     # The place of the sample among the starts of its sequence.
-    return which, (sampled - until[which] + choices[which]) * max(stretch, 1)
+    return which, sampled - until[which] + choices[which]
 
 
 def _unpacked(arrays: Mapping[str, NDArray[Any]]) -> Iterator[Episode]:
@@ -183,16 +169,6 @@ def _unpacked(arrays: Mapping[str, NDArray[Any]]) -> Iterator[Episode]:
     for end, length, recording, speaker in zip(ends, arrays["lengths"], arrays["recordings"], arrays["speakers"],
                                                strict=True):
         yield Episode(int(recording), int(speaker), **{name: arrays[name][end - length:end] for name in _COLUMNS})
-
-
-def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        # Equal bytes can be different arrays, so name, type and shape are hashed, too.
-        digest.update(json.dumps([name, array.dtype.str, arrays[name].shape]).encode())
-        digest.update(array.tobytes())
-    return digest.hexdigest()
 
 
 @dataclass(frozen=True)
@@ -225,18 +201,19 @@ def build(takes: Sequence[Demonstration], config: EpisodeConfig, reward: Reward,
           vectors: NDArray[np.floating[Any]], policies: BehaviourPolicies | None = None, seed: int = 0) -> Episodes:
     """The data set: every take as recorded, and the shares of the other behaviours.
 
-    reward: the reward of a step, of the kind `config.reward`; for schemes other than "window" it must look back over a
-    whole stretch. vectors: [S, D] the codebook. policies: needed for the shares of interpreters. The same seed gives
-    the same bits; each behaviour has its own generator, so that changing one share does not affect the others.
+    reward: the reward of each step of a recording, of the kind `config.reward`. RACER 4.3 rewards a sequence and does
+    not define the reward of a step; here it is that of the trailing window, which is stationary. vectors: [S, D] the
+    codebook. policies: needed for the shares of interpreters. The same seed gives the same bits; each behaviour has its
+    own generator, so that changing one share does not affect the others.
     """
     order = _by_distance(np.asarray(vectors, dtype=np.float64))
     takes = [replace(take, lexemes=silent.relabel(take)) for take in takes]
     base = sum(len(take.blocks) - 1 for take in takes)
     # `truth` is the share of the recordings, each taken once, so it determines the size of the whole.
     total = base / config.truth if config.truth > 0 else base
-    episodes = [_episode(take, take.lexemes, np.zeros(len(take.blocks)), 0, config, reward)
-                for take in takes] if config.truth > 0 else []
+    episodes = [_episode(take, take.lexemes, 0, config, reward) for take in takes] if config.truth > 0 else []
     for number, name in enumerate(BEHAVIOURS[1:], start=1):
+        # One generator for each behaviour: a changed share leaves the others as they were.
         rng = np.random.default_rng([seed, number])
         for take, length in _budgeted(takes, round(config.shares[name] * total), config.prefix, rng):
             if name == "perturbed":
@@ -245,18 +222,20 @@ def build(takes: Sequence[Demonstration], config: EpisodeConfig, reward: Reward,
                 raise ValueError(f"the share of {name!r} needs its interpreter and features")
             else:
                 acted = roll(policies, name, take, length, config, silent, rng)
-            episodes.append(_episode(take, *acted, number, config, reward))
-    return Episodes(episodes, cloned=config.cloned, stretch=0 if config.scheme == "window" else config.stretch)
+            episodes.append(_episode(take, acted, number, config, reward))
+    return Episodes(episodes)
 
 
 def _budgeted(takes: Sequence[Demonstration], budget: int, prefix: int, rng: np.random.Generator
               ) -> Iterator[tuple[Demonstration, int]]:
     """Takes in random order, each with the length to act, until there are `budget` decisions after the prefixes."""
+    # A take that is no longer than the prefix leaves nothing to act on.
     usable = [take for take in takes if len(take.blocks) > prefix]
     if budget > 0 and not usable:
         raise InputError("episodes.prefix", f"of {prefix} leaves nothing of any recording", "give a smaller one")
     while budget > 0:
         for index in rng.permutation(len(usable)):
+            # The last take is cut so that the budget is met exactly.
             length = min(len(usable[index].blocks), prefix + budget)
             budget -= length - prefix
             yield usable[index], length
@@ -266,44 +245,34 @@ def _budgeted(takes: Sequence[Demonstration], budget: int, prefix: int, rng: np.
 
 @torch.inference_mode()
 def roll(policies: BehaviourPolicies, name: str, take: Demonstration, length: int, config: EpisodeConfig,
-         silent: SilentLexemes, rng: np.random.Generator) -> tuple[Integers, NDArray[np.float64]]:
-    """Actions [length] of an interpreter that takes over after the prefix of a take, and ln pi_beta [length]. The
-    interpreter also processes the prefix, so that its state contains the person's past."""
+         silent: SilentLexemes, rng: np.random.Generator) -> Integers:
+    """Actions [length] of an interpreter that takes over after the prefix of a take. The interpreter also processes the
+    prefix, so that its state contains the person's past."""
     interpreter, features = policies.interpreters[name], policies.features
-    actions, logs = take.lexemes[:length].copy(), np.zeros(length)
+    actions = take.lexemes[:length].copy()
     state = interpreter.start(take.speaker, int(actions[0]))
     for i in range(1, length):
         scores, state = interpreter.step(state, features(int(take.blocks[i])), int(actions[i - 1]))
         if i >= config.prefix:
             allowed = silent.allowed(bool(take.silent[i]))
-            actions[i] = select(scores, allowed=allowed, temperature=config.temperature, rng=rng)
-            logs[i] = log_probability(scores, int(actions[i]), allowed, config.temperature)
-    return actions, logs
-
-
-def log_probability(scores: Scores, action: int, allowed: Integers | None, temperature: float) -> float:
-    """Log-probability of an action in `select`: softmax(scores [S] / temperature) among `allowed`."""
-    if temperature == 0:
-        return 0.0
-    among = scores if allowed is None else scores[allowed]
-    return float(scores[action] / temperature - logsumexp(np.asarray(among) / temperature))
+            actions[i] = select(scores, allowed=allowed, temperature=TEMPERATURE, rng=rng)
+    return actions
 
 
 def perturb(take: Demonstration, length: int, config: EpisodeConfig, order: Integers, silent: SilentLexemes,
-            rng: np.random.Generator) -> tuple[Integers, NDArray[np.float64]]:
-    """Actions [length]: the take's lexemes, some replaced after the prefix, and ln pi_beta [length]. order: [S, S]."""
-    actions, logs = take.lexemes[:length].copy(), np.zeros(length)
+            rng: np.random.Generator) -> Integers:
+    """Actions [length]: the take's lexemes, some replaced after the prefix. order: [S, S]."""
+    actions = take.lexemes[:length].copy()
     for i in range(config.prefix, length):
-        chances = perturbed_chances(int(take.lexemes[i]), order, silent.allowed(bool(take.silent[i])), config)
+        chances = perturbed_chances(int(take.lexemes[i]), order, silent.allowed(bool(take.silent[i])))
         actions[i] = rng.choice(len(chances), p=chances)
-        logs[i] = np.log(chances[actions[i]])
-    return actions, logs
+    return actions
 
 
-def perturbed_chances(truth: int, order: Integers, allowed: Integers | None, config: EpisodeConfig
-                      ) -> NDArray[np.float64]:
+def perturbed_chances(truth: int, order: Integers, allowed: Integers | None) -> NDArray[np.float64]:
     """[S] probability of each lexeme if the true one may be replaced by one of the nearest or by any other. order: [S,
     S] for each lexeme all of them, the nearest first. The truth stays if nothing else is allowed."""
+    # The truth is its own nearest lexeme, and no replacement.
     others = order[truth][order[truth] != truth]
     if allowed is not None:
         others = others[np.isin(others, allowed)]
@@ -311,10 +280,10 @@ def perturbed_chances(truth: int, order: Integers, allowed: Integers | None, con
     if len(others) == 0:
         chances[truth] = 1.0
         return chances
-    near = others[:config.nearest]
-    chances[truth] = 1 - config.replace
-    chances[others] += config.replace * _AT_RANDOM / len(others)
-    chances[near] += config.replace * (1 - _AT_RANDOM) / len(near)
+    near = others[:NEAREST]
+    chances[truth] = 1 - REPLACED
+    chances[others] += REPLACED * _AT_RANDOM / len(others)
+    chances[near] += REPLACED * (1 - _AT_RANDOM) / len(near)
     return chances
 
 
@@ -324,8 +293,7 @@ def _by_distance(vectors: NDArray[np.float64]) -> Integers:
     return np.argsort(distances, axis=1, kind="stable")
 
 
-def _episode(take: Demonstration, actions: Integers, logs: NDArray[np.float64], behaviour: int, config: EpisodeConfig,
-             reward: Reward) -> Episode:
+def _episode(take: Demonstration, actions: Integers, behaviour: int, config: EpisodeConfig, reward: Reward) -> Episode:
     """The episode of actions [m] on the first m blocks of a take; actions within the prefix are the truth."""
     length = len(actions)
     terminal = np.zeros(length, dtype=np.bool_)
@@ -333,37 +301,9 @@ def _episode(take: Demonstration, actions: Integers, logs: NDArray[np.float64], 
     terminal[-1] = length == len(take.blocks)
     blocks = take.blocks[:length].astype(np.int64)
     behaviours = np.where(np.arange(length) < config.prefix, 0, behaviour).astype(np.int8)
-    return Episode(take.recording, take.speaker, blocks, actions, behaviours, logs.astype(np.float32),
-                   step_rewards(config.scheme, reward, actions, blocks, config.stretch),
+    rewards = np.asarray(reward(torch.as_tensor(actions), torch.as_tensor(blocks)), dtype=np.float32)
+    return Episode(take.recording, take.speaker, blocks, actions, behaviours, rewards,
                    take.silent[:length].astype(np.bool_), terminal)
-
-
-def step_rewards(scheme: str, reward: Reward, lexemes: Integers, blocks: Integers, stretch: int
-                 ) -> NDArray[np.float32]:
-    """[M] the reward of each step of a recording, for lexemes [M] on blocks [M].
-
-    RACER 4.3 rewards a sequence and does not define the reward of a step. With R_i the reward of the steps of a stretch
-    up to the i-th, "prefix" gives R_i, "difference" R_i - R_{i-1} (which sums to the reward of the stretch), and
-    "terminal" that reward at the end and 0 before. "window", the default, gives the reward of the trailing window of
-    the recording, which is stationary. In the other schemes the reward of the given first lexeme is 0.
-    """
-    def rewards(part: slice) -> NDArray[np.float32]:
-        return np.asarray(reward(torch.as_tensor(lexemes[part]), torch.as_tensor(blocks[part])), dtype=np.float32)
-
-    if scheme == "window":
-        return rewards(slice(None))
-    out = np.zeros(len(lexemes), dtype=np.float32)
-    # From the second block on, as the first lexeme is given and no decision.
-    for begin in range(1, len(lexemes), stretch):
-        part = slice(begin, min(begin + stretch, len(lexemes)))
-        prefix = rewards(part)
-        if scheme == "prefix":
-            out[part] = prefix
-        elif scheme == "terminal":
-            out[part.stop - 1] = prefix[-1]
-        else:
-            out[part] = np.diff(prefix, prepend=np.float32(0))
-    return out
 
 
 def distance_rewards(decoded: Tensor, true: Tensor) -> Tensor:

@@ -19,6 +19,8 @@ from interpreters.settings import GateConfig
 
 __all__ = ["ActivityGate"]
 
+DROPOUT = 0.1
+"""Of the input and the output of the LSTM."""
 Hidden = tuple[Tensor, Tensor]
 
 
@@ -41,7 +43,7 @@ class ActivityGate(nn.Module):
         self.config, self.frames, self.speakers = config, frames, speakers
         self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, bottleneck=config.audio_bottleneck)
         width = config.audio_features + speakers
-        self.dropout = nn.Dropout(config.dropout)
+        self.dropout = nn.Dropout(DROPOUT)
         self.lstm = nn.LSTM(width, config.width, batch_first=True)
         self.classify = Linear(config.width, 1)
 
@@ -55,6 +57,7 @@ class ActivityGate(nn.Module):
         rows = self.encode_audio(audio)
         # Performers differ greatly in how often they gesture.
         rows = torch.cat([rows, speaker[:, None, None].expand(-1, blocks, self.frames, -1)], dim=-1)
+        # Frame by frame, so that loudness within a block counts; only the last frame's output is classified.
         out, hidden = run_lstm(self.lstm, self.dropout(rows).flatten(1, 2), hidden)
         last = out.unflatten(1, (blocks, self.frames))[:, :, -1]
         return self.classify(self.dropout(last))[..., 0], hidden

@@ -54,6 +54,12 @@ def one_hot(decisions: Tensor) -> Tensor:
     return torch.cat([functional.one_hot(decisions[..., k], count) for k, count in enumerate(CLASSES)], -1).float()
 
 
+DROPOUT = 0.2
+"""Of the input and the output of the planner's GRU."""
+PAST_DROPOUT = 0.2
+"""Share of the blocks in training whose past decision is left out, so that the sound counts."""
+
+
 @dataclass(frozen=True)
 class UnitDecision:
     """The decision for one block, as indices into `PHASES`, `HANDS`, `SIZES` and `APEXES`."""
@@ -120,7 +126,7 @@ class UnitPlanner(nn.Module):
         # One more row of each: before the first block, and a past that is left out in training.
         self.past = nn.ModuleList(nn.Embedding(count + 1, config.embedding) for count in CLASSES)
         self.given = nn.ModuleList(nn.Embedding(count, config.embedding) for count in CLASSES[:-1])
-        self.dropout = nn.Dropout(config.dropout)
+        self.dropout = nn.Dropout(DROPOUT)
         self.gru = nn.GRU(frames * config.audio_features + len(CLASSES) * config.embedding + speakers, config.width,
                           batch_first=True)
         self.heads = nn.ModuleList(Linear(config.width + level * config.embedding, count)
@@ -156,10 +162,10 @@ class UnitPlanner(nn.Module):
         speaker [B, speakers], valid [B, N + 1]. The seed block is a past only."""
         units, valid = batch["units"], batch["valid"][:, 1:].to(batch["audio_low"])
         before = units[:, :-1]
-        if self.training and self.config.past_dropout > 0:
+        if self.training:
             # All decisions of a block are dropped together; the index after the last class is the row for a missing
             # past.
-            gone = torch.rand(before.shape[:2], device=before.device) < self.config.past_dropout
+            gone = torch.rand(before.shape[:2], device=before.device) < PAST_DROPOUT
             before = torch.where(gone[..., None], torch.tensor(CLASSES, device=before.device), before)
         state, _ = self.encode_speech(batch["audio_low"][:, 1:], batch["speaker"], before)
         out = {}
@@ -285,6 +291,7 @@ class UnitStyleInterpreter(nn.Module):
     def calibrate(self, predicted: Tensor, measured: Tensor) -> None:
         """Set the gain from predictions and measured codes [n, d_z] of blocks that were not trained on: the ratio of
         their deviations, less for a dimension of which less than `_HEARD` is explained, and 0 if nothing is."""
+        # A prediction that does not vary would be divided by zero.
         deviation = predicted.std(0).clamp_min(1e-6)
         # Pearson's r for each dimension; r^2 is the share of the variance that the prediction explains.
         r = ((predicted - predicted.mean(0)) * (measured - measured.mean(0))).mean(0) / (deviation * measured.std(0))
@@ -306,6 +313,7 @@ class UnitStyleInterpreter(nn.Module):
         if resting:
             # The GRU goes on through rests: it measures the voice, not the unit.
             return torch.zeros_like(state.total), UnitStyleState(hidden, state.speaker, state.total * 0, 0)
+        # The mean over the unit so far: the style of a unit becomes clearer while it lasts.
         total, count = state.total + predicted[:, 0], state.count + 1
         code = (self.gain * total / count).clamp(-_MOST, _MOST)
         return code, UnitStyleState(hidden, state.speaker, total, count)

@@ -21,12 +21,12 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from data_module.layers import full_precision, masked_mean
-from interpreters.settings import LEAST_TEMPERATURE, RewardConfig
+from interpreters.settings import RewardConfig
 
-SPEED_PARTS = 3
-"""Parts of a block in which speed is measured."""
-SLOW = 0.3
-"""Deviations a second: slower than this is still (`RewardModel.speeds`)."""
+TEMPERATURE, LEAST_TEMPERATURE = 0.07, 0.01
+"""tau of RACER Eq. 7 before training, and its least value: below it a single pair of a batch would dominate the
+gradient."""
+DROPOUT = 0.1
 
 __all__ = ["RewardEnsemble", "RewardModel", "contrast"]
 
@@ -109,7 +109,7 @@ class WindowEncoder(nn.Module):
     def __init__(self, config: RewardConfig) -> None:
         super().__init__()
         self.layers = nn.ModuleList(
-            CausalLayer(config.width, config.kernel, dilation, config.dropout) for dilation in config.dilations)
+            CausalLayer(config.width, config.kernel, dilation, DROPOUT) for dilation in config.dilations)
         self.project = nn.Linear(2 * config.width, config.projection)
 
     def features(self, tokens: Tensor, valid: Tensor) -> Tensor:
@@ -148,8 +148,8 @@ class RewardModel(nn.Module):
     """Motion encoder, audio encoder and a temperature, trained on pairs of windows (RACER Fig. 3).
 
     A token is one block: all its K frames through one layer, a convolution over frames of kernel and stride K.
-    Normalised time removes the tempo of a block; the audio features include the log duration, the motion tokens only if
-    the setting `tempo` is on.
+    The audio features include the log duration of a block, but not the motion tokens: durations alone would then
+    identify 9 pairs in 10, and a policy cannot change them.
     """
 
     def __init__(self, config: RewardConfig, frames: int, motion_width: int, audio_width: int) -> None:
@@ -157,14 +157,10 @@ class RewardModel(nn.Module):
         super().__init__()
         self.config, self.frames = config, frames
         self.read_motion = nn.Linear(frames * motion_width, config.width)
-        # Without a bias a block of 1 s, whose log duration is 0, keeps its token, and so does a still block below.
-        self.read_tempo = nn.Linear(1, config.width, bias=False) if config.tempo else None
-        parts = min(SPEED_PARTS, frames - 1)
-        self.read_speeds = nn.Linear(parts * motion_width, config.width, bias=False) if config.speeds else None
         self.read_audio = nn.Linear(frames * audio_width, config.width)
         self.encode_motion, self.encode_audio = WindowEncoder(config), WindowEncoder(config)
         # Learned as a logarithm, which keeps the temperature positive.
-        self.log_temperature = nn.Parameter(torch.tensor(math.log(config.temperature)))
+        self.log_temperature = nn.Parameter(torch.tensor(math.log(TEMPERATURE)))
 
     @property
     def weights(self) -> dict[str, float]:
@@ -178,37 +174,15 @@ class RewardModel(nn.Module):
     def temperature(self) -> float:
         return max(float(self.log_temperature.detach().exp()), LEAST_TEMPERATURE)
 
-    def block_motion(self, motion: Tensor, log_duration: Tensor) -> Tensor:
-        """Tokens [..., C] of motion blocks [..., K, D_m] that last exp(log_duration [...]) seconds."""
+    def block_motion(self, motion: Tensor) -> Tensor:
+        """Tokens [..., C] of motion blocks [..., K, D_m]."""
         tokens: Tensor = self.read_motion(motion.flatten(-2))
-        if self.read_speeds is not None:
-            tokens = tokens + self.read_speeds(self.speeds(motion, log_duration))
-        return tokens + self.tempo(log_duration)
+        return tokens
 
-    def speeds(self, motion: Tensor, log_duration: Tensor) -> Tensor:
-        """[..., parts * D_m]: log(1 + v / SLOW), where v is the mean absolute speed of each dimension in each part of a
-        block, per second; 0 for a still pose of any duration. motion: [..., K, D_m]; log_duration: [...]."""
-        steps = motion.diff(dim=-2).abs()
-        count = steps.shape[-2]
-        means = torch.stack([part.mean(-2) for part in steps.tensor_split(min(SPEED_PARTS, count), dim=-2)], dim=-2)
-        return torch.log1p(means * (count / SLOW) * (-log_duration).exp()[..., None, None]).flatten(-2)
-
-    def block_candidates(self, base: Tensor, added: Tensor, log_duration: Tensor) -> Tensor:
-        """Tokens [B, S, C] of the blocks base [B, K, D_m] with each contribution added [S, K, D_m]; log_duration: [B].
-        Poses are read linearly, so a sum of tokens is the token of the sum; speeds are not."""
-        if self.read_speeds is None:
-            return self.block_motion(base, log_duration)[:, None] + functional.linear(added.flatten(-2),
-                                                                                      self.read_motion.weight)
-        # The logarithm of a speed is not linear, so the speeds of each sum are computed anew.
-        return self.block_motion(base[:, None] + added, log_duration[:, None].expand(-1, len(added)))
-
-    def tempo(self, log_duration: Tensor) -> Tensor:
-        """The contribution of the log duration [...] of a block to its motion token, [..., C]: zero unless `tempo` is
-        on, and for a block of 1 s."""
-        if self.read_tempo is None:
-            return log_duration.new_zeros(*log_duration.shape, self.config.width)
-        added: Tensor = self.read_tempo(log_duration[..., None])
-        return added
+    def block_candidates(self, base: Tensor, added: Tensor) -> Tensor:
+        """Tokens [B, S, C] of the blocks base [B, K, D_m] with each contribution added [S, K, D_m]: poses are read
+        linearly, so a sum of tokens is the token of the sum."""
+        return self.block_motion(base)[:, None] + functional.linear(added.flatten(-2), self.read_motion.weight)
 
     def block_audio(self, audio: Tensor) -> Tensor:
         """Tokens [..., C] of audio blocks [..., K, d]."""
@@ -227,18 +201,16 @@ class RewardModel(nn.Module):
 
     def embed(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Unit vectors m and u, [B, P] each, of a batch (see `losses`)."""
-        motion = self.block_motion(batch["motion"], batch["log_duration"])
-        return (self.embed_motion(motion, batch["valid"]),
+        return (self.embed_motion(self.block_motion(batch["motion"]), batch["valid"]),
                 self.embed_audio(self.block_audio(batch["audio"]), batch["valid"]))
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
         """The contrastive loss (RACER Eq. 6 and 7, see `contrast`).
 
-        batch: motion [B, W, K, D_m], audio [B, W, K, d], log_duration [B, W], valid [B, W] with padding on the left,
-        group [B] int64, equal for windows that are not negatives of each other (overlapping or silent). With rivals
-        also rival [B, H, W, K, D_m], wrong versions of the window, and rivalled [B], 1 for rows that have them. With
-        `choice` also last [B] the last lexeme, prior [B, S] its log odds given the previous one, and the inputs of
-        `against_all`.
+        batch: motion [B, W, K, D_m], audio [B, W, K, d], valid [B, W] with padding on the left, group [B] int64, equal
+        for windows that are not negatives of each other (overlapping or silent). With rivals also rival [B, H, W, K,
+        D_m], wrong versions of the window, and rivalled [B], 1 for rows that have them. With `choice` also last [B] the
+        last lexeme, prior [B, S] its log odds given the previous one, and the inputs of `against_all`.
         """
         with torch.no_grad():  # clamp the parameter itself: a clamp in the loss would cut off its gradient
             self.log_temperature.clamp_(min=math.log(LEAST_TEMPERATURE))
@@ -259,45 +231,24 @@ class RewardModel(nn.Module):
         return terms
 
     def against_all(self, batch: dict[str, Tensor], audio: Tensor) -> Tensor:
-        """Cosines [B, S] of audio vectors [B, P] with each window for each lexeme at its end. batch: motion, valid and
-        log_duration as in `losses`; base [B, K, D_m] the motion of the last block without its lexeme; lexemes [S, K,
+        """Cosines [B, S] of audio vectors [B, P] with each window for each lexeme at its end. batch: motion and valid
+        as in `losses`; base [B, K, D_m] the motion of the last block without its lexeme; lexemes [S, K,
         D_m] the motion that each adds."""
-        history = self.block_motion(batch["motion"][:, :-1], batch["log_duration"][:, :-1])
-        candidates = self.block_candidates(batch["base"], batch["lexemes"], batch["log_duration"][:, -1])
+        history = self.block_motion(batch["motion"][:, :-1])
+        candidates = self.block_candidates(batch["base"], batch["lexemes"])
         motion = self.encode_motion.every_last(history, batch["valid"], candidates)
         return torch.einsum("bsp,bp->bs", motion, audio)
-
-    @torch.no_grad()
-    def choices(self, batch: dict[str, Tensor]) -> dict[str, float]:
-        """Over the windows decoded from lexemes: information in nats that the audio adds about the last lexeme, given
-        the one before (`told`; negative if it misleads), and the share of lexemes that match the audio better than it
-        (`worse`, chance 0.5)."""
-        _, audio = self.embed(batch)
-        each, decoded = self.against_all(batch, audio), batch["rivalled"].bool()
-        true = each.gather(1, batch["last"][:, None])
-        odds = (each / self.temperature + batch["prior"]).log_softmax(1)
-        gain = (odds - batch["prior"]).gather(1, batch["last"][:, None])
-        return {"told": float(gain[decoded].mean()), "worse": float((each > true)[decoded].double().mean())}
 
     def against_rivals(self, batch: dict[str, Tensor], audio: Tensor) -> Tensor:
         """Cosines [B, H] of audio vectors [B, P] with each window's rivals."""
         count = batch["rival"].shape[1]
-        times, valid = (batch[key].repeat_interleave(count, 0) for key in ("log_duration", "valid"))
-        tokens = self.block_motion(batch["rival"].flatten(0, 1), times)
+        valid, tokens = batch["valid"].repeat_interleave(count, 0), self.block_motion(batch["rival"].flatten(0, 1))
         return torch.einsum("bhp,bp->bh", self.embed_motion(tokens, valid).unflatten(0, (-1, count)), audio)
 
     @torch.no_grad()
-    def right_one(self, batch: dict[str, Tensor]) -> float:
-        """Share of windows whose motion matches the audio better than all its rivals; chance is 1 / (H + 1)."""
-        motion, audio = self.embed(batch)
-        best = self.against_rivals(batch, audio).amax(1)
-        return float(((motion * audio).sum(-1) > best)[batch["rivalled"].bool()].double().mean())
-
-    @torch.no_grad()
-    def window_rewards(self, motion: Tensor, log_duration: Tensor, audio: Tensor, valid: Tensor) -> Tensor:
-        """Cosines [B] of windows of motion [B, W, K, D_m] and audio [B, W, K, d] (RACER Eq. 8); log_duration, valid:
-        [B, W]."""
-        moved = self.embed_motion(self.block_motion(motion, log_duration), valid)
+    def window_rewards(self, motion: Tensor, audio: Tensor, valid: Tensor) -> Tensor:
+        """Cosines [B] of windows of motion [B, W, K, D_m] and audio [B, W, K, d] (RACER Eq. 8); valid: [B, W]."""
+        moved = self.embed_motion(self.block_motion(motion), valid)
         return (moved * self.embed_audio(self.block_audio(audio), valid)).sum(-1)
 
     @torch.no_grad()
@@ -346,13 +297,11 @@ class RewardEnsemble(nn.Module):
         return self.models[self.turn].losses(batch, progress)
 
     @torch.no_grad()
-    def window_rewards(self, motion: Tensor, log_duration: Tensor, audio: Tensor, valid: Tensor) -> Tensor:
-        return torch.stack([model.window_rewards(motion, log_duration, audio, valid) for model in self.models]).mean(0)
+    def window_rewards(self, motion: Tensor, audio: Tensor, valid: Tensor) -> Tensor:
+        return torch.stack([model.window_rewards(motion, audio, valid) for model in self.models]).mean(0)
 
     @torch.no_grad()
     def figures(self, batch: dict[str, Tensor]) -> dict[str, float]:
-        """The members' mean loss, retrieval and, with rivals, share of windows preferred to all of them."""
-        rows = [{"contrast": float(model.losses(batch)["contrast"]), **model.retrieval(batch),
-                 **({"right_one": model.right_one(batch)} if "rival" in batch else {}),
-                 **(model.choices(batch) if "prior" in batch else {})} for model in self.models]
+        """The members' mean loss and retrieval."""
+        rows = [{"contrast": float(model.losses(batch)["contrast"]), **model.retrieval(batch)} for model in self.models]
         return {key: sum(row[key] for row in rows) / len(rows) for key in rows[0]}

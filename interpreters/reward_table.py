@@ -62,6 +62,7 @@ class CorpusRewards(ABC):
 
     def trailing(self, count: int, device: torch.device) -> tuple[Tensor, Tensor]:
         """Positions [M, W] of the trailing windows and whether they lie in the recording, [M, W]."""
+        # Positions before the recording are clamped to its first block and marked as padding.
         at = torch.arange(count, device=device)[:, None] + torch.arange(1 - self.window, 1, device=device)
         return at.clamp_min(0), at >= 0
 
@@ -70,9 +71,9 @@ class RewardTable(CorpusRewards):
     """The rewards of one model (RACER Eq. 8). The model is copied, so later changes to it have no effect; all tensors
     are on its device."""
 
-    def __init__(self, model: RewardModel, audio: Tensor, log_duration: Tensor, decoded: Tensor | None = None, *,
+    def __init__(self, model: RewardModel, audio: Tensor, decoded: Tensor | None = None, *,
                  decode: tuple[Decode, int] | None = None, bases: Bases | None = None, centred: bool = False) -> None:
-        """audio: [N, K, d] and log_duration: [N] of the corpus' blocks. The lexicon is either
+        """audio: [N, K, d] of the corpus' blocks. The lexicon is either
         decoded: [S, K, D_m], every lexeme decoded by itself (cheap), or, with bases, its contribution to them; or
         decode: windows of lexemes [B, n] to motion [B, n, K, D_m], without padding, and S.
         centred: the reward is m . (u - mean u) instead of m . u, which removes the part common to all audio.
@@ -85,18 +86,11 @@ class RewardTable(CorpusRewards):
         size = 0 if decode is None else decode[1]
         self.window, self.bases = model.config.window, bases
         with torch.no_grad():
-            self._log_duration, self._audio = log_duration, self.model.block_audio(audio)
             # Everything that depends on a block or a lexeme alone is computed once: queries only add and encode.
-            self._tempo = self.model.tempo(log_duration)
+            self._audio = self.model.block_audio(audio)
             self._lexemes: Tensor | None = None
-            self._added: Tensor | None = None
-            """[S, K, D_m] the contributions themselves, where tokens of a sum are no sum of tokens."""
-            if decoded is not None and model.read_speeds is not None:
-                size, self._added = len(decoded), decoded
-            elif decoded is not None:
-                size = len(decoded)
-                # Log duration 0 has no tempo; that of the block is added with `_tempo`.
-                self._lexemes = self.model.block_motion(decoded, log_duration.new_zeros(size))
+            if decoded is not None:
+                size, self._lexemes = len(decoded), self.model.block_motion(decoded)
                 if bases is not None:  # the bias comes with the base
                     self._lexemes = self._lexemes - self.model.read_motion.bias
             self._centre = self._mean_audio() if centred else None
@@ -120,33 +114,15 @@ class RewardTable(CorpusRewards):
     def every(self, history: Tensor, blocks: Tensor, valid: Tensor, base: Tensor | None = None) -> Tensor:
         """See `CorpusRewards.every`. With lexemes decoded by themselves only the last token differs between candidates;
         with `decode` a candidate may change the whole window."""
-        if self._added is not None:
-            motion = self._every_added(self._added, history, blocks, valid, base)
-        elif self._lexemes is None:
+        if self._lexemes is None:
             motion = self._every_whole(history, blocks, valid)
         else:
             lexemes = torch.cat([history, torch.zeros_like(blocks[:, :1])], 1)  # the last one is not used
-            tokens = self._tempo[blocks] + self._base_tokens(lexemes, blocks, valid, base)
+            tokens = self._base_tokens(lexemes, blocks, valid, base)
             before = tokens[:, :-1] + self._lexemes[history]
             candidates = self._lexemes + tokens[:, -1:]
             motion = self.model.encode_motion.every_last(before, valid, candidates)
         return self._cosine(motion, self._embed_audio(blocks, valid)[:, None])
-
-    def _every_added(self, added: Tensor, history: Tensor, blocks: Tensor, valid: Tensor, base: Tensor | None
-                     ) -> Tensor:
-        """Motion vectors [B, S, P] of `every` for a model that reads speeds; added: [S, K, D_m]."""
-        lexemes = torch.cat([history, torch.zeros_like(blocks[:, :1])], 1)  # the last one is not used
-        base = self._base(added, lexemes, blocks, valid) if base is None else base
-        times = self._log_duration[blocks]
-        before = self.model.block_motion(base[:, :-1] + added[history], times[:, :-1])
-        candidates = self.model.block_candidates(base[:, -1], added, times[:, -1])
-        return self.model.encode_motion.every_last(before, valid, candidates)
-
-    def _base(self, added: Tensor, lexemes: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
-        """[B, W, K, D_m] what a lexeme's contribution is added to; zeros for lexemes decoded by themselves."""
-        if self.bases is None:
-            return added.new_zeros(*blocks.shape, *added.shape[1:])
-        return self.bases(lexemes, blocks, valid)
 
     def _embed_audio(self, blocks: Tensor, valid: Tensor) -> Tensor:
         vectors = self.model.embed_audio(self._audio[blocks], valid)
@@ -160,29 +136,25 @@ class RewardTable(CorpusRewards):
     def _base_tokens(self, lexemes: Tensor, blocks: Tensor, valid: Tensor, base: Tensor | None) -> Tensor:
         """[B, W, C] the tokens of the blocks without their lexemes; 0 without `bases`."""
         if self.bases is None:
-            return self._tempo.new_zeros(())
-        base = self.bases(lexemes, blocks, valid) if base is None else base
-        return self.model.block_motion(base, base.new_zeros(base.shape[:2]))
+            return self._audio.new_zeros(*blocks.shape, self._audio.shape[-1])
+        return self.model.block_motion(self.bases(lexemes, blocks, valid) if base is None else base)
 
     def _motion_tokens(self, lexemes: Tensor, blocks: Tensor, valid: Tensor, base: Tensor | None = None) -> Tensor:
         """Tokens [B, W, C] of lexemes [B, W] on blocks [B, W], undefined at padding."""
-        if self._added is not None:
-            base = self._base(self._added, lexemes, blocks, valid) if base is None else base
-            return self.model.block_motion(base + self._added[lexemes], self._log_duration[blocks])
         if self._lexemes is not None:
-            return self._lexemes[lexemes] + self._tempo[blocks] + self._base_tokens(lexemes, blocks, valid, base)
+            return self._lexemes[lexemes] + self._base_tokens(lexemes, blocks, valid, base)
         assert self._decode is not None
-        tokens = self._tempo[blocks]
+        tokens = self._audio.new_zeros(*blocks.shape, self._audio.shape[-1])
         lengths = valid.to(torch.int64).sum(1)
         for length in lengths.unique().tolist():  # windows of one length together, without padding
             rows, real = lengths == length, slice(lexemes.shape[1] - length, None)
             if length:
-                motion = self._decode(lexemes[rows, real])
-                tokens[rows, real] = self.model.block_motion(motion, self._log_duration[blocks[rows, real]])
+                tokens[rows, real] = self.model.block_motion(self._decode(lexemes[rows, real]))
         return tokens
 
     def _every_whole(self, history: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
         """Motion vectors [B, S, P] of `every`, from all B * S windows."""
+        # Every window as many times as there are lexemes, each with another one at its end.
         last = torch.arange(self.size, device=history.device).repeat(len(history))[:, None]
         lexemes = torch.cat([history.repeat_interleave(self.size, 0), last], 1)
         valid = valid.repeat_interleave(self.size, 0)
@@ -213,6 +185,7 @@ class EnsembleReward(CorpusRewards):
         return rows.mean(0) - self.caution * rows.std(0)
 
     def rewards(self, lexemes: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
+        # Decoding is the same for all members, so it is done once.
         base = None if self._bases is None else self._bases(lexemes, blocks, valid)
         return self._together([table.rewards(lexemes, blocks, valid, base) for table in self.tables])
 

@@ -11,7 +11,6 @@ from data_module.settings import (
     Depth,
     Natural,
     NotNegative,
-    Positive,
     SettingChoice,
     SettingRange,
     Share,
@@ -24,9 +23,6 @@ from data_module.settings import (
 BEHAVIOURS = ("truth", "sampled", "statistical", "perturbed")
 """Source of a lexeme: the person, the trained interpreter, the frequencies, or the person with random errors."""
 REWARDS = ("contrastive", "distance")
-SCHEMES = ("window", "prefix", "terminal", "difference")
-LEAST_TEMPERATURE = 0.01
-"""Least tau of the contrastive loss; below it a single pair of a batch would dominate the gradient."""
 
 Dropout = Annotated[float, SettingRange(0.0, 0.99)]
 TextBlocks = Annotated[int, SettingRange(1, 3)]
@@ -117,8 +113,6 @@ class GateConfig:
     audio_bottleneck: WidthOrNone = 0
     """Width of a projection of each row of audio before that FC; 0 for none."""
     width: Width = 64
-    dropout: Dropout = 0.1
-    """Dropout of the input and the output of the LSTM."""
 
 
 @dataclass(frozen=True)
@@ -133,31 +127,17 @@ class PlannerConfig:
     """Width of the embedding of each decision."""
     width: Width = 96
     """Width of the GRU."""
-    dropout: Dropout = 0.2
-    past_dropout: Dropout = 0.2
-    """Share of the blocks in training whose past decision is left out, so that the sound counts."""
-
-
-@dataclass(frozen=True)
-class StatisticalConfig:
-    """The statistical interpreter (RG Eq. 24)."""
-
-    gain: NotNegative = 1.0
-    """Multiplies f^I - f_t inside the softmax; 1 is the literal Eq. 24."""
-    condition_on_current: bool = False
-    """Multiply by the transition row of the current lexeme, instead of averaging over all rows."""
 
 
 @dataclass(frozen=True)
 class QConfig:
-    """Sizes of the Q-network and how it learns. The paper: width 768, heads 12, dropout 0.1, decisions 15."""
+    """Sizes of the Q-network and how it learns. The paper: width 768, heads 12, decisions 15."""
 
     width: Width = 128
     """C."""
     heads: Width = 4
     layers: Depth = 4
     """Layers; the paper does not say how many, but more than 3, since its actor-critic splits off the last 3."""
-    dropout: Dropout = 0.1
     decisions: Width = 15
     """T, the pairs of audio and action that a decision attends to: a_0 and 15 decisions are 16 lexemes."""
     audio_features: Width = 64
@@ -166,9 +146,6 @@ class QConfig:
     """Width of a projection of each row of audio before that FC; 0 for none."""
     audio_blocks: TextBlocks = 3
     """Blocks of audio in the input of a decision: 3, with the previous and the next (RG Eq. 17), or 1 (the paper)."""
-    lookahead: Annotated[int, SettingRange(0, 1)] = 1
-    """1: the three blocks of a decision are the previous, the current and the next one; 0: the two previous and the
-    current one, so that a stream need not wait for the next beat."""
     use_speaker: bool = True
     """Use the speaker's one-hot as input of every block."""
     conservative: NotNegative = 0.1
@@ -184,8 +161,6 @@ class QConfig:
     """Steps between two copies of the network to its target."""
     double: bool = True
     """The online network selects the next action and the target values it (Double DQN); else the target does both."""
-    huber: NotNegative = 0.0
-    """Error at which the squared loss becomes linear; 0 for never (the paper)."""
 
 
 @dataclass(frozen=True)
@@ -197,19 +172,12 @@ class CriticConfig:
     heads: Width = 4
     layers: Depth = 2
     """Layers; one block must take less than 3 ms together with the behaviour policy."""
-    dropout: Dropout = 0.1
     decisions: Width = 10
     """Pairs of audio and lexeme that a decision attends to: a little more than the window of a reward."""
     audio_features: Width = 32
     """Width of the FC on three blocks of audio, for each of the K frames."""
     audio_bottleneck: WidthOrNone = 32
     """Width of a projection of each row of audio before that FC; 0 for none."""
-    critics: Width = 2
-    """J; the least of their advantages is used."""
-    value: NotNegative = 0.3
-    """Weight of the error of the state's value, which does not affect the choice."""
-    gamma: Share = 0.9
-    """Discount per block. A lexeme affects the rewards of `reward.window` blocks."""
     states: Count = 24_000
     """Decisions of the episodes for which the rewards of all lexemes are computed."""
     swaps: Count = 6
@@ -217,9 +185,8 @@ class CriticConfig:
 
     @property
     def network(self) -> QConfig:
-        return QConfig(width=self.width, heads=self.heads, layers=self.layers, dropout=self.dropout,
-                       decisions=self.decisions, audio_features=self.audio_features,
-                       audio_bottleneck=self.audio_bottleneck)
+        return QConfig(width=self.width, heads=self.heads, layers=self.layers, decisions=self.decisions,
+                       audio_features=self.audio_features, audio_bottleneck=self.audio_bottleneck)
 
 
 @dataclass(frozen=True)
@@ -234,21 +201,10 @@ class RewardConfig:
     """Taps of a convolution, in blocks."""
     dilations: Widths = (1, 2, 4)
     """One residual layer each; together with the kernel they reach 15 blocks, more than `longest`."""
-    dropout: Dropout = 0.1
-    temperature: Positive = 0.07
-    """Initial tau of RACER Eq. 7; it is learned and never falls below 0.01."""
     window: Width = 8
     """W, the blocks that a reward depends on, including the current one."""
-    shortest: Width = 2
-    """Blocks of the shortest training window, for the first blocks of a recording."""
     longest: Width = 12
     """Blocks of the longest training window."""
-    tempo: bool = False
-    """Make the duration of each block an input of the motion side. The audio side has it too, so durations alone then
-    identify 9 pairs in 10, and a policy cannot change them."""
-    speeds: bool = False
-    """Give the motion encoder also how fast each dimension moves (`RewardModel.speeds`). The paper's encoder sees poses
-    alone, of which speed is no linear function; yet speed is what follows the voice most."""
     rivals: Natural = 4
     """H, additional negatives of each decoded window: the window with some of its last lexemes replaced. Without them
     a single lexeme hardly changes the reward, and not towards the right one."""
@@ -262,15 +218,10 @@ class RewardConfig:
     """c: the reward is the members' mean less c times their standard deviation."""
     centred: bool = False
     """Subtract the reward of a motion under the mean audio: m . (u - mean u). The paper does not."""
-    decoded: Share = 0.5
-    """Share of the motion blocks in training that are decoded from the lexicon instead of captured. The policy's motion
-    is always decoded; without decoded motion in training the reward would detect decoding artefacts."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.shortest <= self.window <= self.longest:
-            raise ValueError("windows need 1 <= shortest <= window <= longest")
-        if self.temperature < LEAST_TEMPERATURE or not 0 <= self.decoded <= 1 or self.kernel < 1:
-            raise ValueError(f"temperature must be at least {LEAST_TEMPERATURE}, decoded a share, kernel positive")
+        if self.window > self.longest:
+            raise ValueError("windows need window <= longest")
 
 
 @dataclass(frozen=True)
@@ -286,12 +237,6 @@ class EpisodeConfig:
     """Share of roll-outs of the statistical interpreter."""
     perturbed: Share = 0.10
     """Share of recordings with some lexemes replaced."""
-    replace: Share = 0.2
-    """Probability that a lexeme is replaced in the perturbed share."""
-    nearest: Count = 3
-    """Half of the replacements are among this many nearest lexemes, the other half among all."""
-    temperature: NotNegative = 1.0
-    """Temperature of the roll-outs: lexemes are sampled from softmax(scores / temperature); 0 takes the best."""
     prefix: Count = 8
     """Recorded lexemes before another behaviour takes over."""
     reward: Annotated[str, SettingChoice(REWARDS)] = "contrastive"
@@ -299,21 +244,11 @@ class EpisodeConfig:
     baseline: Natural = 8
     """Random sequences of lexemes whose mean reward on the same audio is subtracted from the contrastive reward; 0 for
     none (the paper). It changes no choice, but the Q-network need not learn the effect of the audio alone."""
-    scheme: Annotated[str, SettingChoice(SCHEMES)] = "window"
-    """Reward of a step: "window" that of the trailing blocks; "prefix" that of all blocks since the start of the
-    stretch; "terminal" that of the whole stretch, at its end; "difference" the change of the prefix by the step."""
-    stretch: Count = 15
-    """Decisions in a stretch, for all schemes except "window". Training windows are then the stretches."""
-    cloned: Share = 0.0
-    """Weight of CQL's data term on actions other than the recorded ones, which have weight 1."""
 
     def __post_init__(self) -> None:
         check(self, "episodes")
         if abs(sum(self.shares.values()) - 1) > 1e-6:
             raise InputError("episodes", f"has shares {self.shares}", "give four that are not negative and sum to 1")
-        if self.reward == "distance" and self.scheme != "window":
-            raise InputError("episodes.scheme", f"is {self.scheme!r}",
-                             "choose 'window', because a distance belongs to one block")
 
     @property
     def shares(self) -> dict[str, float]:

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from interpreters.base import BlockFeatures, InterpreterDefaults, InterpreterParts, Need, Scores
-from interpreters.settings import StatisticalConfig
 
 __all__ = ["StatisticalInterpreter"]
 
@@ -28,16 +27,15 @@ class StatisticalInterpreter(InterpreterDefaults):
 
     name = "statistical"
 
-    def __init__(self, frequencies: Array, transitions: Array, config: StatisticalConfig | None = None) -> None:
+    def __init__(self, frequencies: Array, transitions: Array) -> None:
         """frequencies: [speakers, S] f^I; transitions: [S, S] L, rows from, each summing to 1."""
         if not np.allclose(transitions.sum(1), 1.0, atol=1e-3):
             raise ValueError("the rows of the transition matrix must sum to 1")
         self.frequencies, self.transitions = frequencies, transitions
-        self.config = config or StatisticalConfig()
 
     @classmethod
     def open(cls, parts: InterpreterParts) -> StatisticalInterpreter:
-        return cls(parts.frequencies, parts.transitions, parts.settings)
+        return cls(parts.frequencies, parts.transitions)
 
     @property
     def needs(self) -> frozenset[Need]:
@@ -46,23 +44,22 @@ class StatisticalInterpreter(InterpreterDefaults):
     def start(self, speaker: int, first_lexeme: int) -> StatisticalState:
         return StatisticalState(np.zeros(len(self.transitions)), self.frequencies[speaker])
 
-    def distribution(self, state: StatisticalState, current: int) -> Array:
+    def distribution(self, state: StatisticalState) -> Array:
         """[S] probabilities of the next lexeme."""
+        # Before the first lexeme there is nothing to divide by.
         frequencies = state.counts / max(state.counts.sum(), 1.0)
-        lift = self.config.gain * (state.target - frequencies)
+        lift = state.target - frequencies
         # Less the maximum, so that exp cannot overflow; the softmax is the same.
         weights = np.exp(lift - lift.max())
         weights /= weights.sum()
-        if self.config.condition_on_current:
-            out = weights * self.transitions[current]
-            return out / out.sum()
         return weights @ self.transitions
 
     def step(self, state: StatisticalState, features: BlockFeatures, previous_lexeme: int
              ) -> tuple[Scores, StatisticalState]:
         """Log-probabilities [S], independent of the speech. `previous_lexeme` is added to the counts."""
+        # A copy: states are values, which a variation of a block may go back to.
         counts = state.counts.copy()
         counts[previous_lexeme] += 1
         after = StatisticalState(counts, state.target)
         # Clamped: log 0 would be -inf, and differences of scores NaN.
-        return np.log(np.maximum(self.distribution(after, previous_lexeme), 1e-300)), after
+        return np.log(np.maximum(self.distribution(after), 1e-300)), after

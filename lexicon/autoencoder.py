@@ -28,13 +28,13 @@ class Lexicon(nn.Module):
         widths, code = config.widths, config.code_width
         self.convolve = convolutions((motion_width, *widths), KERNEL)
         self.to_code = nn.Linear(widths[-1] * frames, code)
-        self.quantizer = Quantizer(config.size, code, config.codebook, revive_below=config.revive_below)
+        self.quantizer = Quantizer(config.size, code, config.revive_below)
         self.from_code = nn.Linear(code, widths[-1] * frames)
         self.deconvolve = convolutions((*reversed(widths), motion_width), KERNEL, last_linear=True)
 
     @property
     def weights(self) -> dict[str, float]:
-        return {"reconstruction": 1.0, "commitment": self.config.commitment, "codebook": 1.0}
+        return {"reconstruction": 1.0, "commitment": self.config.commitment}
 
     @property
     def vectors(self) -> Tensor:
@@ -86,13 +86,12 @@ class Lexicon(nn.Module):
         Before `warm_up` of the run (progress, 0 to 1) the decoder gets the latents unquantised."""
         motion, mask = batch["motion"], batch["mask"][:, None]
         latents = self.encode(motion)
-        zero = latents.new_zeros(())
         if progress < self.config.warm_up:
             # A plain autoencoder, until k-means places the codes on latents that mean something (`start_codebook`).
-            codes, commitment, codebook = latents, zero, zero
+            codes, commitment = latents, latents.new_zeros(())
         else:
             quantised = self.quantizer(latents)
-            codes, commitment, codebook = quantised.codes, quantised.commitment, quantised.codebook
+            codes, commitment = quantised.codes, quantised.commitment
         # Differences are linear, so the error of a velocity is the difference of the errors.
         error = self.decode(codes) - motion
-        return {"reconstruction": masked_mean(error.pow(2), mask), "commitment": commitment, "codebook": codebook}
+        return {"reconstruction": masked_mean(error.pow(2), mask), "commitment": commitment}

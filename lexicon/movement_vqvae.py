@@ -5,7 +5,7 @@ variance (`lexicon.movement`), x = w y:
 
     e = E(x)        s = the nearest of S lexemes        x' = D(e + sg(s - e))
 
-    |x - x'|^2 + commitment |e - sg(s)|^2 (+ codebook_weight |sg(e) - s|^2 if `codebook` is "gradient")
+    |x - x'|^2 + commitment |e - sg(s)|^2
 
 as in RG Eq. 3, over movements instead of poses. E and D are each a linear map plus a network that starts at zero, so
 training begins as a linear autoencoder. K-means places the lexemes after `warm_up`. D(s) is the movement of a lexeme:
@@ -35,13 +35,13 @@ class MovementLearner(nn.Module):
         super().__init__()
         c = lexicon.config
         self.lexicon = lexicon
-        self.quantizer = Quantizer(c.size, c.code_width, c.codebook, revive_below=c.revive_below)
+        self.quantizer = Quantizer(c.size, c.code_width, c.revive_below)
 
     @property
     def weights(self) -> dict[str, float]:
         """Keyed like `losses`."""
         c = self.lexicon.config
-        return {"reconstruction": 1.0, "commitment": c.commitment, "codebook": 1.0}
+        return {"reconstruction": 1.0, "commitment": c.commitment}
 
     def losses(self, batch: dict[str, Tensor], progress: float) -> dict[str, Tensor]:
         """Sums over the dimensions, means over the blocks. batch: coefficients [B, n], known [B, n] 1 for those of the
@@ -49,15 +49,14 @@ class MovementLearner(nn.Module):
         unquantised."""
         lexicon, width = self.lexicon, self.lexicon.config.code_width
         latents = lexicon.latents(batch["coefficients"])
-        codes, commitment, codebook = latents, latents.new_zeros(()), latents.new_zeros(())
+        codes, commitment = latents, latents.new_zeros(())
         if progress >= lexicon.config.warm_up:
             quantised = self.quantizer(latents)
-            codes, commitment, codebook = quantised.codes, quantised.commitment, quantised.codebook
+            codes, commitment = quantised.codes, quantised.commitment
         # In the units of x = w y; the mask leaves out parts that the source does not have.
         error = (lexicon.decode(codes) - batch["coefficients"]) * lexicon.basis.weight * batch["known"]
         # The quantiser's terms are means over dimensions; times D_s they are sums, like the first one.
-        return {"reconstruction": error.pow(2).sum(-1).mean(), "commitment": commitment * width,
-                "codebook": codebook * width}
+        return {"reconstruction": error.pow(2).sum(-1).mean(), "commitment": commitment * width}
 
     @torch.no_grad()
     def start_codebook(self, coefficients: Tensor, seed: int) -> None:

@@ -11,43 +11,40 @@ from data_module.layers import full_precision
 
 __all__ = ["Quantised", "Quantizer"]
 
+DECAY = 0.99
+"""Of the moving averages, per step: they cover about a hundred batches."""
+_SMOOTHING = 1e-5
+"""Added to the count of each vector, relative to the mean of all."""
+
 
 @dataclass(frozen=True)
 class Quantised:
     """The quantisation of latents [B, D]. codes: [B, D] codebook vectors whose gradient is passed to the latents
-    unaltered. labels: [B]. commitment: mean |E(M) - sg(s)|^2. codebook: mean |sg(E(M)) - s|^2 (zero with an EMA
-    codebook)."""
+    unaltered. labels: [B]. commitment: mean |E(M) - sg(s)|^2."""
 
     codes: Tensor
     labels: Tensor
     commitment: Tensor
-    codebook: Tensor
 
 
 class Quantizer(nn.Module):
     """A codebook of `size` vectors of `width`.
 
-    mode "ema": the vectors follow the moving average of the latents assigned to them, and a vector whose moving count
-    falls below `revive_below` is replaced by a random latent of the batch. mode "gradient": the third term of RG Eq. 3
-    moves them. Labels are arg min of the Euclidean distance (RG Eq. 4), always.
+    In training the vectors follow the moving average of the latents assigned to them, where the third term of RG Eq. 3
+    would lead them, and a vector whose moving count falls below `revive_below` is replaced by a random latent of the
+    batch. Labels are arg min of the Euclidean distance (RG Eq. 4).
     """
 
     vectors: Tensor
     counts: Tensor
     sums: Tensor
 
-    def __init__(self, size: int, width: int, mode: str = "ema", decay: float = 0.99, eps: float = 1e-5,
-                 revive_below: float = 1.0) -> None:
+    def __init__(self, size: int, width: int, revive_below: float = 1.0) -> None:
         super().__init__()
-        if mode not in ("ema", "gradient"):
-            raise ValueError(f"codebook mode must be ema or gradient, not {mode!r}")
-        self.mode, self.decay, self.eps, self.revive_below = mode, decay, eps, revive_below
+        self.revive_below = revive_below
         # Vectors of length 1 on average, whatever the width.
         start = torch.randn(size, width) / width**0.5
-        if mode == "gradient":
-            self.vectors = nn.Parameter(start)
-        else:
-            self.register_buffer("vectors", start)
+        self.register_buffer("vectors", start)
         self.register_buffer("counts", torch.ones(size))
         self.register_buffer("sums", start.clone())
 
@@ -90,16 +87,11 @@ class Quantizer(nn.Module):
         labels = full_precision(self.labels)(latents)
         chosen = self.vectors[labels]
         commitment = (latents - chosen.detach()).pow(2).mean()
-        if self.mode == "gradient":
-            codebook = (latents.detach() - chosen).pow(2).mean()
-        else:
-            # No gradient is needed: that term of a vector is least at the average of its latents.
-            codebook = commitment.new_zeros(())
         # Straight-through: the value is the chosen vector, the gradient that of the latents.
         codes = latents + (chosen - latents).detach()
-        if self.training and self.mode == "ema":
+        if self.training:
             full_precision(self._follow)(latents.detach(), labels)
-        return Quantised(codes, labels, commitment, codebook)
+        return Quantised(codes, labels, commitment)
 
     @torch.no_grad()
     def _follow(self, latents: Tensor, labels: Tensor) -> None:
@@ -109,11 +101,11 @@ class Quantizer(nn.Module):
             # The codebook is not moved by gradients, so DistributedDataParallel does not add up the processes' rows.
             for part in (counts, sums):
                 torch.distributed.all_reduce(part)
-        self.counts.mul_(self.decay).add_(counts, alpha=1 - self.decay)
-        self.sums.mul_(self.decay).add_(sums, alpha=1 - self.decay)
+        self.counts.mul_(DECAY).add_(counts, alpha=1 - DECAY)
+        self.sums.mul_(DECAY).add_(sums, alpha=1 - DECAY)
         # Laplace smoothing keeps a rarely used vector from dividing by nearly zero.
         total = self.counts.sum()
-        smoothed = (self.counts + self.eps) / (total + self.size * self.eps) * total
+        smoothed = (self.counts + _SMOOTHING) / (total + self.size * _SMOOTHING) * total
         self.vectors.copy_(self.sums / smoothed[:, None])
         dead = torch.nonzero(self.counts < self.revive_below).flatten()
         if len(dead):

@@ -13,8 +13,8 @@ This is the table that RACER's authors published (the paper has none), at C = 51
 - Its input has J x 3 channels where the paper's motion is [T, J]: J joints of three numbers there, D_m numbers here.
 - There is no activation between a stride-2 layer and the block after it, before the codebook or at the end, and no
   normalisation; none was added. The decoder ends in its last TransConv.
-- The update of the codebook is not described beyond Eq. 4, whose second term is `codebook="gradient"`. The default is
-  the moving average of the latents, with revival of dead codes.
+- The update of the codebook is not described beyond Eq. 4. Its second term is replaced by the moving average of the
+  latents, where that term would lead, with revival of dead codes.
 
 The receptive field of a code is much larger than 8 frames: code i depends on frames 8i - 197 to 8i + 204, and affects
 as many decoded ones. Recordings should therefore be encoded whole; a code decoded alone only approximates its motion.
@@ -34,6 +34,8 @@ __all__ = ["RacerCodec"]
 _LONG = 65
 """Codes of stillness, enough that the receptive field of the middle one does not reach the ends."""
 
+DILATIONS = (1, 3, 9)
+"""Of the residual blocks of a stage, in the encoder's order."""
 COMMITMENT = 0.1
 """beta of RACER Eq. 4."""
 
@@ -50,20 +52,20 @@ class ResidualBlock(nn.Module):
         return x + self.change(x)
 
 
-def encoder_layers(motion_width: int, width: int, dilations: tuple[int, ...]) -> nn.Sequential:
+def encoder_layers(motion_width: int, width: int) -> nn.Sequential:
     """The encoder's column of the table: [B, D_m, T] to [B, C, T / 8]."""
     layers: list[nn.Module] = []
     for stage in range(HALVINGS):
         layers.append(nn.Conv1d(width if stage else motion_width, width, 4, stride=2, padding=1))
-        layers += [ResidualBlock(width, dilation) for dilation in dilations]
+        layers += [ResidualBlock(width, dilation) for dilation in DILATIONS]
     return nn.Sequential(*layers, nn.Conv1d(width, width, 3, padding=1))
 
 
-def decoder_layers(motion_width: int, width: int, dilations: tuple[int, ...]) -> nn.Sequential:
+def decoder_layers(motion_width: int, width: int) -> nn.Sequential:
     """The decoder's column of the table: [B, C, T / 8] to [B, D_m, T]."""
     layers: list[nn.Module] = [nn.Conv1d(width, width, 3, padding=1)]
     for stage in range(HALVINGS):
-        layers += [ResidualBlock(width, dilation) for dilation in reversed(dilations)]
+        layers += [ResidualBlock(width, dilation) for dilation in reversed(DILATIONS)]
         # Only the last layer leaves the width C.
         out = motion_width if stage == HALVINGS - 1 else width
         layers.append(nn.ConvTranspose1d(width, out, 4, stride=2, padding=1))
@@ -80,16 +82,14 @@ class RacerCodec(nn.Module):
         super().__init__()
         self.register_buffer("present", torch.ones(motion_width) if present is None else present, persistent=False)
         self.config, self.frames, self.motion_width = config, FRAMES, motion_width
-        self.encoder = encoder_layers(motion_width, config.width, config.dilations)
-        self.quantizer = Quantizer(config.size, config.width, config.codebook, config.decay,
-                                   revive_below=config.revive_below)
-        self.decoder = decoder_layers(motion_width, config.width, config.dilations)
+        self.encoder = encoder_layers(motion_width, config.width)
+        self.quantizer = Quantizer(config.size, config.width, config.revive_below)
+        self.decoder = decoder_layers(motion_width, config.width)
 
     @property
     def weights(self) -> dict[str, float]:
         """Loss weights of RACER Eq. 4 and 5, keyed like `losses`."""
-        return {"reconstruction": 1.0, "velocity": 1.0, "acceleration": 1.0, "commitment": COMMITMENT,
-                "codebook": 1.0}
+        return {"reconstruction": 1.0, "velocity": 1.0, "acceleration": 1.0, "commitment": COMMITMENT}
 
     @property
     def vectors(self) -> Tensor:
@@ -152,5 +152,4 @@ class RacerCodec(nn.Module):
             "velocity": masked_mean(velocity.abs(), mask),
             "acceleration": masked_mean(torch.diff(velocity, dim=1).abs(), mask),
             "commitment": quantised.commitment,
-            "codebook": quantised.codebook,
         }

@@ -14,7 +14,6 @@ HALVINGS = 3
 FRAMES = 2**HALVINGS
 """Frames per code of RACER's codec."""
 
-Codebook = Annotated[str, SettingChoice(("ema", "gradient"))]
 
 
 @dataclass(frozen=True)
@@ -40,8 +39,6 @@ class LexiconConfig:
     """Channels of the four convolutions."""
     hidden: Width = 256
     """Units of the hidden layers of the VQ-VAE over movements, which has no convolutions."""
-    codebook: Codebook = "ema"
-    """"ema", or "gradient" for the literal third term of Eq. 3."""
     revive_below: NotNegative = 1.0
     """A lexeme used less often than this per batch, on average, is revived."""
     commitment: NotNegative = 1.0
@@ -63,11 +60,5 @@ class RacerConfig:
     """C, channels of every layer and width of a code."""
     size: Width = 512
     """N, codes in the codebook."""
-    dilations: Widths = (1, 3, 9)
-    """Dilations of the residual blocks of a stage, in the encoder's order; the decoder reverses them."""
-    codebook: Codebook = "ema"
-    """"ema", or "gradient" for the literal second term of Eq. 4."""
-    decay: Share = 0.99
-    """Decay of the moving average of a code, per step."""
     revive_below: NotNegative = 1.0
     """A code used less often than this per batch (64 x 15 codes in the paper), on average, is revived."""

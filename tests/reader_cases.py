@@ -551,8 +551,7 @@ def _report(name: str) -> Callable[[Path], Path]:
         text = (folder / "claims.json").read_text().replace('"facts": {', '"facts": {"count": {"holds": 3}, ', 1)
         (folder / "claims.json").write_text(text)
         (folder / "ablation" / "figures.json").write_text(json.dumps({"figure-1": {
-            "figure": "RG Fig. 18", "title": "a", "caption": "b", "numbers": {"size-10": {"fgd": 1.5}, "x": [1, 2]}}}))
-        (folder / "limits.md").write_text("# Limits\n\nIt was made by rule, see [the corpus](corpus.md).\n")
+            "figure": "RG Fig. 18", "title": "a", "caption": "b"}}))
         return folder / name
 
     return write
@@ -562,7 +561,7 @@ def _read_report(file: Path) -> object:
     from eval.report import document
 
     folder = file.parents[file.parent.name == "ablation"]
-    return document(folder, folder / "out", "Results")
+    return document(folder, folder / "out")
 
 
 def _read_words_of_a_command(file: Path) -> object:
@@ -617,9 +616,6 @@ def _read_token(file: Path) -> object:
     return read_token(Namespace(token_file=file, no_token=False, host="0.0.0.0"))
 
 
-_TABLE = {"tables": [{"title": "T", "columns": ["a"], "rows": [["b", 1.5]]}]}
-
-
 def _results(folder: Path) -> Path:
     from test_table import ABOUT, TABLE
 
@@ -655,7 +651,7 @@ READERS: dict[str, Case] = {
     **{f"transcript of {name}": Case(_written(f"a{suffix}", write(MARKED)), lambda file: read_transcript(file, _SPEECH),
                                      examples=0.3)
        for name, (suffix, write) in recogniser_samples.FILES.items()},
-    "control curve": Case(_written("a.csv", "# from a tool\ntime;height;speed\n0;0,1;0,3\n1,5;0,2;0,4\n"),
+    "control curve": Case(_written("a.csv", "time,height,speed\n0,0.1,0.3\n1.5,0.2,0.4\n"),
                           lambda file: [read_curve(file, feature) for feature in FEATURES[:2]]),
     "store, listing": Case(_store("store.json"), _read_store),
     "store, edited listing": Case(_store("store.json"), _read_store, packed=_with_fingerprint),
@@ -694,7 +690,7 @@ READERS: dict[str, Case] = {
     "weights of the lips": Case(_lips, _read_lips),
     "table of results": Case(_results, _read_tables),
     **{f"report, {name}": Case(_report(name), _read_report) for name in (
-        "claims.json", "ablation/figures.json", "limits.md")},
+        "claims.json", "ablation/figures.json")},
     "words of a command": Case(_written("a.txt", "\n".join((
         "127.0.0.1:39539", "2/8", "hello:2=wave", "width=30", "a=1..9:log", "7", "1.5", "3.2-5.0", "3, 7,9", "2"))),
                                _read_words_of_a_command, examples=2.0),
@@ -782,5 +778,3 @@ _SHARE = st.floats(0, 1, exclude_max=True)
 def damages(draw: st.DrawFn) -> list[tuple[Callable[..., None], float, float, int]]:
     one = st.tuples(st.sampled_from(DAMAGE), _SHARE, _SHARE, st.integers(0, 15))
     return draw(st.lists(one, min_size=1, max_size=4))
-
-

@@ -18,7 +18,7 @@ import pytest
 import soundfile
 
 from data_module.errors import InputError
-from gesticulator import batch, infer
+from gesticulator import infer
 from gesticulator import manifest as manifests
 from gesticulator.batch import BatchTask, TaskOutcome, done_here, parse_shard, run_batch, sharded
 from gesticulator.manifest import DONE, FAILED, Manifest, ManifestRow, merged, read_manifest, write_manifest
@@ -121,21 +121,6 @@ def test_manifests_of_shards_are_joined_and_shown(tmp_path: Path, capsys: pytest
 
 
 # ------------------------------------------------------------------------------------------- what is read before
-
-def test_a_folder_that_answers_late_is_asked_for_many_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    together = threading.Barrier(batch.READERS, timeout=30)
-
-    def late(path: Path) -> str:
-        together.wait()  # until as many ask: one after the other they would wait in vain
-        return path.name
-
-    monkeypatch.setattr(batch, "file_hash", late)
-    tasks = [task(number) for number in range(4 * batch.READERS)]
-    run_batch(tasks, tmp_path / "m.jsonl", lambda numbers: iter([TaskOutcome(n, 1.0, "", 1.0, "") for n in numbers]),
-              quiet=True)
-    rows = read_manifest(tmp_path / "m.jsonl")
-    assert len(rows) == len(tasks) and all(row.sha256 == Path(name).name for name, row in rows.items())
-
 
 # ------------------------------------------------------------------------------------------- what is done again
 

@@ -93,18 +93,6 @@ def test_what_a_bundle_has_not_is_not_there_after_reading(lacking: tuple[str, ..
         assert (getattr(read, name) is None) == (name in lacking), name
 
 
-def test_dimensions_that_the_data_never_moved_are_known_after_reading(tmp_path: Path) -> None:
-    plain = untrained(*PLAIN)
-    bounds = plain.statistics.bounds.copy()
-    bounds[:, 40:] = 0.0
-    bundles.save(dataclasses.replace(plain, statistics=dataclasses.replace(plain.statistics, bounds=bounds)),
-                 tmp_path / "b", "a card")
-    read = bundles.load(tmp_path / "b")
-    made = read.lexicon.decode(read.lexicon.vectors)
-    assert (made[..., 40:] == 0).all() and (made[..., :40] != 0).any()
-    assert read.generator.present.tolist() == [1.0] * 40 + [0.0] * 8
-
-
 def test_a_bundle_replaces_an_older_one_whole(whole: Path, tmp_path: Path) -> None:
     copy = copy_of(whole, tmp_path)
     bundles.save(untrained(*PLAIN), copy, "another card")
@@ -173,14 +161,6 @@ def test_broken_and_foreign_bundles_are_refused_by_name(whole: Path, tmp_path: P
         bundles.load(tmp_path)
 
 
-@pytest.mark.parametrize("text", [None, {"encoder": "minilm", "width": 17}, {"encoder": "minilm"}])
-def test_an_interpreter_that_reads_needs_to_know_what(text: object, whole: Path, tmp_path: Path) -> None:
-    copy = copy_of(whole, tmp_path)
-    edit(copy, text=text)
-    with pytest.raises(InputError, match=r"lexeme_interpreter_text.*does not fit the settings|under text"):
-        _ = bundles.load(copy).interpreter_text
-
-
 def test_a_trained_bundle_is_the_same_after_a_round_trip(tiny_bundle: Path, tmp_path: Path) -> None:
     one = bundles.load(tiny_bundle)
     bundles.save(one, tmp_path / "again", (tiny_bundle / CARD).read_text())
@@ -205,15 +185,6 @@ def rehashed(folder: Path, name: str, tensors: dict[str, torch.Tensor]) -> None:
     save_file(tensors, folder / name)
     files = json.loads((folder / "bundle.json").read_text())["files"]
     edit(folder, files={**files, name: hashlib.sha256((folder / name).read_bytes()).hexdigest()})
-
-
-def test_a_missing_key_is_named(small: Path, tmp_path: Path) -> None:
-    copy = copy_of(small, tmp_path)
-    index = json.loads((copy / "bundle.json").read_text())
-    for key in ("config", "speakers", "files", "audio_levels"):
-        (copy / "bundle.json").write_text(json.dumps({k: v for k, v in index.items() if k != key}))
-        with pytest.raises(InputError, match=f"lacks {key}"):
-            bundles.load(copy)
 
 
 def test_sizes_that_the_weights_do_not_have_are_refused_before_memory_is_taken(small: Path, tmp_path: Path) -> None:

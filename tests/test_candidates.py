@@ -10,9 +10,7 @@ import pytest
 import soundfile
 
 from data_module.motion.kinematics import positions_of_some
-from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Speech
-from eval.baselines import controls as baselines
 from eval.renderings import ListeningGesticulator
 from gesticulator.bundle.bundle import SHIPPED, Bundle, load
 from gesticulator.bundle.config import with_settings
@@ -29,7 +27,6 @@ from gesticulator.sampling.candidates import (
     retimings,
     slow_enough,
 )
-from gesticulator.sampling.cutter import encode_speech
 from tests.untrained import MOVING, PLAIN, untrained
 
 SHOULDERS = np.array([[-0.17, 0.6, 0.0], [0.17, 0.6, 0.0]])
@@ -253,15 +250,6 @@ def test_candidates_share_their_arms_but_where_controls_ask_for_a_choice(
     assert (np.abs(arms - other_arms).max() < 0.01) == alike
 
 
-def test_where_an_arm_is_before_the_face_other_ways_of_the_arms_are_sampled_too(monkeypatch: pytest.MonkeyPatch
-                                                                                 ) -> None:
-    """After the four candidates and their calmer twins come those with the arms of the second."""
-    monkeypatch.setattr(CandidateChooser, "before_face", lambda *_: True)
-    first, calm, other, twin = (first_block(monkeypatch, chosen)[1] for chosen in (0, 4, 8, 9))
-    assert np.abs(first - other).max() > 0.05 and np.abs(calm - other).max() > 0.05
-    assert np.abs(other - twin).max() < 0.2 * np.abs(other - first).max()
-
-
 def test_more_reach_takes_the_hands_farther_from_the_body() -> None:
     bundle = load(SHIPPED)
     sound, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32")
@@ -274,19 +262,3 @@ def test_more_reach_takes_the_hands_farther_from_the_body() -> None:
         return float(np.linalg.norm((places[:, :2] - places[:, 2:])[..., [0, 2]], axis=-1).mean())
 
     assert reached(2.0) > reached(-2.0) + 0.01
-
-
-def test_every_onset_belongs_to_the_blocks_it_lies_in(bundle: Bundle) -> None:
-    time = np.arange(6 * RATE) / RATE
-    noise = np.random.default_rng(1).normal(size=len(time))
-    speech = Speech((0.2 * noise * np.maximum(np.sin(2 * np.pi * 2.7 * time), 0.02)).astype(np.float32), RATE)
-    encoded = encode_speech(speech, bundle.config)
-    edges, onsets = encoded.blocks.edges, detect_onsets(speech.samples, RATE, merge=0.0)
-    assert len(onsets) > 10 and encoded.onsets is not None
-    for i, own in enumerate(encoded.onsets):
-        expected = onsets[(onsets > edges[i] - 1e-6) & (onsets < edges[i + 1] + 1e-6)]
-        np.testing.assert_allclose(own, expected, atol=1e-9)
-    late = baselines.rolled(encoded, 5)
-    assert late.onsets is not None
-    share = (encoded.onsets[2] - edges[2]) / (edges[3] - edges[2])
-    np.testing.assert_allclose((late.onsets[7] - edges[7]) / (edges[8] - edges[7]), share)

@@ -19,7 +19,7 @@ from eval.metrics.eye.body import common_body
 from eval.metrics.eye.trunk import elbow_behind, fastest_elbow
 from gesticulator import Gesticulator
 from gesticulator.body.clips import mirrored_motion
-from gesticulator.contacts.columns import trunk_distances
+from gesticulator.contacts.columns import TRUNK
 from gesticulator.contacts.default_body import (
     HEAD_RADIUS,
     HEM,
@@ -83,9 +83,9 @@ def test_a_shirt_hangs_over_hips_that_are_wider_than_the_trunk() -> None:
 def test_a_hand_that_goes_through_the_trunk_passes_in_front_of_it() -> None:
     time = np.arange(120) / FPS
     motion = reaching(1.2 + 0.9 * np.sin(2 * np.pi * time), np.full(120, 1.9))
-    before, free = trunk_distances(pose_of(motion))["Left"], cleared(motion)
+    before, free = TRUNK.distances(pose_of(motion))["Left"], cleared(motion)
     assert before.min() < -0.05, "it does go through"
-    assert trunk_distances(pose_of(free))["Left"].min() > 0.0
+    assert TRUNK.distances(pose_of(free))["Left"].min() > 0.0
     hand = FINGERED.index("LeftHand")
     speeds = [np.linalg.norm(np.diff(positions_of(one)[:, hand], axis=0), axis=1) * FPS for one in (motion, free)]
     assert speeds[1].max() < 2.0 * speeds[0].max(), "no jump"
@@ -143,7 +143,7 @@ def test_an_elbow_behind_the_back_swings_outward_and_the_hand_stays() -> None:
     moved = np.linalg.norm(after[:, elbow] - before[:, elbow], axis=1)
     steps = [np.linalg.norm(np.diff(places[:, elbow], axis=0), axis=1).max() for places in (before, after)]
     assert moved.max() > 0.03 and steps[1] < 2.5 * steps[0], "no jump"
-    alone = trunk_distances(pose_of(motion))["Left"] > 0.08  # frames in which the hand is clear
+    alone = TRUNK.distances(pose_of(motion))["Left"] > 0.08  # frames in which the hand is clear
     assert alone.any()
     np.testing.assert_allclose(after[alone][:, hand], before[alone][:, hand], atol=1e-6)
     turns = [rotation.from_exponential_map(np.zeros(3))]
@@ -166,7 +166,7 @@ def test_a_hand_folded_to_its_shoulder_takes_its_knuckles_out_of_the_trunk_by_th
     turns[:, FINGERED.index("LeftHand")] = rotation.from_exponential_map(share[:, None] * [0.0, 0.7, -1.6])
     motion = Motion(FINGERED, turns, np.zeros((60, 3)), FPS)
     free = cleared(motion)
-    before, after = (trunk_distances(pose_of(one))["Left"] for one in (motion, free))
+    before, after = (TRUNK.distances(pose_of(one))["Left"] for one in (motion, free))
     assert before.min() < -0.015 and after.min() > -0.01
     places = [positions_of(one) for one in (motion, free)]
     for joint in ("LeftForeArm", "LeftHand"):
@@ -188,7 +188,7 @@ def test_no_hand_is_in_the_trunk_and_no_elbow_behind_it_at_any_knob(knobs: dict,
     samples, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32",
                                    frames=160_000)
     motion = system(samples, rate, seed=1, **knobs).motion
-    for gap in trunk_distances(pose_of(replace(motion, root_positions=np.zeros_like(motion.root_positions)))).values():
+    for gap in TRUNK.distances(pose_of(replace(motion, root_positions=np.zeros_like(motion.root_positions)))).values():
         assert gap.min() > -0.01
     body = common_body(motion)
     assert max(elbow_behind(body, side) for side in ("Left", "Right")) <= 1.0

@@ -9,18 +9,19 @@ from scipy.spatial.transform import Rotation
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion
-from gesticulator.contacts.columns import Trunk, plain_trunk
+from gesticulator.contacts.columns import Column
 from gesticulator.contacts.limbs import pose_of
 
 WIDTH, DEPTH, HEIGHT = 0.2, 0.1, 0.5
+COLUMN = Column(np.array([0.0, 1.0]), np.full(2, WIDTH), np.full(2, DEPTH))
 COUNT = 2000
 
 
-def measured(points: Array, trunk: Trunk | None = None, turn: Rotation | None = None) -> tuple[Array, Array]:
+def measured(points: Array, turn: Rotation | None = None) -> tuple[Array, Array]:
     """Distance [T] and way out [T, 3] of points from a column of HEIGHT over the origin, the whole turned."""
     turned, count = turn or Rotation.identity(), len(points)
     neck = np.tile(turned.apply([0.0, HEIGHT, 0.0]), (count, 1))
-    gap, out = (trunk or plain_trunk(WIDTH, DEPTH)).distance(
+    gap, out = COLUMN.distance(
         turned.apply(points), np.zeros((count, 3)), neck, np.tile(turned.as_matrix(), (count, 1, 1)))
     return gap, turned.inv().apply(out)
 
@@ -44,12 +45,6 @@ def test_the_surface_is_an_ellipse_however_the_trunk_is_turned(turn: Rotation | 
         np.testing.assert_allclose(gap, (scale - 1) * np.linalg.norm(around - axis, axis=1), atol=1e-9)
 
 
-def test_flesh_that_lies_ahead_and_widens_is_followed_along_the_trunk() -> None:
-    trunk = Trunk(np.array([0.0, 1.0]), np.array([0.1, 0.3]), np.array([0.1, 0.1]), np.array([0.0, 0.04]))
-    gap, _ = measured(np.array([[0.5, HEIGHT / 2, 0.02], [0.0, HEIGHT / 2, 0.2]]), trunk)
-    np.testing.assert_allclose(gap, [0.5 - 0.2, 0.2 - 0.12], atol=1e-12)
-
-
 def columns(above: tuple[float, float]) -> tuple[Array, Array, Array, Array, Array]:
     """Points [COUNT, 3] about leaning columns (hips, neck [COUNT, 3], chest [COUNT, 3, 3]) with their places across
     and along them [COUNT, 3]: left and ahead in metres, along as a share drawn between `above`."""
@@ -62,38 +57,35 @@ def columns(above: tuple[float, float]) -> tuple[Array, Array, Array, Array, Arr
     return points, hips, hips + length[:, None] * chest[..., 1], chest, np.insert(across, 1, share, axis=1)
 
 
-def radial(trunk: Trunk, local: Array) -> Array:
+def radial(local: Array) -> Array:
     """[COUNT] metres from the surface on the ray from the axis: r (1 - 1 / |(x / width, z / depth)|)."""
     x, z = local[:, 0], local[:, 2]
-    return np.hypot(x, z) * (1.0 - 1.0 / np.hypot(x / trunk.width[0], z / trunk.depth[0]))
+    return np.hypot(x, z) * (1.0 - 1.0 / np.hypot(x / WIDTH, z / DEPTH))
 
 
 def test_between_its_ends_the_distance_is_that_from_the_ellipse() -> None:
-    trunk = plain_trunk(WIDTH, DEPTH)
     points, hips, neck, chest, local = columns((0.01, 0.99))
-    gap, out = trunk.distance(points, hips, neck, chest)
-    expected = radial(trunk, local)
+    gap, out = COLUMN.distance(points, hips, neck, chest)
+    expected = radial(local)
     # Sums of a few numbers about 1 in double precision. One point in three thought itself beyond an end, and so at
     # the surface, by 1e-17 m of rounding.
     np.testing.assert_allclose(gap, expected, atol=1e-12)
     assert (expected < -0.05).sum() > 30
-    np.testing.assert_allclose(trunk.distance(points - gap[:, None] * out, hips, neck, chest)[0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(COLUMN.distance(points - gap[:, None] * out, hips, neck, chest)[0], 0.0, atol=1e-12)
 
 
 def test_a_rounding_of_the_pose_moves_the_distance_by_no_more() -> None:
-    trunk = plain_trunk(WIDTH, DEPTH)
     points, hips, neck, chest, _ = columns((0.01, 0.99))
     near = points + np.random.default_rng(8).normal(size=points.shape) * 1e-7
-    change = trunk.distance(near, hips, neck, chest)[0] - trunk.distance(points, hips, neck, chest)[0]
+    change = COLUMN.distance(near, hips, neck, chest)[0] - COLUMN.distance(points, hips, neck, chest)[0]
     assert np.abs(change).max() < 2e-6
 
 
 def test_beyond_its_ends_the_distance_grows_from_that_of_the_rim() -> None:
-    trunk = plain_trunk(WIDTH, DEPTH)
     points, hips, neck, chest, local = columns((1.05, 1.5))
     length = np.linalg.norm(neck - hips, axis=1)
-    expected = np.hypot(np.maximum(radial(trunk, local), 0.0), (local[:, 1] - 1.0) * length)
-    np.testing.assert_allclose(trunk.distance(points, hips, neck, chest)[0], expected, atol=1e-12)
+    expected = np.hypot(np.maximum(radial(local), 0.0), (local[:, 1] - 1.0) * length)
+    np.testing.assert_allclose(COLUMN.distance(points, hips, neck, chest)[0], expected, atol=1e-12)
 
 
 def test_a_pose_of_some_joints_has_them_and_those_above_as_that_of_all() -> None:

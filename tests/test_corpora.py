@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import pickle
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import published
@@ -16,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_module.corpora.base import DroppedError, Options, Reader, load, split_of, spread, trimmed
+from data_module.corpora.base import DroppedError, Options, Reader, load, spread, trimmed
 from data_module.corpora.folder import FolderOptions
 from data_module.corpora.table import CORPORA, SEPARATE, open_corpus
 from data_module.errors import InputError
@@ -108,13 +106,6 @@ def test_contract(name: str, tmp_path: Path) -> None:
     assert all(isinstance(line, str) for line in reader.notes())
 
 
-def test_unknown_corpus_and_source() -> None:
-    with pytest.raises(InputError, match="folder, trinity"):
-        open_corpus("nothing", None, Options())
-    with pytest.raises(InputError, match="does not exist"):
-        open_corpus("folder", Path("/no/such/folder"), Options())
-
-
 @given(st.integers(60, 200), st.floats(1.0, 4.0))
 def test_trimmed_keeps_whole_frames_of_both(frames: int, seconds: float) -> None:
     words = (Word("a", 0.1, 0.5), Word("b", 0.9, 2.0), Word("c", 3.0, 3.5))
@@ -126,18 +117,6 @@ def test_trimmed_keeps_whole_frames_of_both(frames: int, seconds: float) -> None
     assert len(again[1]) == len(motion) and len(again[0].samples) == len(speech.samples)
     assert speech.words is not None
     assert all(w.start < motion.duration and w.end <= motion.duration for w in speech.words)
-
-
-def test_trimmed_drops_what_hardly_overlaps() -> None:
-    with pytest.raises(DroppedError, match="under a second"):
-        trimmed(_speech(0.5), _motion(100))
-
-
-def test_splits_are_spread_and_have_their_shares() -> None:
-    count = Counter(split_of(index) for index in range(400))
-    assert count == {"train": 350, "val": 20, "test": 30}
-    # Even a corpus of an hour (27 recordings) has all three.
-    assert {split_of(index) for index in range(27)} == {"train", "val", "test"}
 
 
 def test_folder_pairs_by_name_and_reports_the_rest(tmp_path: Path) -> None:
@@ -158,17 +137,6 @@ def test_folder_pairs_by_name_and_reports_the_rest(tmp_path: Path) -> None:
     # 180 frames are 3 s, the sound is 2.6 s: the shorter counts.
     assert len(recording.motion) == 156
     assert load(reader, items["ann_1"]).speech.words is None
-
-
-def test_folder_takes_the_frame_rate_of_a_lying_header(tmp_path: Path) -> None:
-    source = _folder(tmp_path)
-    file = source / "ann_1.bvh"
-    file.write_text(file.read_text().replace("Frames: 150", "Frames: 1200"))
-    reader = open_corpus("folder", source, Options())
-    with pytest.raises(DroppedError, match="give the frame rate with --fps"):
-        reader.read(reader.items()[0])
-    told = open_corpus("folder", source, Options(fps=50.0))
-    assert told.read(told.items()[0]).motion.fps == 50
 
 
 def _pairs(root: Path, *names: str) -> Path:
@@ -202,15 +170,6 @@ def test_a_share_of_nothing_gets_nothing_and_no_share_is_far_off(count: int, sha
         assert abs(found - count * share / sum(shares)) <= 2 or count < 3
 
 
-def test_four_recordings_can_be_trained_on_and_judged(tmp_path: Path) -> None:
-    reader = open_corpus("folder", _pairs(tmp_path, "take1", "take2", "take3", "take4"), Options())
-    infos = [item.info for item in reader.items()]
-    assert Counter(info.split for info in infos) == {"train": 2, "val": 1, "test": 1}
-    # Names that share nothing name no speakers: one person was recorded four times.
-    assert {info.speaker for info in infos} == {"recordings"}
-    assert any("--speaker" in note for note in reader.notes())
-
-
 def test_splits_and_speakers_of_a_folder_as_the_user_says(tmp_path: Path) -> None:
     source = _pairs(tmp_path, "s1-a", "s1-b", "s2-a")
     listed = tmp_path / "splits.csv"
@@ -238,34 +197,3 @@ def test_splits_and_speakers_that_cannot_be(split: str, speaker: str, says: str,
     split = str(tmp_path / split) if split in ("FILE", "BROKEN") else split
     with pytest.raises(InputError, match=says):
         open_corpus("folder", source, FolderOptions(split=split, speaker=speaker))
-
-
-@pytest.mark.parametrize(("told", "says"), [
-    ({"split": 3}, "split"), ({"performer": ["a"]}, "performer"), ({"split": "exam"}, "exam"),
-    ({"strokes": [], "syllables": [], "phrases": [{"start": 10 ** 400, "end": 1, "effort": 0}]}, "401 digits"),
-    ({"words": [{"text": "a", "start": 10 ** 400, "end": 1}]}, "401 digits"),
-])
-def test_what_lies_beside_a_recording_is_checked(told: dict[str, Any], says: str, tmp_path: Path) -> None:
-    source = _pairs(tmp_path, "a", "b")
-    (source / "a.json").write_text(json.dumps(told))
-    with pytest.raises(InputError, match=says):
-        open_corpus("folder", source, Options())
-
-
-@pytest.mark.parametrize("told", [
-    {"strokes": [{"lexeme": "a"}], "syllables": [], "phrases": []}, {"strokes": 3}, {"strokes": [], "syllables": []},
-    {"strokes": [], "syllables": [], "phrases": [{"start": "0", "end": 1, "effort": 0}]},
-    {"words": [{"text": "a", "start": "0", "end": 1}]}, {"words": [{"text": "a"}]},
-    {"words": [{"text": 3, "start": 0}]},
-])
-def test_a_broken_truth_drops_its_recording(told: dict[str, Any], tmp_path: Path) -> None:
-    source = _pairs(tmp_path, "a", "b")
-    (source / "a.json").write_text(json.dumps(told))
-    reader = open_corpus("folder", source, Options())
-    with pytest.raises(DroppedError, match=r"a\.json"):
-        reader.read(reader.items()[0])
-
-
-def test_folder_without_pairs_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no BVH file"):
-        open_corpus("folder", tmp_path, Options())

@@ -35,11 +35,10 @@ def recorded(reward: Array, states: int = 1, terminal: bool = False) -> Decision
                          torch.ones(*action.shape, len(COUNTS), dtype=torch.bool), one, one, one)
 
 
-def losses(table: Tensor, next_value: Tensor, data: DecisionBatch, gamma: float, huber: float = 0.0
-           ) -> tuple[Tensor, Tensor]:
+def losses(table: Tensor, next_value: Tensor, data: DecisionBatch, gamma: float) -> tuple[Tensor, Tensor]:
     """Of a table [states, S], the same for all of a state's decisions."""
     values = table[:, None].expand(*data.action.shape, -1)
-    return conservative_q_loss(values, next_value[:, None].expand(data.action.shape), data, gamma, huber)
+    return conservative_q_loss(values, next_value[:, None].expand(data.action.shape), data, gamma)
 
 
 def fixed_point(alpha: float, gamma: float, reward: Array, best: bool = True) -> Array:
@@ -58,34 +57,18 @@ def fixed_point(alpha: float, gamma: float, reward: Array, best: bool = True) ->
 
 
 @pytest.mark.parametrize("alpha", [0.0, 0.3, 1.0, 4.0])
-@pytest.mark.parametrize("huber", [0.0, 1.0])
-def test_loss_and_gradient_are_the_derived_ones(alpha: float, huber: float) -> None:
-    """With huber = 1 this is the loss of d3rlpy's DiscreteCQL: alpha x conservative + Huber loss of the DQN target."""
+def test_loss_and_gradient_are_the_derived_ones(alpha: float) -> None:
     rng = np.random.default_rng(3)
     q, reward, after, gamma = rng.normal(size=4), rng.normal(size=4), 0.7, 0.9
     table = torch.tensor(q[None], requires_grad=True)
-    conservative, error = losses(table, torch.tensor([after], dtype=torch.float64), recorded(reward), gamma, huber)
+    conservative, error = losses(table, torch.tensor([after], dtype=torch.float64), recorded(reward), gamma)
     y = reward + gamma * after
     apart = q - y
-    each = np.where((np.abs(apart) <= huber) | (huber == 0), apart ** 2 / 2, huber * (np.abs(apart) - huber / 2))
-    assert float(error.detach()) == pytest.approx((BEHAVIOUR * each).sum())
+    assert float(error.detach()) == pytest.approx((BEHAVIOUR * apart ** 2 / 2).sum())
     assert float(conservative.detach()) == pytest.approx(np.log(np.exp(q).sum()) - (BEHAVIOUR * q).sum())
     (gradient,) = torch.autograd.grad(alpha * conservative + error, table)
-    pull = np.clip(apart, -huber, huber) if huber else apart
     soft = np.exp(q) / np.exp(q).sum()
-    np.testing.assert_allclose(gradient.numpy()[0], alpha * (soft - BEHAVIOUR) + BEHAVIOUR * pull, atol=1e-12)
-
-
-def test_it_is_what_d3rlpy_computes() -> None:
-    """Where that library is installed: the same loss of the same values."""
-    functions = pytest.importorskip("d3rlpy.models.torch.q_functions", reason="d3rlpy is not installed")
-    rng = np.random.default_rng(0)
-    q = torch.tensor(rng.normal(size=(1, 4)))
-    data, after = recorded(REWARD), torch.tensor([0.4], dtype=torch.float64)
-    _, error = losses(q, after, data, 0.9, 1.0)
-    chosen = q[0, data.action[0]][:, None]
-    theirs = functions.utility.compute_huber_loss(chosen, (data.reward[0] + 0.9 * after)[:, None])
-    assert float(error) == pytest.approx(float(theirs.mean()))
+    np.testing.assert_allclose(gradient.numpy()[0], alpha * (soft - BEHAVIOUR) + BEHAVIOUR * apart, atol=1e-12)
 
 
 def test_the_fixed_point_has_no_gradient_by_the_derivation() -> None:

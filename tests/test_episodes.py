@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,6 @@ from interpreters.episodes import (
     distance_rewards,
     looked_up,
     perturbed_chances,
-    step_rewards,
 )
 from interpreters.reward import RewardConfig, RewardModel
 from interpreters.reward_table import RewardTable
@@ -104,16 +102,9 @@ def test_the_shares_of_the_mixture_are_those_asked_for() -> None:
         assert abs(count - config.shares[name] * total) <= 0.5 + 1e-9, name
 
 
-def test_shares_without_any_truth() -> None:
-    data = made(EpisodeConfig(truth=0.0, sampled=0.0, statistical=0.0, perturbed=1.0))
-    assert set(own_kind(data)) == {PERTURBED}
-    assert sum(len(episode.blocks) - 8 for episode in data.episodes) == sum(len(take.blocks) - 1 for take in takes())
-
-
 def test_the_literal_paper_is_the_ground_truth_only() -> None:
     data = build(takes(), LITERAL, earned, silent=SILENT, vectors=VECTORS)
     assert len(data) == 3 and (joined(data, "behaviour") == TRUTH).all()
-    assert (joined(data, "log_behaviour") == 0).all()
     expected = np.concatenate([SILENT.relabel(take) for take in takes()])
     np.testing.assert_array_equal(joined(data, "actions"), expected)
 
@@ -123,7 +114,6 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Pa
         made(seed=seed).save(tmp_path / name)
     one, same, other = ((tmp_path / name).read_bytes() for name in "abc")
     assert one == same and one != other
-    assert made(seed=3).digest != made(seed=4).digest
 
 
 def test_a_share_that_changes_leaves_the_other_behaviours_as_they_were() -> None:
@@ -136,19 +126,19 @@ def test_a_share_that_changes_leaves_the_other_behaviours_as_they_were() -> None
 
 @pytest.mark.parametrize("prefix", [1, 8])
 def test_the_prefix_is_kept_true(prefix: int) -> None:
-    data = made(EpisodeConfig(truth=0.25, sampled=0.25, statistical=0.25, perturbed=0.25, prefix=prefix, replace=1.0))
+    data = made(EpisodeConfig(truth=0.25, sampled=0.25, statistical=0.25, perturbed=0.25, prefix=prefix))
     assert set(own_kind(data)) == {0, 1, 2, 3}
     changed = 0
     for episode in data.episodes:
         true = SILENT.relabel(takes()[episode.recording])[:len(episode.actions)]
         np.testing.assert_array_equal(episode.actions[:prefix], true[:prefix])
-        assert (episode.behaviour[:prefix] == TRUTH).all() and (episode.log_behaviour[:prefix] == 0).all()
+        assert (episode.behaviour[:prefix] == TRUTH).all()
         changed += int((episode.actions[prefix:] != true[prefix:]).sum())
-    assert changed > 50
+    assert changed > 20
 
 
 def test_silent_blocks_hold_silent_lexemes_whoever_acts() -> None:
-    data = made(EpisodeConfig(truth=0.25, sampled=0.25, statistical=0.25, perturbed=0.25, replace=0.9))
+    data = made(EpisodeConfig(truth=0.25, sampled=0.25, statistical=0.25, perturbed=0.25))
     for kind in range(4):
         own = [episode for episode, k in zip(data.episodes, own_kind(data), strict=True) if k == kind]
         silent = np.concatenate([episode.silent for episode in own])
@@ -164,37 +154,11 @@ def test_without_silent_lexemes_nothing_is_masked() -> None:
     assert len(np.unique(joined(data, "actions")[joined(data, "silent")])) == SIZE
 
 
-@pytest.mark.parametrize("temperature", [1.0, 0.5])
-def test_the_log_probability_is_that_under_mask_and_temperature(temperature: float) -> None:
-    chances = np.array([0.05, 0.15, 0.2, 0.1, 0.3, 0.2])
-    weights = chances if temperature == 1.0 else chances ** 2
-    quiet = np.zeros(SIZE)
-    quiet[[0, 3]] = weights[[0, 3]] / weights[[0, 3]].sum()
-    config = EpisodeConfig(truth=0.5, sampled=0.5, statistical=0.0, perturbed=0.0, temperature=temperature)
-    data = made(config)
-    seen = 0
-    for episode, kind in zip(data.episodes, own_kind(data), strict=True):
-        if kind == SAMPLED:
-            for i in range(config.prefix, len(episode.actions)):
-                table = quiet if episode.silent[i] else weights / weights.sum()
-                assert episode.log_behaviour[i] == pytest.approx(np.log(table[episode.actions[i]]), abs=1e-5)
-                seen += 1
-    assert seen > 50
-
-
 def test_the_draws_follow_that_probability() -> None:
     data = made(EpisodeConfig(truth=0.02, sampled=0.98, statistical=0.0, perturbed=0.0))
     own = (joined(data, "behaviour") == SAMPLED) & ~joined(data, "silent")
     shares = np.bincount(joined(data, "actions")[own], minlength=SIZE) / own.sum()
     np.testing.assert_allclose(shares, [0.05, 0.15, 0.2, 0.1, 0.3, 0.2], atol=0.03)
-
-
-def test_without_temperature_the_best_is_taken_for_certain() -> None:
-    data = made(EpisodeConfig(truth=0.5, sampled=0.5, statistical=0.0, perturbed=0.0, temperature=0.0))
-    own = joined(data, "behaviour") == SAMPLED
-    silent = joined(data, "silent")
-    assert (joined(data, "actions")[own & ~silent] == 4).all() and (joined(data, "actions")[own & silent] == 3).all()
-    assert (joined(data, "log_behaviour") == 0).all()
 
 
 def test_a_behaviour_hears_its_own_past() -> None:
@@ -221,17 +185,16 @@ ORDER = np.array([np.argsort(np.abs(VECTORS[:, 0] - own), kind="stable") for own
 
 
 def test_a_replaced_lexeme_is_a_near_one_or_any() -> None:
-    # 5 is the last on the line: 4 and 3 are its nearest two.
-    config = EpisodeConfig(replace=0.4, nearest=2)
-    chances = perturbed_chances(5, ORDER, None, config)
-    np.testing.assert_allclose(chances, [0.04, 0.04, 0.04, 0.04 + 0.1, 0.04 + 0.1, 0.6])
+    # 5 is the last on the line: 4, 3 and 2 are its nearest three. One lexeme in five is replaced.
+    chances = perturbed_chances(5, ORDER, None)
+    np.testing.assert_allclose(chances, [0.02, 0.02, *[0.02 + 0.1 / 3] * 3, 0.8])
     # in silence the nearest are among the silent, and the truth stays possible
-    np.testing.assert_allclose(perturbed_chances(3, ORDER, SILENT.indices, config), [0.4, 0, 0, 0.6, 0, 0])
-    np.testing.assert_allclose(perturbed_chances(3, ORDER, np.array([3]), config), np.eye(SIZE)[3])
+    np.testing.assert_allclose(perturbed_chances(3, ORDER, SILENT.indices), [0.2, 0, 0, 0.8, 0, 0])
+    np.testing.assert_allclose(perturbed_chances(3, ORDER, np.array([3])), np.eye(SIZE)[3])
 
 
 def test_perturbed_lexemes_are_as_frequent_as_said() -> None:
-    config = EpisodeConfig(truth=0.02, sampled=0.0, statistical=0.0, perturbed=0.98, nearest=1, replace=0.2)
+    config = EpisodeConfig(truth=0.02, sampled=0.0, statistical=0.0, perturbed=0.98)
     data = made(config, silent=NO_SILENT)
     true, acted = [], []
     for episode, kind in zip(data.episodes, own_kind(data), strict=True):
@@ -240,68 +203,23 @@ def test_perturbed_lexemes_are_as_frequent_as_said() -> None:
             acted.append(episode.actions[config.prefix:])
     before, after = np.concatenate(true), np.concatenate(acted)
     assert (before != after).mean() == pytest.approx(0.2, abs=0.02)
-    # Half of them the nearest one, and one in five of the others it is too: 0.5 + 0.5 / 5.
+    # Half of them one of the nearest three, and of the others one in five: 0.5 / 3 + 0.5 / 5.
     moved = before != after
-    assert (after == ORDER[before, 1])[moved].mean() == pytest.approx(0.6, abs=0.04)
-
-
-def test_the_log_probability_of_what_is_perturbed() -> None:
-    config = EpisodeConfig(truth=0.5, sampled=0.0, statistical=0.0, perturbed=0.5, replace=0.4, nearest=2)
-    data = made(config, silent=NO_SILENT)
-    for episode, kind in zip(data.episodes, own_kind(data), strict=True):
-        if kind == PERTURBED:
-            true = takes()[episode.recording].lexemes
-            for i in range(config.prefix, len(episode.actions)):
-                chance = perturbed_chances(int(true[i]), ORDER, None, config)[episode.actions[i]]
-                assert episode.log_behaviour[i] == pytest.approx(np.log(chance), abs=1e-5)
+    assert (after == ORDER[before, 1])[moved].mean() == pytest.approx(0.267, abs=0.04)
 
 
 # Rewards
 
-def test_the_schemes_on_hand_worked_rewards() -> None:
-    def mean_so_far(lexemes: Tensor, blocks: Tensor) -> Tensor:
-        return torch.cumsum(lexemes.double(), 0) / torch.arange(1, len(lexemes) + 1)
-
-    lexemes, blocks = np.array([9, 2, 4, 3, 1, 5]), np.arange(6)
-    worked: dict[str, list[float]] = {
-        "window": [9, 5.5, 5, 4.5, 3.8, 4], "prefix": [0, 2, 3, 3, 1, 3], "terminal": [0, 0, 0, 3, 0, 3],
-        "difference": [0, 2, 1, 0, 1, 2]}
-    for scheme, expected in worked.items():
-        np.testing.assert_allclose(step_rewards(scheme, mean_so_far, lexemes, blocks, 3), expected, atol=1e-6)
-
-
-def test_the_difference_telescopes_to_the_terminal() -> None:
-    table = torch.as_tensor(np.random.default_rng(0).random((50, SIZE)))
-    lexemes, blocks = np.random.default_rng(1).integers(SIZE, size=50), np.arange(50)
-    one = step_rewards("difference", looked_up(table), lexemes, blocks, 7)
-    other = step_rewards("terminal", looked_up(table), lexemes, blocks, 7)
-    np.testing.assert_allclose(np.add.reduceat(one[1:], range(0, 49, 7)), np.add.reduceat(other[1:], range(0, 49, 7)),
-                               atol=1e-6)
-    assert (other != 0).sum() == 7
-
-
-def test_every_episode_is_paid_for_its_own_actions() -> None:
-    for episode in made().episodes:
-        np.testing.assert_allclose(episode.reward, episode.blocks + episode.actions / 100, atol=1e-4)
-
-
 def test_a_reward_table_serves_as_it_is() -> None:
     torch.manual_seed(0)
-    model = RewardModel(RewardConfig(width=8, projection=4, window=4, dropout=0.0), 3, 5, 2).eval()
-    table = RewardTable(model, torch.randn(126, 3, 2), torch.randn(126), torch.randn(SIZE, 3, 5))
+    model = RewardModel(RewardConfig(width=8, projection=4, window=4), 3, 5, 2).eval()
+    table = RewardTable(model, torch.randn(126, 3, 2), torch.randn(SIZE, 3, 5))
     data = build(takes(), LITERAL, table.sequence, silent=SILENT, vectors=VECTORS)
     episode = data.episodes[1]
     at = torch.arange(6, 10)
     by_hand = table.rewards(torch.as_tensor(episode.actions)[None, at], torch.as_tensor(episode.blocks)[None, at],
                             torch.ones(1, 4, dtype=torch.bool))
     assert episode.reward[9] == pytest.approx(float(by_hand), abs=1e-5)
-    # With stretches no longer than its window, what trails a step is all since the stretch began.
-    staged = build(takes(), replace(LITERAL, scheme="prefix", stretch=4), table.sequence, silent=SILENT,
-                   vectors=VECTORS).episodes[1]
-    at = torch.arange(5, 8)
-    by_hand = table.rewards(torch.as_tensor(episode.actions)[None, at], torch.as_tensor(episode.blocks)[None, at],
-                            torch.ones(1, 3, dtype=torch.bool))
-    assert staged.reward[7] == pytest.approx(float(by_hand), abs=1e-5)
 
 
 def test_distance_rewards_by_hand() -> None:
@@ -368,28 +286,10 @@ def test_padding_stands_at_the_end_and_holds_nothing() -> None:
         assert (batch[key][:, 2:] == 0).all() and (batch[key][:, :2] != 0).all()
 
 
-def test_only_the_truth_is_cloned_unless_asked() -> None:
-    for cloned in (0.0, 0.5):
-        data = made(EpisodeConfig(truth=0.25, sampled=0.25, statistical=0.25, perturbed=0.25, cloned=cloned))
-        batch = data.windows(np.random.default_rng(0), 200, 5)
-        real, true = batch["valid"] > 0, batch["behaviour"] == TRUTH
-        assert (batch["cloned"][real & true] == 1).all() and (batch["cloned"][real & ~true] == cloned).all()
-        assert (batch["cloned"][~real] == 0).all()
-
-
-def test_windows_follow_their_generator() -> None:
-    data = made()
-    one, same, other = (data.windows(np.random.default_rng(seed), 16, 5) for seed in (1, 1, 2))
-    assert all(torch.equal(one[key], same[key]) for key in one) and not torch.equal(one["block"], other["block"])
-
-
-def test_windows_of_a_stretched_scheme_begin_at_its_stretches() -> None:
-    data = build(takes((12,)), replace(LITERAL, scheme="terminal", stretch=4), earned, silent=SILENT, vectors=VECTORS)
-    batch = data.windows(np.random.default_rng(0), 50, 4)
-    assert torch.unique(batch["block"][:, 0]).tolist() == [1, 5, 9]
-    assert (batch["reward"][:, :3][batch["valid"][:, 1:4] > 0] == 0).all()
-    with pytest.raises(ValueError, match="stretches of 4"):
-        data.windows(np.random.default_rng(0), 2, 5)
+def test_only_the_truth_is_cloned() -> None:
+    data = made(EpisodeConfig(truth=0.25, sampled=0.25, statistical=0.25, perturbed=0.25))
+    batch = data.windows(np.random.default_rng(0), 200, 5)
+    assert torch.equal(batch["cloned"] > 0, (batch["valid"] > 0) & (batch["behaviour"] == TRUTH))
 
 
 def test_a_data_set_without_a_decision_is_refused() -> None:
@@ -400,27 +300,14 @@ def test_a_data_set_without_a_decision_is_refused() -> None:
 # Files
 
 def test_save_and_load_round_trip(tmp_path: Path) -> None:
-    data = made(EpisodeConfig(cloned=0.25))
+    data = made()
     data.save(tmp_path / "episodes.npz")
     again = Episodes.load(tmp_path / "episodes.npz")
-    assert again.digest == data.digest and again.cloned == 0.25 and again.stretch == 0
     for one, other in zip(data.episodes, again.episodes, strict=True):
         assert (one.recording, one.speaker) == (other.recording, other.speaker)
-        for name in ("blocks", "actions", "behaviour", "log_behaviour", "reward", "silent", "terminal"):
+        for name in ("blocks", "actions", "behaviour", "reward", "silent", "terminal"):
             assert getattr(one, name).dtype == getattr(other, name).dtype
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-
-
-def test_a_changed_file_is_refused(tmp_path: Path) -> None:
-    file = tmp_path / "episodes.npz"
-    made().save(file)
-    with np.load(file, allow_pickle=False) as arrays:
-        kept = {name: arrays[name] for name in arrays.files}
-    kept["reward"] = kept["reward"].copy()
-    kept["reward"][17] += 1e-3
-    np.savez(file, allow_pickle=False, **kept)
-    with pytest.raises(InputError, match="changed"):
-        Episodes.load(file)
 
 
 @pytest.mark.parametrize("content", [b"", b"nonsense", b"PK\x03\x04 half an archive"])
@@ -430,9 +317,8 @@ def test_a_file_that_is_none_is_refused(tmp_path: Path, content: bytes) -> None:
         Episodes.load(tmp_path / "episodes.npz")
 
 
-@pytest.mark.parametrize("wrong", [{"truth": 0.9}, {"truth": 0.75, "sampled": -0.1}, {"nearest": 0}, {"replace": 1.5},
-                                   {"temperature": -1.0}, {"reward": "applause"}, {"scheme": "all"}, {"prefix": 0},
-                                   {"reward": "distance", "scheme": "prefix"}])
+@pytest.mark.parametrize("wrong", [{"truth": 0.9}, {"truth": 0.75, "sampled": -0.1}, {"reward": "applause"},
+                                   {"prefix": 0}])
 def test_settings_that_make_no_sense_are_refused(wrong: dict) -> None:
     with pytest.raises(InputError, match="episodes"):
         EpisodeConfig(**wrong)

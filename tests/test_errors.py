@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 
@@ -47,17 +46,6 @@ def test_an_error_does_not_go_to_the_output_where_there_is_no_terminal() -> None
     done = subprocess.run(["/bin/sh", "-c", '"$0" -c "$1" 2>&-', sys.executable, _FAIL], capture_output=True,
                           check=False)
     assert (done.returncode, done.stdout) == (EXIT_BAD_INPUT, b"")
-
-
-@pytest.mark.parametrize("encoding", ["ascii:strict", "utf-8:strict"])
-def test_what_a_command_prints_never_fails_for_a_character(encoding: str) -> None:
-    code = ("from data_module.errors import one_line_errors\n"
-            "with one_line_errors('program'):\n    print('Gr\\u00fc\\u00dfe a\\udcff.bvh')\n")
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False,
-                          env=os.environ | {"PYTHONIOENCODING": encoding})
-    assert (done.returncode, done.stderr) == (0, b"")
-    name = b"Gr\\xfc\\xdfe" if encoding.startswith("ascii") else "Grüße".encode()
-    assert done.stdout == name + b" a\\udcff.bvh\n"
 
 
 def test_what_is_long_or_deep_is_shown_short() -> None:

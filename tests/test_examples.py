@@ -227,7 +227,7 @@ def test_another_system_is_scored(spoken: Path, tmp_path: Path, capsys: pytest.C
         made = replace(made, rotations=made.rotations[:kept], root_positions=made.root_positions[:kept])
         write_bvh(motion, made)
         shutil.copy(motion, theirs / motion.name)  # a system that is as good as the speaker
-    example("score")(str(spoken), str(theirs), str(tmp_path / "score.json"), "--no-controls")
+    example("score")(str(spoken), str(theirs), str(tmp_path / "score.json"))
     about, joints, *_ = load(tmp_path / "score.json")
     assert about.facts["clips"] == ["take0", "take1"] and about.facts["systems"] == ["theirs", "ours"]
     apart = {name: joints.rows[name]["maje"].value.mean for name in ("theirs", "ours")}  # type: ignore[union-attr]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_module.motion import kinematics, rotation, skeletons
-from data_module.motion.bvh import BvhWarning, read_bvh, write_bvh
-from data_module.motion.relaxed_hands import openness, with_relaxed_hands
-from data_module.motion.representation import POSITIONS, Rotations, representation, ted_positions
+from data_module.motion.relaxed_hands import with_relaxed_hands
+from data_module.motion.representation import Rotations, representation
 from data_module.motion.skeletons import (
     CHARACTER,
     CHARACTERS,
@@ -27,13 +24,9 @@ from data_module.motion.skeletons import (
     resized,
     to_character,
     to_vector,
-    upper_body,
 )
 from data_module.motion.smplx import read_smplx
 from data_module.types import Array, Motion, Skeleton
-
-DATA = os.environ.get("GESTICULATOR_DATA", "")
-needs_data = pytest.mark.skipif(not Path(DATA, "takes").is_dir() or not DATA, reason="no GESTICULATOR_DATA")
 
 
 def waving(skeleton: Skeleton = FINGERED, frames: int = 60, fps: float = 30.0, seed: int = 0) -> Motion:
@@ -43,27 +36,6 @@ def waving(skeleton: Skeleton = FINGERED, frames: int = 60, fps: float = 30.0, s
     size, rate, phase = (rng.uniform(low, high, (1, len(skeleton), 3)) for low, high in ((0, .4), (.2, 1), (0, 6)))
     maps = size * np.sin(2 * np.pi * rate * time + phase)
     return Motion(skeleton, rotation.from_exponential_map(maps), np.zeros((frames, 3)), fps)
-
-
-def beat_like(motion: Motion) -> Motion:
-    """A motion of `FINGERED` on BEAT's rig: a bone of the palm before each finger but two, and a joint at each tip."""
-    names, parents, offsets = motion.skeleton.names, motion.skeleton.parents, motion.skeleton.offsets
-    identity = np.tile([1.0, 0.0, 0.0, 0.0], (len(motion), 1))
-    turns = [motion.rotations[:, joint] for joint in range(len(names))]
-    tips = dict(motion.skeleton.end_sites)
-    out: list[tuple[str, str, Array, Array]] = []
-    for joint, (name, parent, offset) in enumerate(zip(names, parents, offsets, strict=True)):
-        above = names[parent] if parent >= 0 else ""
-        if name.endswith(("Index1", "Ring1", "Pinky1")):
-            out.append((name[:-1], above, 0.1 * offset, identity))
-            above, offset = name[:-1], 0.9 * offset
-        out.append((name, above, offset, turns[joint]))
-        if name.endswith("3") and name in FINGER_JOINTS:
-            out.append((name[:-1] + "4", name, tips[joint], identity))
-    every = tuple(name for name, *_ in out)
-    skeleton = Skeleton(every, tuple(every.index(above) if above else -1 for _, above, *_ in out),
-                        np.array([offset for *_, offset, _ in out]))
-    return Motion(skeleton, np.stack([turn for *_, turn in out], axis=1), motion.root_positions, motion.fps)
 
 
 def angles(a: Motion, b: Motion) -> Array:
@@ -77,23 +49,6 @@ def test_each_size_begins_with_the_one_before() -> None:
         assert large.names[:len(small)] == small.names and large.parents[:len(small)] == small.parents
         assert np.array_equal(large.offsets[:len(small)], small.offsets)
     assert set(FINGERED.names[16:]) == set(FINGER_JOINTS) and set(WHOLE_BODY.names[46:]) == set(LEG_JOINTS)
-
-
-def test_hands_and_legs_are_an_adults_and_mirror_each_other() -> None:
-    rest = kinematics.joint_positions(WHOLE_BODY, np.tile([1.0, 0, 0, 0], (54, 1)))
-    place = {name: rest[joint] for joint, name in enumerate(WHOLE_BODY.names)}
-    for name in (*FINGER_JOINTS, *LEG_JOINTS):
-        if name.startswith("Right"):
-            assert np.allclose(place[name] * [-1, 1, 1], place["Left" + name[5:]])
-    tip = place["LeftHandMiddle3"] + WHOLE_BODY.end_sites[WHOLE_BODY.index("LeftHandMiddle3")]
-    assert 0.165 < np.linalg.norm(tip - place["LeftHand"]) < 0.195
-    assert all(0.015 < np.linalg.norm(tip) < 0.03 for joint, tip in WHOLE_BODY.end_sites.items()
-               if "Hand" in WHOLE_BODY.names[joint])
-    sole = place["LeftToeBase"][1] + skeletons.HIP_HEIGHT
-    assert -0.03 < sole < 0.03, "straight legs reach the floor from where the hips stand"
-    # The thumb lies in front of the other fingers, which lie side by side.
-    depths = [place[f"LeftHand{finger}1"][2] for finger in ("Index", "Middle", "Ring", "Pinky")]
-    assert depths == sorted(depths, reverse=True) and place["LeftHandThumb2"][2] > depths[0]
 
 
 UNREAL = {"RightHandThumb1": "thumb_01_r", "LeftHandPinky3": "pinky_03_l", "RightLeg": "calf_r"}
@@ -114,31 +69,6 @@ def test_fingers_and_legs_are_known_by_each_familys_names(family: str, some: dic
     names = ["prefix:" + name.replace("_", " ") for name in table.values()]
     assert {ours: names[place] for ours, place in find_table(names).items()} == {
         ours: "prefix:" + name.replace("_", " ") for ours, name in table.items()}
-
-
-def test_fingers_do_not_decide_whose_skeleton_it_is() -> None:
-    """CMU's rig calls single joints of its hands as others call a finger's; its spine tells whose it is."""
-    table = skeletons.NAME_TABLES["cmu"]
-    names = [*table.values(), "RightHandIndex1", "LeftHandIndex1"]
-    found = find_table(names)
-    assert names[found["Spine"]] == "LowerBack" and not set(found) & set(FINGER_JOINTS)
-
-
-def test_a_beat_like_file_keeps_its_fingers(tmp_path: Path) -> None:
-    motion = waving()
-    write_bvh(tmp_path / "beat.bvh", beat_like(motion))
-    there = to_character(read_bvh(tmp_path / "beat.bvh"), skeleton=FINGERED)
-    assert there.absent == () and angles(there, motion).max() < 0.01
-    write_bvh(tmp_path / "ours.bvh", there)
-    back = to_character(read_bvh(tmp_path / "ours.bvh"), skeleton=FINGERED)
-    assert back.skeleton.same_joints(FINGERED) and angles(back, motion).max() < 0.01
-
-
-def test_the_papers_joints_are_the_same_with_fingers_and_without() -> None:
-    source = beat_like(waving())
-    small, large = to_character(source), to_character(source, skeleton=WHOLE_BODY)
-    assert np.allclose(large.rotations[:, :16], small.rotations) and large.absent == LEG_JOINTS
-    assert np.allclose(upper_body(large).rotations, small.rotations)
 
 
 def test_fingers_of_another_rest_pose_point_where_the_sources_do() -> None:
@@ -163,19 +93,6 @@ def test_fingers_of_another_rest_pose_point_where_the_sources_do() -> None:
     there = to_character(source, skeleton=FINGERED)
     fingers = [FINGERED.index(name) for name in FINGER_JOINTS]
     assert np.abs(kinematics.positions_of(there) - kinematics.positions_of(motion))[:, fingers].max() < 1e-6
-
-
-@needs_data
-def test_a_real_beat_take_has_living_fingers_that_survive_a_file(tmp_path: Path) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", BvhWarning)
-        take = read_bvh(next(Path(DATA, "takes/beat_scott").glob("*.bvh")), fps=15.0)
-    there = to_character(take, skeleton=WHOLE_BODY)
-    assert there.absent == ()
-    bends = np.degrees(np.linalg.norm(rotation.to_exponential_map(there.rotations[:, 16:46]), axis=-1))
-    assert (bends.std(axis=0) > 0.5).mean() > 0.9 and bends.max() < 120.0
-    write_bvh(tmp_path / "take.bvh", there)
-    assert angles(to_character(read_bvh(tmp_path / "take.bvh"), skeleton=WHOLE_BODY), there).max() < 0.01
 
 
 @pytest.mark.parametrize(("columns", "first"), [(55, 25), (52, 22), (22, None)])
@@ -221,22 +138,6 @@ def test_what_a_source_lacks_is_masked_and_at_rest() -> None:
     assert (representation("rotations", 46).width, representation("positions", 46).width) == (138, 30)
 
 
-def test_positions_do_not_see_fingers() -> None:
-    motion = waving(WHOLE_BODY)
-    assert np.allclose(ted_positions(motion), ted_positions(upper_body(motion)))
-    assert np.allclose(POSITIONS.vectors(motion, np.zeros(1)), POSITIONS.vectors(upper_body(motion), np.zeros(1)))
-
-
-def test_resizing_keeps_what_is_told_of_joints() -> None:
-    motion = Motion(WHOLE_BODY, waving(WHOLE_BODY).rotations, np.zeros((60, 3)), 30.0, LEG_JOINTS, ("LeftHandRing1",))
-    assert resized(motion, FINGERED).absent == () and resized(motion, FINGERED).filled == ("LeftHandRing1",)
-    assert resized(motion, CHARACTER).filled == () and resized(motion, WHOLE_BODY) is motion
-    other = Motion(Skeleton(("a", "b"), (-1, 0), np.ones((2, 3))), motion.rotations[:, :2], np.zeros((60, 3)), 30.0)
-    assert upper_body(other) is other
-    with pytest.raises(ValueError, match="16-joint"):
-        resized(other, CHARACTER)
-
-
 # ---------------------------------------------------------------------------------------------------- relaxed hands
 
 
@@ -272,17 +173,6 @@ def test_a_hanging_hand_is_half_closed_and_a_lifted_one_opens() -> None:
     assert (places[:, FINGERED.index("LeftHandMiddle3"), 1] < places[:, FINGERED.index("LeftHandMiddle1"), 1]).all()
 
 
-def test_a_moving_hand_opens_and_the_fingers_follow_one_after_the_other() -> None:
-    still, moving = lifting(0.3), lifting(0.3, wave=0.6)
-    assert openness(moving, "Left")[60:].mean() > openness(still, "Left")[60:].mean() + 0.1
-    own = with_relaxed_hands(moving)
-    assert bend(own, "Middle").mean() < bend(with_relaxed_hands(still), "Middle").mean() - 4
-    changes = [np.diff(bend(own, finger)[30:]) for finger in ("Index", "Pinky")]
-    lags = range(-8, 9)
-    best = max(lags, key=lambda lag: float(np.corrcoef(changes[0][10:-10], np.roll(changes[1], -lag)[10:-10])[0, 1]))
-    assert 2 <= best <= 5, "the little finger comes about a tenth of a second later"
-
-
 def test_relaxed_hands_are_mirrored_alive_smooth_and_the_same_every_time() -> None:
     motion = lifting(0.25, wave=0.5)
     one, two = with_relaxed_hands(motion), with_relaxed_hands(motion)
@@ -302,8 +192,3 @@ def test_recorded_fingers_are_left_alone() -> None:
     assert half.filled == right and half.absent == ()
     left = [FINGERED.index(name) for name in FINGER_JOINTS if name.startswith("Left")]
     assert np.array_equal(half.rotations[:, left], motion.rotations[:, left])
-
-
-def test_one_frame_gets_hands() -> None:
-    motion = Motion(FINGERED, np.tile([1.0, 0, 0, 0], (1, 46, 1)), np.zeros((1, 3)), 30.0, FINGER_JOINTS)
-    assert np.isfinite(with_relaxed_hands(motion).rotations).all()

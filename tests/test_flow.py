@@ -203,36 +203,11 @@ def test_where_the_code_is_the_only_way_it_tells_what_was_heard_and_asked_for(he
     assert np.array_equal(drawn(generator, 0, 1.0), drawn(generator, 1, -1.0))
 
 
-def test_beside_the_code_audio_and_lexeme_reach_the_head() -> None:
-    generator = trained(heard=True, named=False)
-    generator.codes = Zero()  # type: ignore[assignment]
-    assert (drawn(generator, 0, 1.0) > 0.5).mean() > 0.9 and (drawn(generator, 0, -1.0) < -0.5).mean() > 0.9
-
-
 def test_what_no_source_has_weighs_nothing() -> None:
     batch = swings(8, False)
     generator = made(batch["motion"].flatten(0, 1))
     batch["mask"] = torch.zeros(8, WIDTH)
     assert float(generator.losses(batch, 0.0, lambda y: torch.zeros(len(y), dtype=torch.long))["flow"]) == 0.0
-
-
-def test_blocks_that_fill_a_short_window_up_weigh_nothing() -> None:
-    batch = swings(8, False)
-    generator = made(batch["motion"].flatten(0, 1)).eval()
-
-    def loss() -> float:
-        torch.manual_seed(3)
-        losses = generator.losses(batch, 1.0, lambda y: torch.zeros(len(y), dtype=torch.long), (0, 0, 0, 0))
-        return float(losses["flow"])
-
-    batch["valid"] = torch.ones(8, CONFIG.blocks + 1)
-    batch["valid"][:, -1] = 0
-    before = loss()
-    batch["motion"] = batch["motion"].clone()
-    batch["motion"][:, -1] += 5.0
-    assert loss() == pytest.approx(before)
-    batch["valid"][:, -1] = 1
-    assert loss() > 1.5 * before
 
 
 def test_circumstances_tell_tempo_silence_and_how_long() -> None:
@@ -262,58 +237,3 @@ def test_the_block_after_can_be_left_out_of_training() -> None:
     for share, same in ((1.0, True), (0.0, False)):
         generator.config = dataclasses.replace(CONFIG, after_dropout=share)
         assert (loss(batch) == loss(other)) == same
-
-
-def test_who_knows_nothing_draws_as_widely_as_what_was_met() -> None:
-    """For unit Gaussian data the field leads every noise to itself: u(t) = sqrt(t^2 + (1 - t)^2) u(0)."""
-    motion = swings(50, False)["motion"].flatten(0, 1)
-    generator = made(motion).eval()
-    noise = torch.as_tensor(Keys(2).noise(0, (300, generator.basis.width))).clamp(-1.5, 1.5)
-    context = torch.randn(1, CONFIG.context + generator.basis.width)
-    with torch.no_grad():
-        y = generator.draw(context, torch.zeros(0, generator.basis.width), noise, 12)
-        as_is = generator.stretch(noise)
-    torch.testing.assert_close(generator.squeeze(y), generator.squeeze(as_is), atol=0.03, rtol=0.03)
-
-
-def test_who_forgets_is_told_the_last_frames_alone() -> None:
-    batch = swings(1, False)
-    generator = made(swings(50, False)["motion"].flatten(0, 1)).eval()
-    other = batch["motion"][:, :-1].clone()
-    other[..., 0, :] += 90.0  # a block's first frame is none of the last three
-    ones = torch.ones(1, CONFIG.blocks)
-
-    def context(before: torch.Tensor, forgets: bool, added: float) -> torch.Tensor:
-        given = FlowInputs(batch["audio"][:, 1:], torch.zeros(1, CONFIG.blocks, dtype=torch.long), before, ones,
-                           batch["circumstances"][:, 1:], ones[:, :1], without_history=torch.tensor([forgets]))
-        with torch.no_grad():
-            return generator.contexts(given, torch.full((1, CONFIG.blocks, generator.basis.width), added))[0]
-
-    true = batch["motion"][:, :-1]
-    assert torch.equal(context(true, True, 0.0), context(other, True, 1.0))
-    assert not torch.equal(context(true, False, 0.0), context(other, False, 0.0))
-    assert not torch.equal(context(true, False, 0.0), context(true, False, 1.0))
-    assert not torch.equal(context(true, True, 0.0), context(true + 1.0, True, 0.0)), "where the body is it must know"
-
-
-def test_what_is_given_once_holds_for_all() -> None:
-    """What guides hears the same as what is guided, so it may be told once."""
-    batch = swings(1, False)
-    generator = made(swings(50, False)["motion"].flatten(0, 1)).eval()
-    torch.manual_seed(5)
-
-    def context(count: int) -> torch.Tensor:
-        def each(one: torch.Tensor) -> torch.Tensor:
-            return one.expand(count, *one.shape[1:])
-
-        given = FlowInputs(each(torch.randn(1, 1, 3 * FRAMES, AUDIO, generator=torch.manual_seed(2))),
-                           torch.tensor([[0], [0], [TWO]]), each(batch["motion"][:, :1]), each(torch.ones(1, 1)),
-                           each(batch["circumstances"][:, 1:2]), each(torch.ones(1, 1)),
-                           without_audio=torch.tensor([False, True, False]),
-                           without_history=torch.tensor([False, False, True]))
-        with torch.no_grad():
-            return generator.contexts(given, each(torch.ones(1, 1, generator.basis.width)))[0]
-
-    found = context(1)
-    torch.testing.assert_close(found, context(3))
-    assert (found[0] - found[1]).abs().max() > 1e-3

@@ -53,13 +53,13 @@ NO_CASE = {
     "a file that this process, its worker or its child wrote a moment ago": """
         data_module/files.py:lock
         gesticulator/characters/fbx_rig.py:read_fbx_character
-        gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:* gesticulator/export/own_fbx.py:write_animated
-        gesticulator/export/usd.py:write_usd gesticulator/serve/metrics.py:read_figures eval/probes/stability.py:_as_mp3
-        gesticulator/characters/blender.py:_Worker.*""",
+        gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:* gesticulator/export/fbx.py:write_animated
+        gesticulator/export/usd.py:write_usd gesticulator/serve/metrics.py:read_figures
+        eval/probes/stability.py:_as_mp3""",
     "messages of another process of the same server": """
         gesticulator/serve/output_process.py:_play gesticulator/serve/relay.py:*""",
     "runs in a child process, whose parent has a case": """
-        gesticulator/export/fbx_child.py:animate gesticulator/characters/blender_jobs.py:main""",
+        gesticulator/export/fbx_child.py:animate""",
     "a file of the installation": """
         gesticulator/ray_pool.py:_runs_here gesticulator/serve/page.py:pages gesticulator/version.py:_is_ours""",
     "a model that another library reads": """

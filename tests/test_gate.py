@@ -22,7 +22,7 @@ share = st.floats(0, 1)
 
 def gate(**changes: object) -> ActivityGate:
     torch.manual_seed(0)
-    config = GateConfig(**{"audio_features": 8, "width": 16, "dropout": 0.0, **changes})  # type: ignore[arg-type]
+    config = GateConfig(**{"audio_features": 8, "width": 16, **changes})  # type: ignore[arg-type]
     return ActivityGate(config, FRAMES, AUDIO, SPEAKERS)
 
 
@@ -67,7 +67,7 @@ def test_the_habit_of_the_speaker_is_learned() -> None:
 
 
 def test_streams_as_it_trains() -> None:
-    model = gate(dropout=0.3).eval()
+    model = gate().eval()
     batch = spoken(1, 5)
     whole = torch.sigmoid(model.logits(batch["audio_low"], batch["speaker"])[0][0]).tolist()
     state = model.start(int(batch["speaker"][0].argmax()))
@@ -88,7 +88,7 @@ def test_step_leaves_its_state_alone_and_carries_the_past() -> None:
 
 
 def test_loss_is_the_cross_entropy_by_hand_and_ignores_padding() -> None:
-    model = gate()
+    model = gate().eval()
     batch = spoken(3, 6)
     batch["valid"][0, 4:] = 0
     batch["valid"][2, 0] = 0

@@ -49,11 +49,6 @@ def test_positional_block_follows_equation_8_by_hand() -> None:
     assert math.isclose(float(block[3, 5]), math.cos(3 / 100 ** (4 / 6)), rel_tol=1e-5)
 
 
-def test_positional_rows_differ_and_to_beat_is_the_reverse() -> None:
-    forward = positional_block(10, 32)
-    assert len({tuple(row.tolist()) for row in forward}) == 10
-
-
 def test_gumbel_is_one_hot_with_a_gradient_in_training_and_arg_max_in_evaluation() -> None:
     torch.manual_seed(2)
     codes = GumbelCodes(5, groups=3, classes=4, group_width=2)
@@ -68,16 +63,6 @@ def test_gumbel_is_one_hot_with_a_gradient_in_training_and_arg_max_in_evaluation
     assert torch.equal(chosen, codes.logits(hidden).unflatten(-1, (3, 4)).argmax(-1))
     expected = torch.stack([codes.vectors[g, chosen[:, g]] for g in range(3)], 1).flatten(1)
     torch.testing.assert_close(codes(hidden, 1.0)[0], expected)
-
-
-def test_gumbel_samples_follow_the_soft_probabilities() -> None:
-    torch.manual_seed(3)
-    codes = GumbelCodes(1, groups=1, classes=3, group_width=1)
-    with torch.no_grad():
-        codes.logits.weight.zero_()
-        codes.logits.bias.copy_(torch.tensor([0.7, 0.2, 0.1]).log())
-    share = codes(torch.zeros(20_000, 1), 1.0)[1].mean(0)[0]
-    torch.testing.assert_close(share, torch.tensor([0.7, 0.2, 0.1]), atol=0.02, rtol=0)
 
 
 @pytest.mark.parametrize("temperature", [100.0, 1000.0])
@@ -169,21 +154,6 @@ def test_teacher_forcing_sees_the_truth_and_the_own_past_does_not() -> None:
     assert torch.equal(run(b["motion"][:, 1:], 1.0), run(other, 1.0))
 
 
-def test_lexeme_and_perceptual_losses_move_the_generator_alone() -> None:
-    model = make()
-    network = torch.nn.Linear(FRAMES * WIDTH, LEXEME).requires_grad_(False)
-    b = batch()
-    b["lexeme"].requires_grad_(True)
-    terms = model.losses(b, 0.9, lambda motion: network(motion.flatten(1)))
-    wanted = [*model.to_motion.parameters()]
-    for name in ("lexeme", "perceptual"):
-        gradient = torch.autograd.grad(terms[name], wanted, retain_graph=True)
-        assert all(g.abs().sum() > 0 for g in gradient)
-    assert losses.lexeme(torch.zeros(2, FRAMES, WIDTH, requires_grad=True), b["lexeme"][:2, 0], encoder).requires_grad
-    direct = losses.lexeme(torch.zeros(2, FRAMES, WIDTH), b["lexeme"][:2, 0], encoder)
-    assert not direct.requires_grad, "the lexeme is a target, not a trained value"
-
-
 def test_blocks_that_are_not_valid_and_joints_that_are_absent_do_not_count() -> None:
     model = make().eval()
     b = batch()
@@ -211,15 +181,6 @@ def test_what_is_asked_is_heard_from_its_block_on_and_nothing_asked_is_zeros() -
     with torch.no_grad():
         model.mlp[0].weight[:, -CONTROL:].zero_()
     assert torch.equal(run(model, b, None), run(model, b, asked)), "it enters through those weights alone"
-
-
-def test_a_generator_that_hears_no_control_has_no_weights_for_it() -> None:
-    model, b = make().eval(), batch()
-    assert model.mlp[0].in_features == make(use_control=True).mlp[0].in_features - CONTROL
-    assert torch.equal(run(model, b, None), run(model, b, torch.randn(3, 4, FRAMES, CONTROL)))
-    other = {**b, "control": b["control"] + 5.0}
-    first, second = (model.losses(own, 1.0, encoder)["reconstruction"] for own in (b, other))
-    assert torch.equal(first, second)
 
 
 def test_dimensions_that_no_source_has_stay_at_zero() -> None:
@@ -260,12 +221,6 @@ def test_the_last_pose_fades_out_over_the_block() -> None:
                             model.first_state(past[:, -1], torch.zeros(2, LEXEME)))
     share = torch.tensor([5, 4, 3, 2, 1, 0]) / 6
     torch.testing.assert_close(made, share[:, None] * past[:, -1:])
-
-
-def test_schedules() -> None:
-    model = make(own_past_until=0.4)
-    assert [model.own_past_probability(p) for p in (0, 0.1, 0.2, 0.4, 1)] == pytest.approx([0, 0.25, 0.5, 1, 1])
-    assert model.temperature(0) == pytest.approx(2) and model.temperature(0.5) == pytest.approx(1)
 
 
 def test_it_learns_to_draw_each_lexeme() -> None:

@@ -77,17 +77,6 @@ def test_the_same_seed_gives_the_same_bytes_in_another_process(recording: Path, 
     assert (tmp_path / "c.bvh").read_bytes() != files[0]
 
 
-@pytest.mark.parametrize(("suffix", "rate", "channels"), [(".wav", 44100, 2), (".ogg", 48000, 1), (".mp3", 22050, 1),
-                                                          (".flac", 8000, 1)])
-def test_any_format_rate_and_channel_count(suffix: str, rate: int, channels: int, tiny_bundle: Path, tmp_path: Path
-                                           ) -> None:
-    sound = np.repeat(babble(2.0, rate)[:, None], channels, axis=1)
-    soundfile.write(tmp_path / f"s{suffix}", sound, rate)
-    assert run([str(tmp_path / f"s{suffix}"), "-o", str(tmp_path / "o.bvh"), "--fps", "30"], tiny_bundle) == 0
-    motion = read_bvh(tmp_path / "o.bvh")
-    assert motion.fps == pytest.approx(30) and motion.duration == pytest.approx(2.0, abs=0.1)
-
-
 def test_the_shortest_recording_and_pure_silence_give_a_person_at_rest(tiny_bundle: Path, tmp_path: Path) -> None:
     soundfile.write(tmp_path / "short.wav", babble(0.3), RATE)
     soundfile.write(tmp_path / "silence.wav", np.zeros(RATE * 20, np.float32), RATE)
@@ -97,19 +86,6 @@ def test_the_shortest_recording_and_pure_silence_give_a_person_at_rest(tiny_bund
     system = Gesticulator.from_pretrained(tiny_bundle)
     made = system(str(tmp_path / "silence.wav"))
     assert made.blocks.silent.all() and set(made.lexemes.tolist()) <= set(system.bundle.silent.tolist())
-
-
-def test_other_interpreters_and_speakers_change_the_motion(recording: Path, tiny_bundle: Path) -> None:
-    system = Gesticulator.from_pretrained(tiny_bundle)
-    base = system(recording).motion.rotations
-    assert not np.array_equal(base, system(recording, interpreter="statistical", temperature=1.0).motion.rotations)
-    greedy = system(recording, interpreter="cql")
-    assert not np.array_equal(base, greedy.motion.rotations)
-    np.testing.assert_array_equal(greedy.lexemes, system(recording, interpreter="cql", seed=9).lexemes, "no draw")
-    silent = system.bundle.silent
-    assert np.isin(greedy.lexemes[greedy.blocks.silent], silent).all()
-    if len(system.speakers) > 1:
-        assert not np.array_equal(base, system(recording, speaker=system.speakers[1]).motion.rotations)
 
 
 def bad_files(folder: Path) -> dict[str, Path]:
@@ -192,14 +168,6 @@ def test_one_bad_recording_of_a_folder_is_told_and_the_rest_is_done(
     assert (tmp_path / "alone.bvh").read_bytes() == (tmp_path / "new" / "out" / "c.bvh").read_bytes()
 
 
-def test_a_batch_of_which_nothing_can_be_done_is_code_2(talks: Path, tiny_bundle: Path, tmp_path: Path,
-                                                        capfd: pytest.CaptureFixture[str]) -> None:
-    assert run([str(talks / "b.wav"), str(talks / "missing.wav"), "-o", f"{tmp_path / 'out'}/"], tiny_bundle) == 2
-    told = capfd.readouterr().err.splitlines()
-    assert "missing.wav: does not exist" in told[0] and "b.wav" in told[1] and "0 of 2" in told[2] and len(told) == 3
-    assert not (tmp_path / "out").exists()
-
-
 def test_what_the_bundle_has_is_listed(tiny_bundle: Path, capfd: pytest.CaptureFixture[str]) -> None:
     speakers = bundles.load(tiny_bundle).speakers
     assert infer.main(["--list", "speakers", "--bundle", str(tiny_bundle)]) == 0
@@ -223,16 +191,6 @@ def test_names_that_the_terminal_cannot_show(name: str, recording: Path, tiny_bu
     stem = name.removesuffix(".flac")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {f"{stem}{e}" for e in (".bvh", ".html", ".json")}
     assert done.stdout.startswith(b"caf\\") and b"real-time factor" in done.stdout
-
-
-@pytest.mark.skipif(os.name != "posix", reason="closes descriptors in a shell")
-def test_closed_streams_change_no_byte(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
-    run([str(recording), "-o", str(tmp_path / "open.bvh"), "--quiet"], tiny_bundle)
-    for name, closed in (("error", "2>&-"), ("all", "<&- >&- 2>&-")):
-        done = subprocess.run(["sh", "-c", f'"$0" -m gesticulator.infer "$1" -o "$2" --bundle "$3" {closed}',
-                               sys.executable, str(recording), str(tmp_path / f"{name}.bvh"), str(tiny_bundle)])
-        assert done.returncode == 0
-        assert (tmp_path / f"{name}.bvh").read_bytes() == (tmp_path / "open.bvh").read_bytes()
 
 
 def test_the_threads_of_the_environment_change_no_bit(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:

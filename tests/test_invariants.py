@@ -21,7 +21,7 @@ from generator.model import Generator, GeneratorConfig, GeneratorWidths
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages.windows import Sequence, Windows, with_silence
 from interpreters.base import BlockFeatures
-from interpreters.statistical import StatisticalConfig, StatisticalInterpreter
+from interpreters.statistical import StatisticalInterpreter
 from lexicon.autoencoder import Lexicon, LexiconConfig
 from lexicon.inventory import count
 
@@ -143,14 +143,11 @@ def test_inserted_silence_is_its_share_to_the_block(share: float, longest: int, 
 # ---- interpreters
 
 
-@given(labels=st.lists(st.integers(0, 3), max_size=30), speaker=st.integers(0, 3),
-       follow=st.booleans(), gain=st.floats(0.5, 50))
-def test_a_lexeme_that_was_never_seen_keeps_a_chance(labels: list[int], speaker: int, follow: bool, gain: float
-                                                     ) -> None:
+@given(labels=st.lists(st.integers(0, 3), max_size=30), speaker=st.integers(0, 3))
+def test_a_lexeme_that_was_never_seen_keeps_a_chance(labels: list[int], speaker: int) -> None:
     inventory = count([("ann", np.array(labels, dtype=np.int64))], size=6)  # 4 and 5 never occur
     np.testing.assert_allclose(inventory.transitions.sum(1), 1.0)
-    system = StatisticalInterpreter(inventory.frequencies["ann"][None], inventory.transitions,
-                                    StatisticalConfig(gain, follow))
+    system = StatisticalInterpreter(inventory.frequencies["ann"][None], inventory.transitions)
     nothing = torch.zeros(1, 1)
     scores, _ = system.step(system.start(0, speaker), BlockFeatures(nothing, nothing), speaker)
     assert np.exp(scores).sum() == pytest.approx(1.0)

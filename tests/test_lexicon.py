@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lexicon.autoencoder import Lexicon, LexiconConfig
-from lexicon.inventory import count, nearest_silent, silent_lexemes, usage
+from lexicon.inventory import count, nearest_silent, silent_lexemes
 from lexicon.quantizer import Quantizer, perplexity
 
 
@@ -19,13 +19,6 @@ def small(**changes: object) -> Lexicon:
     torch.manual_seed(0)
     config = LexiconConfig(**{"size": 8, "code_width": 12, "widths": (8, 12, 12, 16), **changes})  # type: ignore[arg-type]
     return Lexicon(config, frames=10, motion_width=6)
-
-
-def test_labels_are_the_nearest_vectors_by_brute_force() -> None:
-    torch.manual_seed(1)
-    quantizer, latents = Quantizer(16, 5), torch.randn(200, 5)
-    brute = torch.cdist(latents.double(), quantizer.vectors.double()).argmin(1)
-    assert torch.equal(quantizer.labels(latents), brute)
 
 
 def test_labels_agree_with_an_independent_library() -> None:
@@ -61,49 +54,30 @@ def test_straight_through_hands_the_decoders_gradient_to_the_encoder_unaltered()
     torch.testing.assert_close(latents.grad, slope)
 
 
-def test_gradient_codebook_moves_only_by_the_third_term() -> None:
-    quantizer, latents = Quantizer(4, 3, mode="gradient"), torch.randn(20, 3, requires_grad=True)
-    out = quantizer(latents)
-    assert torch.autograd.grad(out.codes.sum(), quantizer.vectors, allow_unused=True, retain_graph=True)[0] is None
-    moved = torch.autograd.grad(out.codebook, quantizer.vectors, retain_graph=True)[0]
-    assert moved.abs().sum() > 0
-    assert torch.autograd.grad(out.codebook, latents, allow_unused=True)[0] is None
-
-
-@pytest.mark.parametrize("mode", ["ema", "gradient"])
-def test_commitment_draws_the_latents_and_nothing_else(mode: str) -> None:
+def test_commitment_draws_the_latents() -> None:
     """The gradient of mean |e - s|^2 with s held is 2 (e - s) / elements (RG Eq. 3)."""
-    quantizer, latents = Quantizer(4, 3, mode=mode).eval(), torch.randn(20, 3, requires_grad=True)
-    chosen = quantizer.vectors.detach()[quantizer.labels(latents)]
-    commitment = quantizer(latents).commitment
-    drawn, = torch.autograd.grad(commitment, latents, retain_graph=True)
+    quantizer, latents = Quantizer(4, 3).eval(), torch.randn(20, 3, requires_grad=True)
+    chosen = quantizer.vectors[quantizer.labels(latents)]
+    drawn, = torch.autograd.grad(quantizer(latents).commitment, latents)
     torch.testing.assert_close(drawn, 2 * (latents.detach() - chosen) / latents.numel())
-    if mode == "gradient":
-        assert torch.autograd.grad(commitment, quantizer.vectors, allow_unused=True)[0] is None
-
-
-def test_the_encoder_learns_from_the_commitment() -> None:
-    lexicon = small()
-    lexicon.losses({"motion": torch.randn(16, 10, 6), "mask": torch.ones(16, 6)})["commitment"].backward()
-    assert lexicon.to_code.weight.grad is not None and lexicon.to_code.weight.grad.abs().sum() > 0
 
 
 def test_ema_vectors_converge_to_the_means_of_their_clusters() -> None:
     torch.manual_seed(4)
     centres = torch.tensor([[5.0, 0.0], [-5.0, 0.0], [0.0, 5.0]])
-    quantizer = Quantizer(3, 2, decay=0.8, revive_below=0.0)
+    quantizer = Quantizer(3, 2, revive_below=0.0)
     quantizer.set_vectors(centres + 0.5)
-    for _ in range(60):
+    for _ in range(600):
         quantizer(centres[torch.randint(3, (300,))] + 0.1 * torch.randn(300, 2))
     torch.testing.assert_close(quantizer.vectors, centres, atol=0.05, rtol=0)
 
 
 def test_dead_codes_come_back_to_life() -> None:
     torch.manual_seed(5)
-    quantizer = Quantizer(6, 2, decay=0.5)
+    quantizer = Quantizer(6, 2)
     quantizer.set_vectors(torch.full((6, 2), 100.0) + torch.arange(6)[:, None])
     data = torch.randn(400, 2)
-    for _ in range(30):
+    for _ in range(400):
         quantizer(data)
     assert len(quantizer.eval().labels(data).unique()) == 6
 
@@ -125,21 +99,8 @@ def test_losses_are_the_equation_by_hand() -> None:
     assert torch.isclose(loss["commitment"], (latents - chosen).pow(2).mean(), rtol=1e-5)
 
 
-def test_masked_joints_do_not_matter() -> None:
-    lexicon = small().eval()
-    mask = torch.tensor([[1.0, 1, 1, 0, 0, 0]]).expand(4, -1)
-    motion = torch.randn(4, 10, 6)
-    made = lexicon.decode(lexicon.vectors[lexicon.quantizer.labels(lexicon.encode(motion))]).detach()
-    other = motion.clone()
-    other[..., 3:] = made[..., 3:]
-    a, b = (((lexicon.decode(lexicon.vectors[lexicon.quantizer.labels(lexicon.encode(motion))]) - m) * mask[:, None]
-             ).pow(2).sum() for m in (motion, other))
-    assert torch.isclose(a, b)
-
-
-@pytest.mark.parametrize("codebook", ["ema", "gradient"])
-def test_a_lexicon_learns_to_tell_four_gestures_apart(codebook: str) -> None:
-    lexicon = small(codebook=codebook, size=4, warm_up=0.3)
+def test_a_lexicon_learns_to_tell_four_gestures_apart() -> None:
+    lexicon = small(size=4, warm_up=0.3)
     shapes = torch.sin(torch.linspace(0, 3, 10)[None, :, None] * torch.arange(1, 5)[:, None, None]
                        + torch.linspace(0, 2, 6))
     rng = torch.Generator().manual_seed(6)
@@ -207,7 +168,3 @@ def test_silent_lexemes_are_slow_and_belong_to_silence() -> None:
 def test_nearest_silent_is_itself_for_a_silent_lexeme() -> None:
     vectors = np.array([[0.0, 0], [10, 0], [1, 0], [9, 0]])
     assert nearest_silent(vectors, np.array([0, 1])).tolist() == [0, 1, 0, 1]
-
-
-def test_usage() -> None:
-    assert usage(np.array([0, 0, 3]), 4) == 0.5

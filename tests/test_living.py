@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from data_module.errors import InputError
-from data_module.motion.rotation import angle_between
 from data_module.types import Array, Speech
 from eval.metrics.eye.body import common_body
 from eval.metrics.eye.trunk import longest, smoothed_speed
@@ -74,18 +73,6 @@ def test_what_is_no_speech_is_rested_through(system: Gesticulator, kind: str) ->
     hands, head = still(made)
     assert set(made.lexemes.tolist()) <= set(SILENT)
     assert hands.max() < 0.12 and hands.min() > 0 and longest(head < 0.02) < 1.0
-
-
-def test_fingers_live_with_their_hands() -> None:
-    fingered = Gesticulator(untrained("silence.rest=life", "motion.joints=46"))
-    made = fingered(voice((1.5, 5.5)), seed=2)
-    names = made.joints
-    ours = [names.index(f"{side}HandIndex1") for side in ("Right", "Left")]
-    rest = made.motion.rotations[round(5.0 * made.fps):round(6.8 * made.fps), ours]
-    turned = np.degrees(angle_between(rest[0], rest[-1]))
-    fastest = np.degrees(angle_between(rest[1:], rest[:-1])).max() * made.fps
-    assert len(names) == 46 and turned.min() > 0.05 and fastest < 30
-    assert still(made)[0][round(5.1 * made.fps):].max() < 0.12
 
 
 def test_a_block_needs_no_more_than_the_next_second(system: Gesticulator) -> None:

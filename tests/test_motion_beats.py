@@ -7,7 +7,7 @@ import pytest
 
 from data_module.errors import InputError
 from data_module.motion import rotation, skeletons
-from data_module.motion.motion_beats import acting_speed, beats_of_speed, motion_beats
+from data_module.motion.motion_beats import acting_speed, motion_beats
 from data_module.types import Array, Motion, Skeleton
 
 BRAKE = (3 + np.sqrt(3)) / 6
@@ -64,32 +64,6 @@ def test_mode_b_finds_the_stillness_between_movements() -> None:
     assert np.abs(beats - turning).max() < 0.01
 
 
-@pytest.mark.parametrize("mode", ["A", "B"])
-def test_arms_that_hardly_move_have_no_beats(mode: str) -> None:
-    rng = np.random.default_rng(0)
-    still = arm_motion(np.zeros(600), 60.0)
-    assert len(motion_beats(still, mode)) == 0
-    trembling = arm_motion(5e-4 * np.cumsum(rng.standard_normal(600)) / 10, 60.0)
-    assert len(motion_beats(trembling, mode)) == 0
-    assert len(motion_beats(still.crop(0, 1), mode)) == 0
-    tremor = arm_motion(0.006 * np.sin(2 * np.pi * 4 * np.arange(600) / 60), 60.0)
-    assert len(motion_beats(tremor, mode)) == 0
-    head = arm_motion(reaches(60.0), 60.0, joint="Head")
-    assert len(motion_beats(head, mode)) == 0
-
-
-def test_a_slow_drift_brakes_too_gently_to_beat() -> None:
-    time = np.arange(1800) / 60
-    assert len(motion_beats(arm_motion(0.5 * time + 0.3 * np.sin(2 * np.pi * 0.1 * time), 60.0))) == 0
-
-
-def test_rest_between_gestures_adds_no_beats() -> None:
-    rng = np.random.default_rng(0)
-    angle = np.concatenate([reaches(60.0), np.full(600, reaches(60.0)[-1])])
-    angle += 2e-4 * rng.standard_normal(len(angle))
-    assert len(motion_beats(arm_motion(angle, 60.0))) == len(STARTS)
-
-
 def test_neither_the_skeleton_nor_its_heading_matters() -> None:
     motion = arm_motion(reaches(60.0), 60.0)
     expected = motion_beats(motion)
@@ -105,11 +79,6 @@ def test_acting_speed_is_the_sum_of_speeds_in_metres_per_second() -> None:
     positions = np.stack([np.outer(time, [3, 4, 0]), np.outer(time, [0, 0, -2])], axis=1)
     assert np.allclose(acting_speed(positions, 60.0), 7.0)
     assert acting_speed(positions[:1], 60.0).tolist() == [0.0]
-
-
-def test_two_beats_keep_their_distance() -> None:
-    speed = 1 + np.abs(np.sin(2 * np.pi * 6 * np.arange(600) / 100))
-    assert np.diff(beats_of_speed(speed, 100.0)).min() >= 0.09
 
 
 def test_an_unknown_mode_is_refused() -> None:

@@ -139,24 +139,3 @@ def test_what_a_lexeme_shows_is_labelled_as_that_lexeme() -> None:
     model = lexicon()
     labels = model.label(model.shown(), Pasts(model.examples, torch.ones(4)))
     assert labels.tolist() == [0, 1, 2, 3]
-
-
-def test_standing_still_is_nearest_to_the_smallest_movement() -> None:
-    model = lexicon()
-    with torch.no_grad():
-        model.vectors[2] *= 0.01
-    assert int(model.still_distances(torch.zeros(WIDTH)).argmin()) == 2
-
-
-def test_a_fit_is_the_same_for_the_same_seed() -> None:
-    one, other = lexicon(), lexicon()
-    for key, value in one.state_dict().items():
-        assert torch.equal(value, other.state_dict()[key]), key
-
-
-def test_more_codes_than_blocks_leaves_the_rest_where_nothing_is() -> None:
-    model = MovementLexicon(LexiconConfig(size=20, levels=()), FRAMES, PARTS)
-    motion, past, _ = planted(10, 1)
-    model.fit(motion, past, torch.ones(10, WIDTH), 5)
-    assert set(model.label(motion, past).tolist()) <= set(range(10))
-    assert torch.isfinite(model.vectors).all()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from data_module.motion.skeletons import CHARACTERS, FINGERED, FINGERS
 from data_module.types import Array, Motion
 from gesticulator.body.clips import mirrored_motion
 from gesticulator.cli import main
-from gesticulator.contacts.columns import head_distances, trunk_distances
+from gesticulator.contacts.columns import HEAD, TRUNK
 from gesticulator.contacts.limbs import MARGIN, pose_of
 from gesticulator.directing.gesture_phases import SCRIPTS, drawn_gesture, longest
 from gesticulator.directing.hands import arm_turns, finger_turns, hand_rotation
@@ -174,7 +173,7 @@ def test_poses_are_those_of_a_body(name: str) -> None:
             bend = np.linalg.norm(turns[:, names.index(side + "Hand"), 1:], axis=-1)
             assert np.degrees(bend).max() < 70.0, "a wrist"
             assert speeds(wrist).max() < 4.5
-        assert min(gap.min() for gap in trunk_distances(pose_of(motion)).values()) > 0.0, "no hand in the trunk"
+        assert min(gap.min() for gap in TRUNK.distances(pose_of(motion)).values()) > 0.0, "no hand in the trunk"
 
 
 # -------------------------------------------------------------------------------------------------- size, variation
@@ -296,21 +295,6 @@ def test_the_verb_lists_all_gestures(capsys: pytest.CaptureFixture[str]) -> None
     assert any(line.startswith("wave hello (or wave): A speaker waves") for line in lines)
 
 
-def test_the_page_tells_what_the_verb_lists() -> None:
-    """docs/gestures.md has a row for every gesture, with its names, meaning, kinds and seconds."""
-    page = (Path(__file__).parents[1] / "docs" / "gestures.md").read_text(encoding="utf-8")
-    rows = {line.split("`")[1]: [cell.strip() for cell in line.strip("|").split("|")]
-            for line in page.splitlines() if line.startswith("| `")}
-    assert list(rows) == NAMES
-    for name, (names, meaning, hands, kinds, seconds) in rows.items():
-        gesture, phases = REPERTOIRE[name], longest(name)
-        assert names.replace("`", "").split(", ") == [name, *(alias for alias, of in ALIASES.items() if of == name)]
-        assert (meaning, hands) == (gesture.meaning, gesture.hands)
-        assert kinds.split(", ") == ([kind for kind in ("core", "weak", "offensive") if getattr(gesture, kind)] or [""])
-        np.testing.assert_allclose([float(one) for one in seconds.split(", ")],
-                                   [phases.before, phases.hold, phases.retraction], atol=0.006)
-
-
 # ------------------------------------------------------------------------------------------- head and speed
 
 @functools.cache
@@ -331,7 +315,7 @@ def test_no_hand_enters_the_head_or_is_thrown(name: str, start: Callable[[], Arr
     head_is_touched = any(script.faces for script in SCRIPTS[name])
     for size in (0.6, 1.0, 1.5):
         motion = motion_of(laid_over(start(), times(), [(GestureCue(name, time=AT, intensity=size), AT)]))
-        gaps = head_distances(pose_of(motion))
+        gaps = HEAD.distances(pose_of(motion))
         for side in hands_of(name):
             assert gaps[side].min() > (-0.012 if head_is_touched else MARGIN - 0.015)
             assert speeds(in_chest(motion, f"{side}Hand", "Spine3")).max() < 2.6

@@ -63,7 +63,7 @@ class LoudInterpreter(nn.Module, InterpreterDefaults):
 
     def losses(self, batch, progress=1.0):
         scores = self.logits(batch["audio_high"])
-        return {"nll": functional.cross_entropy(scores.flatten(0, 1), batch["lexeme_index"].flatten())}
+        return {"nll": functional.cross_entropy(scores.flatten(0, 1), batch["lexeme"].flatten())}
 
     def start(self, speaker, first_lexeme):
         return None

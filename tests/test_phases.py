@@ -60,11 +60,6 @@ def test_a_raised_hand_that_is_still_for_long_rests_and_a_hanging_one_is_not_hel
     assert Phase.HOLD not in hanging.labels
 
 
-def test_a_still_hand_and_a_short_path_have_no_unit() -> None:
-    assert phases_of(np.tile(HIGH, (300, 1)), FPS).units == ()
-    assert phases_of(np.zeros((2, 3)), FPS).labels.tolist() == [Phase.REST] * 2
-
-
 @given(st.lists(st.tuples(st.sampled_from([LOW, MIDDLE, HIGH]), st.floats(0.3, 1.5)), min_size=1, max_size=8),
        st.floats(0.0, 2 * np.pi))
 def test_phases_cover_units_and_do_not_depend_on_heading(legs: list[tuple[Array, float]], turn: float) -> None:

@@ -17,7 +17,7 @@ from data_module.types import Array, Speech, Word
 from gesticulator import Gesticulator, infer
 from gesticulator.body.clips import mirrored_motion
 from gesticulator.bundle.features import representation_of
-from gesticulator.contacts.columns import trunk_distances
+from gesticulator.contacts.columns import TRUNK
 from gesticulator.contacts.limbs import pose_of
 from gesticulator.directing.cues import cues_at
 from gesticulator.directing.named_gestures import span_of_gesture
@@ -181,7 +181,7 @@ def test_intensity_scales_the_hands_and_keeps_them_in_range_and_out_of_the_body(
     beyond = np.maximum(angles - high[columns], low[columns] - angles).max()
     # Idle life and smoothing bring the drawing itself to the edge; pushing a hand out of the trunk may take a little.
     assert beyond <= max(np.maximum(before - high[columns], low[columns] - before).max(), 0.0) + 0.16
-    for gap in trunk_distances(pose_of(made.motion)).values():
+    for gap in TRUNK.distances(pose_of(made.motion)).values():
         assert gap.min() > -0.01, "no hand in the trunk, at no frame"
 
 

@@ -10,7 +10,6 @@ import torch
 from scipy.stats import chisquare
 
 from gesticulator.bundle.features import SpeechBlock
-from gesticulator.directing.record import units_of_blocks
 from gesticulator.plan.plan import Block, BlockDraw
 from gesticulator.sampling.loop import BlockMotion
 from gesticulator.systems.movement import GOES_ON_PAUSING, HOLD, VOICE_RETURNS, phrasing
@@ -24,8 +23,7 @@ FRAMES, WIDTH, SPEAKERS, LEXEMES = 4, 6, 2, 5
 
 def planner(**settings: float) -> UnitPlanner:
     torch.manual_seed(0)
-    config = replace(PlannerConfig(audio_features=4, audio_bottleneck=4, embedding=4, width=24, dropout=0.0,
-                                   past_dropout=0.0), **settings)  # type: ignore[arg-type]
+    config = replace(PlannerConfig(audio_features=4, audio_bottleneck=4, embedding=4, width=24), **settings)  # type: ignore[arg-type]
     return UnitPlanner(config, FRAMES, WIDTH, SPEAKERS, LEXEMES).eval()
 
 
@@ -109,17 +107,6 @@ def test_losses_are_the_nats_of_its_own_distribution() -> None:
         assert losses[name].item() == pytest.approx(-own.mean().item(), rel=1e-5)
 
 
-def test_a_decision_is_a_sample_of_its_distribution() -> None:
-    model, rows = planner(), torch.zeros(3 * FRAMES, WIDTH)
-    heard, _ = model.encode_speech(rows[None, None], model.start(1).speaker, model.start(1).last[:, None])
-    nothing = torch.zeros(1, 1, 0, dtype=torch.long)
-    shares = torch.softmax(model.logits(heard, 0, nothing)[0, 0].double(), -1).detach().numpy()
-    drawn = [model.step(model.start(1), features(rows), numbers(k))[0].phase for k in range(3000)]
-    counts = np.bincount(drawn, minlength=len(PHASES))
-    assert chisquare(counts, shares / shares.sum() * 3000).pvalue > 1e-3
-    assert len({model.step(model.start(1), features(rows), numbers(9))[0] for _ in range(3)}) == 1
-
-
 def test_a_bias_moves_the_odds_of_a_phase_and_a_hold_needs_raised_hands() -> None:
     model, rows = planner(), torch.zeros(3 * FRAMES, WIDTH)
     for last, raised in ((PHASES.index("stroke"), True), (PHASES.index("rest"), False)):
@@ -147,12 +134,6 @@ def test_a_pause_that_goes_on_holds_and_one_that_ends_prepares() -> None:
     assert of(quiet, voiced) == of(quiet, np.array([True, True, True, False])) == {
         "hold": HOLD, "preparation": VOICE_RETURNS}
     assert of(voiced, voiced) == of(voiced, quiet) == of(quiet, None) == {"hold": HOLD}
-
-
-def test_a_stroke_follows_another_after_its_apex() -> None:
-    stroke, apex = (UnitDecision(2, 1, 1, APEXES.index(name)) for name in ("later", "now"))
-    assert stroke.follows(apex) and not stroke.follows(stroke) and not stroke.follows(None)
-    assert not UnitDecision(3, 1, 0, 0).follows(apex)
 
 
 def test_a_new_unit_forgets_the_sound_before_its_last_decision() -> None:
@@ -200,15 +181,3 @@ def test_lexemes_are_worth_what_their_phase_says() -> None:
 def block(start: float, unit: UnitDecision | None) -> BlockMotion:
     own = Block(start, start + 0.3, 0, False, BlockDraw(0, 0, 0), "onset")
     return BlockMotion(own, 0, np.zeros((1, 1), np.float32), np.zeros(0, np.float32), unit)
-
-
-def test_units_of_a_plan_go_from_rest_to_rest() -> None:
-    phases = [0, 1, 2, 3, 2, 4, 0, 0, 3, 2]
-    decisions = [UnitDecision(phase, 2 * (phase > 0), 3 * (phase == 2), 0) for phase in phases]
-    units = units_of_blocks([block(0.3 * k, decision) for k, decision in enumerate(decisions)])
-    assert [(round(unit.start, 6), round(unit.end, 6), unit.hand, unit.size) for unit in units] == [
-        (0.3, 1.8, "right", 1.5), (2.4, 3.0, "right", 1.5)]
-    assert [phase.kind for phase in units[0].phases] == ["preparation", "stroke", "post-stroke hold", "stroke",
-                                                         "retraction"]
-    assert units[1].phases[0].kind == "pre-stroke hold"
-    assert units_of_blocks([block(0.0, None)]) == ()

@@ -40,9 +40,6 @@ def test_another_reward_is_brought_to_the_scale_of_the_data() -> None:
     assert own.mean() == pytest.approx(one.reward[1:].mean(), abs=1e-5)
     assert own.std() == pytest.approx(one.reward[1:].std(), abs=1e-5)
     assert torch.equal(scaled.argsort(1), table.argsort(1)), "no order changes"
-    known = training.TabledReward(scaled)
-    assert torch.equal(known.sequence_every(torch.zeros(3), torch.tensor([4, 5, 6])), scaled[4:7])
-    assert torch.equal(known.every(torch.zeros(1, 2), torch.tensor([[2, 3, 9]]), torch.ones(1, 3)), scaled[9:10])
 
 
 @pytest.fixture(scope="module")
@@ -54,17 +51,6 @@ def context(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> Racer
 
 def weights(module: torch.nn.Module) -> Tensor:
     return torch.cat([parameter.detach().flatten() for parameter in module.parameters()])
-
-
-def test_exploration_falls_to_its_least_by_half_of_the_steps() -> None:
-    shares = [training.epsilon_at(step, 100) for step in range(100)]
-    assert shares[0] == 1.0 and shares[50:] == [training.LEAST_EPSILON] * 50 and shares == sorted(shares, reverse=True)
-
-
-def test_all_rows_of_a_seed_begin_alike(context: RacerRows) -> None:
-    first = [weights(context.untrained(f"racer-{name}", 1)) for name in ("cql", "dqn", "literal")]
-    assert torch.equal(first[0], first[1]) and torch.equal(first[0], first[2])
-    assert not torch.equal(first[0], weights(context.untrained("racer-cql", 2)))
 
 
 def test_what_acts_keeps_to_the_silent_mask(context: RacerRows) -> None:
@@ -94,7 +80,7 @@ def test_each_kind_learns_from_its_own(context: RacerRows) -> None:
         model, make_batch = training.TRAININGS[row.train](context, config, context.untrained(f"racer-{name}", 1), 1)
         assert isinstance(model, ActorCritic if row.train == "actor-critic" else ConservativeQ)
         model.before_step(0)
-        got, again = (make_batch(np.random.default_rng(5)) for _ in range(2))
+        got, again = (make_batch(np.random.default_rng(5), 4) for _ in range(2))
         assert all(torch.equal(value, again[key]) for key, value in got.items())
         return got
 
@@ -104,8 +90,8 @@ def test_each_kind_learns_from_its_own(context: RacerRows) -> None:
         assert (batch[name]["behaviour"] == BEHAVIOURS.index("sampled")).all() and (batch[name]["cloned"] == 0).all()
     assert torch.equal(batch["cql"]["action"], batch["distance"]["action"]), "the same was done, it is paid otherwise"
     assert not torch.equal(batch["cql"]["reward"], batch["distance"]["reward"])
-    rewards = [np.concatenate([e.reward[1:] for e in training.rewarded(context, context.config(f"racer-{name}"))[0]
-                               .episodes]) for name in ("cql", "distance")]
+    of = {name: training.rewarded(context, context.config(f"racer-{name}")) for name in ("cql", "distance")}
+    rewards = [np.concatenate([episode.reward[1:] for episode in episodes.episodes]) for episodes in of.values()]
     assert rewards[0].mean() == pytest.approx(rewards[1].mean(), abs=1e-4)
     assert rewards[0].std() == pytest.approx(rewards[1].std(), abs=1e-4)
 
@@ -133,24 +119,11 @@ def test_training_repeats_and_is_kept(context: RacerRows, name: str) -> None:
 def test_a_key_tells_what_shapes_a_row(context: RacerRows) -> None:
     rows = [name for name, row in ROWS.items() if row.train != "stages"]
     keys = {context.key(name, seed) for name in rows for seed in (1, 2)}
-    # The alpha of this bundle is 0.1, so racer-alpha=0.1 is its racer-cql; a matched row samples another's network.
-    twins = {name for name in rows if name == "racer-alpha=0.1"}
-    assert len(keys) == 2 * sum(not ROWS[name].matched and name not in twins for name in rows)
-    assert len({context.cell_key(name, 1) for name in rows}) == len(rows) - len(twins)
+    # The alpha of this bundle is 0.1, so racer-alpha=0.1 is its racer-cql.
+    assert len(keys) == 2 * (len(rows) - 1)
+    assert len({context.cell_key(name, 1) for name in rows}) == len(rows) - 1
     longer = with_settings(context.settings, ["schedules.cql.steps=5"])
     assert dataclasses.replace(context, settings=longer).key("racer-cql", 1) not in keys
-
-
-def test_scaled_rewards_are_learned() -> None:
-    batch = training.scaled(lambda rng: {"reward": torch.ones(2), "action": torch.ones(2)}, 20.0)(
-        np.random.default_rng(0))
-    assert batch["reward"].tolist() == [20.0, 20.0] and batch["action"].tolist() == [1.0, 1.0]
-
-
-def test_a_matched_row_is_the_same_network_sampled(context: RacerRows) -> None:
-    policy, _ = training.trained(context, "racer-cql-matched", 1)
-    assert torch.equal(weights(policy), weights(training.trained(context, "racer-cql", 1)[0]))
-    assert context.temperature("racer-cql", policy) == 0.0 < context.temperature("racer-cql-matched", policy)
 
 
 def test_a_bundle_without_a_judge_is_refused(context: RacerRows, tiny_store: Path, tmp_path: Path) -> None:

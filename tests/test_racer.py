@@ -58,7 +58,7 @@ def test_reward_windows_hold_what_belongs_together(corpus: Corpus, tiny_bundle: 
     audio = block_audio(corpus)
     frames = corpus.motion.shape[1]
     windows = RewardWindows(corpus, audio, shown, corpus.recordings("train"),
-                            RewardConfig(shortest=2, window=4, longest=6), labels)
+                            RewardConfig(window=4, longest=6), labels)
     batch = windows.sample(np.random.default_rng(0), 64)
     again = windows.sample(np.random.default_rng(0), 64)
     assert all(torch.equal(batch[key], again[key]) for key in batch)
@@ -73,8 +73,6 @@ def test_reward_windows_hold_what_belongs_together(corpus: Corpus, tiny_bundle: 
         captured = torch.equal(batch["motion"][row][kept], corpus.motion[at])
         assert captured or torch.equal(batch["motion"][row][kept], shown[at])
         assert len({int(corpus.recording[b]) for b in at}) == 1
-        lasting = batch["log_duration"][row][kept].exp()
-        torch.testing.assert_close(lasting, torch.as_tensor(corpus.durations[at]).float())
         decoded += not captured
     assert 20 <= decoded <= 44
     assert audio.shape[1:] == (frames, corpus.low.shape[-1] + corpus.high.shape[-1] - 1)
@@ -85,7 +83,7 @@ def test_rivals_are_wrong_at_the_end_and_right_before(corpus: Corpus, tiny_bundl
     bundle = bundles.load(tiny_bundle)
     lexemes = bundle.block_lexicon.shown()
     labels = token_labels(bundle.lexicon, corpus)
-    config = RewardConfig(shortest=2, window=4, longest=6, rivals=3)
+    config = RewardConfig(window=4, longest=6, rivals=3)
     windows = RewardWindows(corpus, block_audio(corpus), decoded_blocks(bundle.lexicon, labels, corpus),
                             corpus.recordings("train"), config, labels, lexemes, bundle.transitions)
     batch = windows.sample(np.random.default_rng(1), 48, 1.0)
@@ -112,10 +110,9 @@ def test_a_reward_table_asks_about_the_corpus(corpus: Corpus, tiny_bundle: Path)
     # The last step by hand: the last window of decoded blocks and of audio, through the model itself.
     last, model = torch.as_tensor(take.blocks[-bundle.config.reward.window:]), bundle.reward
     motion = bundle.block_lexicon.shown()[torch.as_tensor(labels)[last]][None]
-    logs = torch.as_tensor(np.log(corpus.durations))[last].float()[None]
     with torch.no_grad():
         pairs = [own.embed({"motion": motion, "audio": block_audio(corpus)[last].float()[None],
-                             "log_duration": logs, "valid": torch.ones(1, len(last))}) for own in model.models]
+                             "valid": torch.ones(1, len(last))}) for own in model.models]
     by_hand = sum(float((one * two).sum()) for one, two in pairs) / len(pairs)
     assert float(got[-1]) == pytest.approx(by_hand, abs=1e-5)
 

@@ -93,16 +93,6 @@ def test_the_published_split_of_beat() -> None:
     assert published_split("13_lu_2_1_1") is None
 
 
-def test_beat_files_that_are_there_twice_are_refused(tmp_path: Path) -> None:
-    write_beat(tmp_path / "2", TAKE)
-    write_beat(tmp_path / "again", TAKE)
-    with pytest.raises(InputError, match=r"again/2_scott_0_1_1.*is there twice"):
-        open_corpus("beat", tmp_path, Options())
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="empty: holds no ID_NAME"):
-        open_corpus("beat", tmp_path / "empty", Options())
-
-
 # ---------------------------------------------------------------------------------------------------- BEAT2
 
 
@@ -165,26 +155,6 @@ def test_one_take_in_two_formats_is_one_motion(outside_data: Path) -> None:
         assert np.corrcoef(ours[:, hand, axis], theirs[:, hand, axis])[0, 1] > 0.95
 
 
-def test_a_broken_smplx_file_is_named(tmp_path: Path) -> None:
-    file = tmp_path / "smplxflame_30" / f"{TAKE}.npz"
-    spoilt: list[tuple[dict[str, object], str]] = [
-        ({"poses": np.zeros((5, 12))}, r"poses of shape \(5, 12\)"), ({"trans": np.zeros((4, 3))}, "trans of shape"),
-        ({"poses": np.full((5, 165), np.nan)}, "not numbers"), ({"mocap_frame_rate": np.array(0)}, "mocap_frame_rate"),
-        ({"poses": np.array([{}], dtype=object)}, "not an .npz of plain arrays"),
-        ({"poses": np.array(["a"])}, "no numbers called poses")]
-    for arrays, message in spoilt:
-        write_beat2(tmp_path, TAKE, **{"poses": poses_of(5), **arrays})  # type: ignore[arg-type]
-        with pytest.raises(InputError, match=rf"{TAKE}\.npz: .*{message}"):
-            read_smplx(file)
-    file.write_bytes(b"PK\x03\x04 cut short")
-    with pytest.raises(InputError, match=rf"{TAKE}\.npz: is not an \.npz"):
-        read_smplx(file)
-    (tmp_path / "train_test_split.csv").write_text(f"id,type\n{TAKE},test\n")
-    reader = open_corpus("beat2", tmp_path, Options())
-    with pytest.raises(DroppedError, match=rf"{TAKE}\.npz"):
-        load(reader, reader.items()[0])
-
-
 @pytest.mark.parametrize(("text", "message"), [
     (None, "does not exist"), ("id,type\n", "is empty"), (f"id,type\n{TAKE},exam\n", f"invalid entries \\({TAKE}\\)"),
     (f"id,type\n{TAKE},test\n{TAKE},val\n", "twice"), ("name\na\n", "invalid entries"),
@@ -231,17 +201,6 @@ def test_nothing_is_unpickled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("version", ["014", "100"])
-def test_a_value_cut_short_is_refused(version: str) -> None:
-    pytest.importorskip("pyarrow", reason="pyarrow is in the extra 'ted'")
-    from data_module.corpora.serialised import deserialise
-
-    data = ted_value("VIDEO", version)
-    for length in (0, 7, 16, 200, len(data) // 3, len(data) // 2, len(data) - 4000):
-        with pytest.raises(InputError, match=r"VALUE: is not an output of pyarrow\.serialize, or is truncated"):
-            deserialise(data[:length], source="VALUE")
-
-
 @pytest.fixture
 def ted(tmp_path: Path) -> Path:
     """The three published databases, lmdb_val without its file."""
@@ -274,14 +233,6 @@ def test_the_databases_of_ted_are_read(ted: Path) -> None:
         load(reader, reader.items()[0])
 
 
-def test_ted_makes_a_store_that_says_what_it_lacks(ted: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["ted", "--source", str(ted), "--out", str(ted / "store"), "--workers", "1", "--no-dataset"]) == 0
-    store = Store.open(ted / "store")
-    assert store.names == ("ted_-aB_1_001", "ted_-aB_1_001_2")
-    assert {"Hips", "LeftHand", "RightHand"} <= set(store.recordings[0].absent)
-    assert "dropped ted_-aB_1_000:" in capsys.readouterr().out
-
-
 def test_a_broken_database_of_ted_is_named(ted: Path) -> None:
     (ted / "lmdb_test" / "data.mdb").write_bytes(b"not a database" * 100)
     with pytest.raises(InputError, match="lmdb_test: is not a database"):
@@ -290,19 +241,3 @@ def test_a_broken_database_of_ted_is_named(ted: Path) -> None:
     shutil.rmtree(ted / "lmdb_test")
     with pytest.raises(InputError, match="holds none of lmdb_train"):
         open_corpus("ted", ted, Options())
-
-
-def test_ted_without_its_libraries_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import importlib.util
-
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"lmdb and pyarrow, which are not installed; pip install .*\[ted\]"):
-        open_corpus("ted", tmp_path, Options())
-
-
-@pytest.mark.parametrize("corpus", ["beat", "beat2", "ted"])
-def test_a_reader_wants_its_source(corpus: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--source: is missing"):
-        open_corpus(corpus, None, Options())
-    with pytest.raises(InputError, match="nowhere: does not exist"):
-        open_corpus(corpus, tmp_path / "nowhere", Options())

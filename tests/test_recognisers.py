@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recogniser_samples import FILES, JSON, WITHOUT_TIMES, Words, assemblyai, google, srt_highlighted, whisper, whisperx
+from recogniser_samples import FILES, JSON, WITHOUT_TIMES, Words, assemblyai, srt_highlighted, whisper, whisperx
 
 from data_module.errors import InputError
 from data_module.text.recognisers import RECOGNISERS
@@ -73,10 +73,6 @@ def test_a_file_is_found_by_its_shape(name: str) -> None:
     assert next(reader.name for reader in RECOGNISERS if reader.shape(content)) == meant
 
 
-def test_every_reader_has_a_sample() -> None:
-    assert {meant for meant, _ in JSON.values()} == {reader.name for reader in RECOGNISERS}
-
-
 @pytest.mark.parametrize("name", sorted(WITHOUT_TIMES - {"text"}))
 def test_lines_are_cues_and_their_words_are_spread(name: str, tmp_path: Path) -> None:
     found = _sample(tmp_path, name, SPOKEN)
@@ -117,11 +113,6 @@ def test_highlighted_words_come_once(tmp_path: Path) -> None:
     text = "\n\n".join(cue.strip() for cue in cues)
     assert sum(len(cue.split("\n")[-1].split()) for cue in text.split("\n\n")) > 700
     _same(_read(tmp_path, ".srt", text, 35.0), words)
-
-
-def test_the_same_line_twice_is_spoken_twice(tmp_path: Path) -> None:
-    again = [("no", 0.0, 0.3), ("no", 0.4, 0.7), ("no", 1.0, 1.3), ("no", 1.4, 1.7)]
-    _same(_read(tmp_path, ".srt", srt_highlighted(again)), again)
 
 
 def test_emphasis_in_a_line_is_no_time(tmp_path: Path) -> None:
@@ -195,19 +186,6 @@ def test_broken_tables_are_named_by_line(content: str, said: str, tmp_path: Path
     with pytest.raises(InputError) as caught:
         _read(tmp_path, ".tsv", content)
     assert said in str(caught.value)
-
-
-def test_a_table_of_seconds(tmp_path: Path) -> None:
-    found = _read(tmp_path, ".tsv", "start\tend\ttext\n0.0\t1.5\twell then\n2.0\t3.5\tso\n")
-    assert [(cue.start, cue.end) for cue in found.cues] == [(0.0, 1.5), (2.0, 3.5)]
-
-
-def test_the_last_of_repeated_results_counts_once(tmp_path: Path) -> None:
-    """A result with as many words as all before it, and none of them twice, is no repetition without them."""
-    content = google(SPOKEN[:6])
-    assert len(content["response"]["results"]) == 2
-    found = _read(tmp_path, ".json", json.dumps(content))
-    assert found.words is not None and [word.text for word in found.words] == [word for word, _, _ in SPOKEN[:6]]
 
 
 def test_texts_in_a_script_without_spaces_are_spread_over_their_tokens(tmp_path: Path) -> None:

@@ -92,33 +92,12 @@ def test_a_broken_entry_is_one_line_and_harms_no_other(make: Make, value: str, w
         assert "bad" not in usable and capfd.readouterr().err.count("\n") == 1
 
 
-def test_our_entry_wins_a_clash_then_the_first_package_with_a_warning_each(make: Make,
-                                                                           capfd: pytest.CaptureFixture[str]) -> None:
+def test_our_entry_wins_a_clash_then_the_first_package(make: Make) -> None:
     things = make(("zeta", "x", "z:z"), ("alpha", "x", "a:a"), ("alpha", "ours", "a:b"))
     assert things["ours"].about == "ours" and things["x"].where == "a:a"
     assert list(things) == ["ours", "rare", "x"]
-    lines = capfd.readouterr().err.splitlines()
-    assert len(lines) == 2, "once, however often the table is read"
-    assert "ours of things is that of gesticulator; a:b of alpha is not used" in lines[0]
-    assert "x of things is that of alpha; z:z of zeta is not used" in lines[1]
-
-
-def test_an_entry_of_ours_that_is_installed_twice_is_no_clash(make: Make, capfd: pytest.CaptureFixture[str]) -> None:
-    things = make(("gesticulator", "y", "m:o"), ("gesticulator", "y", "m:o"))
-    assert things["y"].where == "m:o" and capfd.readouterr().err == ""
 
 
 def test_a_missing_library_is_named_with_the_extra_that_installs_it(make: Make) -> None:
     with pytest.raises(InputError, match=r'rare: needs nosuch, .*pip install "gesticulator\[some-extra\]"'):
         make().load("rare")
-
-
-def test_installations_that_cannot_be_read_cost_a_line(make: Make, monkeypatch: pytest.MonkeyPatch,
-                                                       capfd: pytest.CaptureFixture[str]) -> None:
-    things = make()
-
-    def fail(group: str) -> None:
-        raise UnicodeDecodeError("utf-8", b"\xff", 0, 1, "bad")
-
-    monkeypatch.setattr(registry, "entry_points", fail)
-    assert list(things) == ["ours", "rare"] and capfd.readouterr().err.count("\n") == 1

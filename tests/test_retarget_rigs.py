@@ -21,7 +21,7 @@ from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import SURE
 from gesticulator.characters.retarget import Retargeter
 from tests.rig_errors import LIMITS, depth_in_column, inside, worst
-from tests.rigs import NAMED, PLACES, POSES, STYLES, Rig, draw, placed
+from tests.rigs import PLACES, POSES, STYLES, Rig, draw, placed
 
 SEEDS: tuple[int, ...] = (
     1897878, 4143999, 12039805, 13142800, 14479038, 20174414, 27049426, 27078753, 27959164, 31660470, 55795855,
@@ -144,13 +144,6 @@ def test_palms_face_as_ours_do_where_knuckles_are_arched(style: str, performed: 
     assert {"LeftHandIndex1", "LeftHandMiddle1", "LeftHandPinky1"} <= rig.truth.keys()
     errors = worst(rig, performed, Retargeter(rig.character, contacts=False)(performed))
     assert errors["palms"] < 1.0 and errors["fingers"] <= LIMITS["fingers"]
-
-
-@pytest.mark.parametrize("style", NAMED)
-def test_no_tool_needs_a_mapping_by_hand(style: str) -> None:
-    for seed in (1, 2):
-        found = find_joints(draw(seed, style).character)
-        assert found.confidence > 0.9, (style, found.doubts)
 
 
 def _ours_inside(motion: Motion, torso: tuple[float, float] = (0.145, 0.115)) -> np.ndarray:

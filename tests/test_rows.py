@@ -57,10 +57,10 @@ def test_every_row_changes_something_and_no_two_are_equal(preset: str) -> None:
         default = configs.with_settings(presets.preset("default"), RACER_PRESETS[preset])
         start = default if is_racer(name) else base
         variant = json.dumps([configs.to_dict(configs.with_settings(start, row.set)), row.play, row.style, row.split,
-                              row.train, row.scale, row.matched])
+                              row.train])
         assert variant not in variants, f"{name} is {variants.get(variant)} again"
         variants[variant] = name
-        assert row.ask and (row.train == "stages") != is_racer(name) and bool(row.network) == row.matched
+        assert row.ask and (row.train == "stages") != is_racer(name)
 
 
 def test_racers_rows_are_what_the_paper_says_and_train_equally_long() -> None:
@@ -75,7 +75,7 @@ def test_racers_rows_are_what_the_paper_says_and_train_equally_long() -> None:
     assert of["dqn"].cql == dataclasses.replace(base.cql, conservative=0.0)
     assert of["distance"].episodes == dataclasses.replace(base.episodes, reward="distance")
     assert of["literal"].episodes.shares == presets.LITERAL.shares
-    assert of["alpha=10"].cql.conservative == 10.0 and of["cql"] == base == of["cql-matched"]
+    assert of["alpha=10"].cql.conservative == 10.0 and of["cql"] == base
     assert TABLES["RACER Table 2"].printed("racer-distance", "return") == ()
 
 
@@ -276,16 +276,16 @@ def test_tables_show_ours_beside_the_papers_and_mark_what_is_undecided() -> None
     assert table.rows["SG (no motion given)"]["maje, paper"] == "97.29 / -"
 
 
-def test_racers_table_pairs_seeds_and_compares_matched_rows_with_matched_ones() -> None:
+def test_racers_table_pairs_seeds() -> None:
     cells = {"racer-supervised": {s: cell("racer-supervised", s, s) for s in (1, 2)},
              RACER_OURS: {s: cell(RACER_OURS, s, s + 2.0) for s in (1, 2, 3)},
-             "racer-dqn-matched": {1: cell("racer-dqn-matched", 1, 9.0)},
-             "racer-cql-matched": {1: cell("racer-cql-matched", 1, 4.0)}}
+             "racer-dqn": {1: cell("racer-dqn", 1, 9.0)}}
     first = tables.paper_table("RACER Table 2", summaries(cells))
-    assert list(first.rows)[:2] == ["racer-supervised (undecided: 2 of 3 seeds)", "racer-cql"]
+    assert list(first.rows) == ["racer-supervised (undecided: 2 of 3 seeds)", "racer-dqn (undecided: 1 of 3 seeds)",
+                                "racer-cql"]
     assert first.rows["racer-cql"]["return, paper"] == "9.34"
     apart = tables.racer_differences(cells)
-    assert list(apart.rows) == ["racer-cql - racer-supervised", "racer-cql-matched - racer-dqn-matched"]
+    assert list(apart.rows) == ["racer-cql - racer-supervised", "racer-cql - racer-dqn"]
     value: Any = apart.rows["racer-cql - racer-supervised"]["accuracy"]
     assert value.text(1) == "2.0 [2.0, 2.0]"
 

@@ -49,17 +49,3 @@ def test_another_seed_is_another_take() -> None:
     first, other = take(0), take(1)
     assert np.mean(first.lexemes != other.lexemes) > 0.7
     assert np.linalg.norm(hands(other) - hands(first), axis=-1).mean() > 0.1
-
-
-def test_takes_that_parted_come_together_again() -> None:
-    """Two seconds of the sound are noisy; after a preparation the takes are one again."""
-    clean = speech(14.0)
-    samples = clean.samples.copy()
-    noise = np.random.default_rng(0).standard_normal(2 * SAMPLE_RATE).astype(np.float32)
-    samples[:2 * SAMPLE_RATE] += 0.02 * noise
-    first, other = (system()(each, seed=0) for each in (clean, Speech(samples, SAMPLE_RATE)))
-    apart = np.linalg.norm(hands(first) - hands(other), axis=-1).max(axis=1)
-    times = np.arange(len(apart)) / first.motion.fps
-    assert apart[(times > 1.0) & (times < 3.0)].max() > 0.05
-    together = np.convolve(apart[times > 3.0] < 0.02, np.ones(15), "valid")
-    assert together.max() == 15, "for a quarter of a second"

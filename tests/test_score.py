@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile
+import torch
 
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.bvh import write_bvh
-from data_module.motion.kinematics import global_rotations, local_rotations, positions_of
+from data_module.motion.kinematics import positions_of
 from data_module.motion.representation import TED_JOINTS, bone_directions, ted_positions
-from data_module.motion.skeletons import CHARACTER, NAME_TABLES, facing
+from data_module.motion.skeletons import CHARACTER, facing
 from data_module.motion.smplx import SKELETON as SMPLX
 from data_module.store import Store
 from data_module.types import Motion, Speech
-from eval.ablate.rewards import RewardProbe
 from eval.baselines.controls import bobbing, jittered, mean_pose
 from eval.clip import foreign
 from eval.clip.clip_set import TRUTH, common_clips
@@ -36,9 +36,8 @@ from eval.metrics.encode import SpeechBlocks, encode_motion, judged_reward
 from eval.metrics.evaluate import OnsetTrack
 from eval.metrics.gesture_features import RawFeatures
 from eval.score import command as score
-from eval.score import groups
 from eval.score.command import flags, mean_of
-from eval.score.played_rows import PlayedBundle
+from eval.score.played_rows import PlayedBundle, sounds_of, synchrony_means
 from eval.score.tables import FLOOR, STILL, Flag, Scores, tables
 from eval.stats import Interval
 from eval.table import Marked, Provenance, load, save
@@ -46,6 +45,7 @@ from gesticulator.bundle import bundle as bundles
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages.corpus import prepare
 from gesticulator.training.stages.lexicon import token_labels
+from gesticulator.training.stages.reward import block_audio
 
 SECONDS, FPS, RATE = 4.0, 20.0, 16000
 NETWORKS = {"raw, 12 frames": RawFeatures(12), "raw, 20 frames": RawFeatures(20)}
@@ -159,6 +159,8 @@ def test_a_jitter_that_wins_is_told_of() -> None:
     (flag,) = judged(0.8)
     assert flag.says == "beats the truth (0.85, 0.55); beats ours"
     assert judged(0.1) == []
+    (equal,) = judged(0.4)
+    assert equal.says == "is as good as ours"
 
 
 def test_clips_meet_by_name_at_one_rate_and_length(truth: dict[str, Clip]) -> None:
@@ -222,7 +224,7 @@ def test_smplx_and_bvh_are_read_with_their_rates(truth: dict[str, Clip], tmp_pat
     ({"joints": ["Hips"], "fps": 15}, np.full((3, 1, 3), np.nan), "not numbers"),
     ({"joints": ["Hips"], "fps": 15, "up": "left"}, np.zeros((3, 1, 3)), "up 'left'"),
     ({"joints": ["Hips"], "fps": "fast"}, np.zeros((3, 1, 3)), "frame rate of 'fast'"),
-    ({"joints": list(TED_JOINTS), "fps": 15}, np.zeros((3, 10, 3)), "all joints in one place in frame 0"),
+    ({"joints": list(TED_JOINTS), "fps": 15}, np.zeros((3, 10, 3)), "all in one place"),
     ({"joints": list(TED_JOINTS), "fps": 15}, np.full((3, 10, 3), 1e300), "far too large"),
     ({"joints": list(TED_JOINTS), "fps": 15}, np.full((3, 10, 3), "1"), "numbers"),
     ({"joints": ["Hips"], "fps": 15, "up": ["+Y"]}, np.zeros((3, 1, 3)), "up"),
@@ -249,9 +251,9 @@ def test_the_command_writes_both_files(truth: dict[str, Clip], tmp_path: Path) -
     few = {name: truth[name] for name in ("clip0", "clip1")}
     real, ours = write_clips(tmp_path / "real", truth), write_clips(tmp_path / "ours", few, sound=False)
     out = tmp_path / "results" / "score.json"
-    assert door(["--truth", str(real), "--system", f"ours={ours}", "--no-controls", "--out", str(out)]) == 0
+    assert door(["--truth", str(real), "--system", f"ours={ours}", "--out", str(out)]) == 0
     about, joints, *_ = load(out)
-    assert about.facts["clips"] == ["clip0", "clip1"] and about.facts["controls"] == []
+    assert about.facts["clips"] == ["clip0", "clip1"]
     assert joints.rows["ours"]["maje"].value.mean < 0.01  # type: ignore[union-attr]
     assert "truth: clip2, clip3, clip4 are not compared, because ours has none of these names" in about.facts["notes"]
     assert out.with_suffix(".md").is_file()
@@ -289,8 +291,7 @@ def test_a_real_take_as_a_foreign_system(outside_data: Path, tmp_path: Path) -> 
     shutil.copy(file.with_suffix(".wav"), real / f"{file.stem}.wav")
     result = score.scored(Namespace(
         truth=real, system=[f"itself={real}", f"shaken={shaken}"], speech=None, fgd=None, work=None, bundle=None,
-        piece="8", rate=None, fps=[], no_controls=False, seed=0, units=None,
-        split="test"))
+        piece="8", fps=[], seed=0, units=None, split="test"))
     itself, off = ({name: mean_of(result.figures, row, name) for name in METRICS} for row in ("itself", "shaken"))
     assert len(result.clips) == 3 and result.fps == 15.0
     assert itself["maje"] == itself["mad"] == itself["speed_distance"] == 0.0
@@ -301,64 +302,11 @@ def test_a_real_take_as_a_foreign_system(outside_data: Path, tmp_path: Path) -> 
     assert "too few groups" in " ".join(result.notes)
 
 
-# ------------------------------------------------------------------------------------- one motion in three formats
-
-def in_three_formats(motion: Motion, folder: Path) -> None:
-    """One motion as BVH in centimetres under Mixamo's names, as SMPL-X, and as positions in millimetres, Z up."""
-    cm = replace(CHARACTER, names=tuple(f"mixamorig:{name}" for name in CHARACTER.names),
-                 offsets=CHARACTER.offsets * 100,
-                 end_sites={joint: 100 * tip for joint, tip in CHARACTER.end_sites.items()})
-    smplx = NAME_TABLES["smplx"]
-    ours = {theirs: CHARACTER.index(name) for name, theirs in smplx.items() if name in CHARACTER.names}
-    world, turned = global_rotations(CHARACTER, motion.rotations), np.zeros((len(motion), len(SMPLX), 4))
-    for joint, name in enumerate(SMPLX.names):
-        parent = turned[:, SMPLX.parents[joint]] if joint else world[:, 0]
-        turned[:, joint] = world[:, ours[name]] if name in ours else parent
-    poses = rotation.to_exponential_map(rotation.normalise(local_rotations(SMPLX, turned)))
-    places = positions_of(motion)
-    told = {"joints": [*CHARACTER.names, "Nose", "HeadTop"], "fps": motion.fps, "up": "+Z"}
-    points = np.concatenate([places, ted_positions(motion)[:, 2:4] + places[:, [3]] - ted_positions(motion)[:, [0]]],
-                            axis=1)
-    for name in ("bvh", "smplx", "npy"):
-        (folder / name).mkdir(parents=True)
-    write_bvh(folder / "bvh" / "a.bvh", replace(motion, skeleton=cm, root_positions=100 * motion.root_positions))
-    np.savez(folder / "smplx" / "a.npz", poses=poses.reshape(len(motion), -1), betas=np.zeros(16),
-             trans=motion.root_positions + np.array([0.0, 0.35, 0.0]), mocap_frame_rate=motion.fps)
-    np.save(folder / "npy" / "a.npy", 1000 * points[..., [0, 2, 1]] * [1, -1, 1])
-    (folder / "npy" / "a.json").write_text(json.dumps(told))
-
-
-def test_the_format_of_a_motion_does_not_change_its_figures(outside_data: Path, tmp_path: Path) -> None:
-    (file,) = (outside_data / "takes" / "beat_scott").glob("*.bvh")
-    whole = facing(read_motion(file, 15.0).crop(0, 450))
-    turns = whole.rotations.copy()
-    # What SMPL-X has no joint for and positions cannot tell: it would be lost, rightly.
-    for name in ("Spine3", "Neck1", "Head"):
-        turns[:, CHARACTER.index(name)] = (1.0, 0.0, 0.0, 0.0)
-    motion = replace(whole, rotations=turns, absent=())
-    real = tmp_path / "real"
-    real.mkdir()
-    write_bvh(real / "a.bvh", motion)
-    off = replace(motion, rotations=rotation.continuous(rotation.normalise(
-        motion.rotations + 0.02 * np.sin(np.arange(len(motion)) / 7)[:, None, None])))
-    in_three_formats(off, tmp_path)
-    shutil.copy(file.with_suffix(".wav"), real / "a.wav")
-    result = score.scored(asked(real, [f"{name}={tmp_path / name}" for name in ("bvh", "smplx", "npy")], piece="5"))
-    distances = [key for key, column in result.metrics.items() if column.part == "fgd"]
-    assert mean_of(result.figures, "bvh", "maje_length") > 5
-    for other in ("smplx", "npy"):
-        for metric in ("maje_length", "maje", "pmb_A", "pmb_B", "consistency", "speed_hands", *distances):
-            bound = {"smplx": 0.25, "npy": 0.5}[other] if metric.startswith("ma") else 0.1
-            assert mean_of(result.figures, other, metric) == pytest.approx(
-                mean_of(result.figures, "bvh", metric), rel=bound), (other, metric)
-    assert any(note.startswith("smplx: Neck1, Spine3 are not known") for note in result.notes)
-
-
 # ----------------------------------------------------------------------------------------- what a user runs into
 
 def asked(truth: Path, systems: list[str], **others: Any) -> Namespace:
-    told: dict[str, Any] = {"speech": None, "fgd": None, "work": None, "bundle": None, "piece": None, "rate": None,
-                            "fps": [], "no_controls": False, "seed": 0, "units": None, "split": "test"}
+    told: dict[str, Any] = {"speech": None, "fgd": None, "work": None, "bundle": None, "piece": None, "fps": [],
+                            "seed": 0, "units": None, "split": "test"}
     return Namespace(truth=truth, system=systems, **{**told, **others})
 
 
@@ -421,17 +369,6 @@ def test_a_speech_folder_without_the_sound_is_an_error(truth: dict[str, Clip], t
     assert row["pmb_A"].reason == "1 of 1 clips: its speech is not known"
 
 
-def test_advice_fits_the_command(truth: dict[str, Clip], tmp_path: Path) -> None:
-    np.savez(tmp_path / "a.npz", poses=np.zeros((5, 165)), trans=np.zeros((5, 3)))
-    with pytest.raises(InputError, match="--fps NAME=RATE"):
-        read_motion(tmp_path / "a.npz")
-    write_bvh(tmp_path / "odd.bvh", truth["clip0"].motion)
-    text = (tmp_path / "odd.bvh").read_text()
-    (tmp_path / "odd.bvh").write_text(text.replace("LeftHand", "Paw"))
-    with pytest.raises(InputError, match=r"odd\.bvh: has no joint known as LeftHand"):
-        read_motion(tmp_path / "odd.bvh")
-
-
 @pytest.mark.parametrize("frames", [1, 2, 3, 10])
 def test_the_shortest_clips_are_scored_or_say_why_not(truth: dict[str, Clip], frames: int) -> None:
     short = {"a": replace(truth["clip0"], motion=truth["clip0"].motion.crop(0, frames))}
@@ -458,16 +395,6 @@ def test_spoilt_files_are_one_line_and_leave_nothing(truth: dict[str, Clip], nam
         door(["--truth", str(real), "--system", f"ours={ours}", "--out", str(tmp_path / "out" / "s.json")])
     told = capsys.readouterr().err
     assert stop.value.code == 2 and says in told and len(told.splitlines()) == 1 and not (tmp_path / "out").exists()
-
-
-def test_a_system_that_equals_a_control_is_told_of(truth: dict[str, Clip]) -> None:
-    for control, metric in ((STILL, "maje"), ("reversed", "mad"), ("jitter", "raw, 12 frames")):
-        made, _ = score.control_rows(common_clips({TRUTH: truth}), 0)
-        ours = {name: Clip(name, motion, None) for name, motion in zip(truth, made[control], strict=True)}
-        networks = {"raw, 12 frames": NETWORKS["raw, 12 frames"]}
-        flagged = score.score(EvalContext(networks=networks), common_clips({TRUTH: truth, "ours": ours})).flags
-        assert any(flag.metric == metric and flag.control == control and "is as good as ours" in flag.says
-                   for flag in flagged), control
 
 
 def test_the_table_says_whether_the_sample_suffices() -> None:
@@ -503,6 +430,7 @@ def work_of(bundle: Path) -> Path:
     return bundle.with_name(bundle.name + ".work")
 
 
+@torch.no_grad()
 def test_reward_and_lexeme_accuracy_stand_in_the_table(tiny_store: Path, tiny_bundle: Path, tmp_path: Path) -> None:
     bundle, store = with_judges(bundles.load(tiny_bundle), work_of(tiny_bundle)), Store.open(tiny_store)
     clips, _ = foreign.read_folder(tiny_store, split="all")
@@ -511,19 +439,27 @@ def test_reward_and_lexeme_accuracy_stand_in_the_table(tiny_store: Path, tiny_bu
     figures = score.score(EvalContext(models=bundle), common).figures
     assert mean_of(figures, TRUTH, "lexeme_accuracy") == 100.0 > mean_of(figures, "shuffled", "lexeme_accuracy")
     assert -1.0 <= mean_of(figures, TRUTH, "reward") == mean_of(figures, "same", "reward") <= 1.0
-    deaf = score.score(EvalContext(models=bundle.with_parts(reward_judge=None)), common, with_controls=False).figures
+    deaf = score.score(EvalContext(models=bundle.with_parts(reward_judge=None)), common).figures
     assert "no judging reward model of the bundle's training was found" in deaf["same"]["reward"].reason
     assert mean_of(deaf, "same", "lexeme_accuracy") == 100.0
     # By another way: the corpus as the stages train on it.
     assert bundle.reward_judge is not None
     corpus = prepare(store, bundle.config, tmp_path, bundle.encoder, progress=False)
-    asks = RewardProbe.of(bundle.reward_judge, bundle, corpus, token_labels(bundle.lexicon, corpus))
+    audio, times = block_audio(corpus).float(), torch.as_tensor(np.log(corpus.durations)).float()
+
+    def reward(window: np.ndarray) -> float:
+        """RACER Eq. 8 by each member's embeddings: the cosine of motion and audio."""
+        blocks, valid = corpus.motion[window][None].float(), torch.ones(1, len(window))
+        return float(np.mean([(member.embed_motion(member.block_motion(blocks, times[window][None]), valid)
+                               * member.embed_audio(member.block_audio(audio)[window][None], valid)).sum()
+                              for member in bundle.reward_judge.models]))
+
     blocks = corpus.blocks_of(corpus.names.index(next(iter(some))))
     values = []
     for end in range(len(blocks)):
         window = blocks[max(0, end - bundle.reward_judge.config.window + 1):end + 1]
         if not corpus.silent[window].all():
-            values.append(asks.score("captured", window[None], window[None])[0])
+            values.append(reward(window))
     assert common.speeches[0] is not None
     speech = SpeechBlocks.of(bundle, common.speeches[0])
     encoded = encode_motion(bundle, common.motions[TRUTH][0], speech.blocks, speech.speaker)
@@ -549,8 +485,8 @@ def test_motion_that_beats_to_its_own_sound_is_above_its_group_exchanged() -> No
     still = mean_pose([Motion(CHARACTER, rotation.from_exponential_map(np.zeros((720, len(CHARACTER), 3))),
                               np.zeros((720, 3)), 60.0)])[0]
     motions = bobbing([still] * 5, [track.onsets for track in tracks])
-    right = groups.synchrony_means(motions, tracks, 0)["above_A"]
-    wrong = groups.synchrony_means(motions, [*tracks[1:], tracks[0]], 0)["above_A"]
+    right = synchrony_means(motions, tracks, 0)["above_A"]
+    wrong = synchrony_means(motions, [*tracks[1:], tracks[0]], 0)["above_A"]
     assert isinstance(right, Interval) and isinstance(wrong, Interval)
     assert right.low > wrong.high and abs(wrong.mean) < 40.0 < right.mean
 
@@ -558,7 +494,7 @@ def test_motion_that_beats_to_its_own_sound_is_above_its_group_exchanged() -> No
 def test_groups_are_named_by_the_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("de_anna", "de_ben", "en_cay", "en_dan"):
         soundfile.write(tmp_path / f"{name}.flac", clicking(3.0, 2.0, 1).samples, 16000)
-    found = groups.sounds_of(tmp_path)
+    found = sounds_of(tmp_path)
     assert {group: list(sounds) for group, sounds in found.items()} == {
         "de": ["de_anna", "de_ben"], "en": ["en_cay", "en_dan"]}
     (tmp_path / "en_dan.flac").unlink()

@@ -14,9 +14,10 @@ from scipy.special import erf, logsumexp
 from torch import Tensor, nn
 
 from data_module.errors import InputError
-from data_module.speech.front_ends import EncoderConfig
 from data_module.speech.speech_encoder import (
     LEVELS,
+    NEGATIVES,
+    PREDICTION_STEPS,
     PredictiveCoding,
     SpeechEncoder,
     TextContrast,
@@ -26,7 +27,6 @@ from data_module.speech.speech_encoder import (
 from data_module.types import Array
 
 PUBLISHED = [(10, 5), (8, 4), (4, 2), (4, 2), (4, 2), (1, 1), (1, 1), (1, 1)]
-SMALL = EncoderConfig(width=6, projection=5, context_width=7, prediction_steps=3, negatives=4)
 FRAMES, PER_FRAME = 4, 400
 
 
@@ -44,7 +44,7 @@ def fairseq_model(width: int, seed: int, place: int = 2) -> dict[str, Tensor]:
     return out
 
 
-def by_hand(weights: dict[str, Tensor], samples: Array, activation: str, place: int = 2) -> list[Array]:
+def by_hand(weights: dict[str, Tensor], samples: Array, place: int = 2) -> list[Array]:
     """The eight levels [C, T_l] of samples [T] in double precision, from fairseq's weights."""
     x, out = samples[None].astype(np.float64), []
     for layer, (kernel, stride) in enumerate(PUBLISHED):
@@ -53,42 +53,28 @@ def by_hand(weights: dict[str, Tensor], samples: Array, activation: str, place: 
         pieces = np.lib.stride_tricks.sliding_window_view(x, kernel, axis=1)[:, ::stride]
         x = np.einsum("oik,itk->ot", w, pieces)
         x = (x - x.mean()) / np.sqrt(x.var() + 1e-5) * scale[:, None] + shift[:, None]
-        x = np.maximum(x, 0) if activation == "relu" else 0.5 * x * (1 + erf(x / np.sqrt(2)))
+        x = 0.5 * x * (1 + erf(x / np.sqrt(2)))
         out.append(x)
     out[-1] = np.log(1 + np.abs(x))
     return out
 
 
-@pytest.mark.parametrize(("place", "settings", "activation"), [
-    (2, {"args": argparse.Namespace(arch="wav2vec", activation="gelu", log_compression=True)}, "gelu"),
-    (2, {"args": argparse.Namespace(arch="wav2vec", activation="relu", skip_connections_feat=False)}, "relu"),
-    (1, {"args": None, "cfg": {"model": {"activation": "relu"}, "task": {}}}, "relu"),
-    (2, {}, "gelu"),
-])
-def test_published_weights_give_what_plain_arithmetic_gives(tmp_path: Path, place: int, settings: dict[str, Any],
-                                                            activation: str) -> None:
+@pytest.mark.parametrize(("place", "settings"), [
+    (2, {"args": argparse.Namespace(arch="wav2vec", activation="gelu", log_compression=True)}),
+    (1, {"args": None, "cfg": {"model": {"activation": "gelu"}, "task": {}}}), (2, {})])
+def test_published_weights_give_what_plain_arithmetic_gives(tmp_path: Path, place: int, settings: dict[str, Any]
+                                                            ) -> None:
     weights = fairseq_model(7, 3, place)
     torch.save({"model": weights, **settings}, tmp_path / "vq-wav2vec.pt")
     encoder = load_fairseq(tmp_path / "vq-wav2vec.pt")
-    assert encoder.config.width == 7
+    assert encoder.width == 7
     samples = 0.1 * np.random.default_rng(0).standard_normal((2, 3000)).astype(np.float32)
     found = encoder(torch.from_numpy(samples))
     for row in range(2):
-        for level, wanted in enumerate(by_hand(weights, samples[row], activation, place)):
+        for level, wanted in enumerate(by_hand(weights, samples[row], place)):
             assert np.allclose(found[level][row].numpy(), wanted, atol=1e-4), level + 1
     assert not any(parameter.requires_grad for parameter in encoder.parameters())
     assert not encoder.training
-
-
-def test_a_normalisation_without_weights_scales_by_one(tmp_path: Path) -> None:
-    weights = fairseq_model(5, 1)
-    plain = {key: value for key, value in weights.items() if not key.endswith((".2.weight", ".2.bias"))}
-    torch.save({"model": plain}, tmp_path / "plain.pt")
-    ones = {key: torch.ones_like(value) if key.endswith("2.weight") else
-            torch.zeros_like(value) if key.endswith("bias") else value for key, value in weights.items()}
-    samples = np.random.default_rng(0).standard_normal(2000).astype(np.float32)
-    found = load_fairseq(tmp_path / "plain.pt")(torch.from_numpy(samples)[None])[-1][0]
-    assert np.allclose(found.numpy(), by_hand(ones, samples, "gelu")[-1], atol=1e-4)
 
 
 class Foreign:
@@ -112,57 +98,8 @@ def test_a_checkpoint_that_would_run_code_is_refused_unrun(tmp_path: Path) -> No
     assert not mark.exists()
 
 
-@pytest.mark.parametrize("damage", ["no model", "no extractor", "seven layers", "wide kernel", "no tensor", "nan",
-                                    "skips", "no log", "activation", "other width"])
-def test_a_checkpoint_of_something_else_is_refused_by_name(tmp_path: Path, damage: str) -> None:
-    weights: dict[str, Any] = fairseq_model(4, 0)
-    stored: dict[str, Any] = {"model": weights}
-    name = "feature_extractor.conv_layers"
-    if damage == "no model":
-        stored = {"weights": weights}
-    elif damage == "no extractor":
-        stored["model"] = {"encoder.weight": torch.zeros(3)}
-    elif damage == "seven layers":
-        stored["model"] = {key: value for key, value in weights.items() if f"{name}.7." not in key}
-    elif damage == "wide kernel":
-        weights[f"{name}.3.0.weight"] = torch.zeros(4, 4, 5)
-    elif damage == "no tensor":
-        weights[f"{name}.0.0.weight"] = 3
-    elif damage == "nan":
-        weights[f"{name}.5.0.weight"][0, 0, 0] = torch.nan
-    elif damage == "skips":
-        stored["args"] = argparse.Namespace(skip_connections_feat=True)
-    elif damage == "no log":
-        stored["cfg"] = {"log_compression": False}
-    elif damage == "activation":
-        stored["cfg"] = {"activation": "swish"}
-    else:
-        weights[f"{name}.4.2.weight"] = torch.ones(9)
-    torch.save(stored, tmp_path / "other.pt")
-    with pytest.raises(InputError, match=r"encoder\.activation" if damage == "activation" else r"other\.pt"):
-        load_fairseq(tmp_path / "other.pt")
-
-
-@pytest.mark.parametrize("content", [None, b"", b"not a checkpoint", b"PK\x03\x04" + bytes(200), "cut"])
-def test_a_file_that_is_no_checkpoint_is_refused(tmp_path: Path, content: bytes | str | None) -> None:
-    path = tmp_path / "broken.pt"
-    if content == "cut":
-        torch.save({"model": fairseq_model(4, 0)}, path)
-        path.write_bytes(path.read_bytes()[:2000])
-    elif isinstance(content, bytes):
-        path.write_bytes(content)
-    with pytest.raises(InputError, match=r"broken\.pt"):
-        load_fairseq(path)
-
-
-def test_rates_and_reach_are_those_of_the_published_extractor() -> None:
-    assert [16000 // hop_and_reach(level)[0] for level in range(1, 9)] == [3200, 800, 400, 200, 100, 100, 100, 100]
-    assert hop_and_reach(2)[1] == 45
-    assert hop_and_reach(8)[1] == 465
-
-
 def test_a_row_hears_its_own_samples_and_no_others() -> None:
-    encoder = SpeechEncoder(SMALL).double()
+    encoder = SpeechEncoder(6).double()
     encoder.norms = nn.ModuleList(nn.Identity() for _ in range(LEVELS))  # which hears the whole window
     samples = torch.randn(1, 2000, dtype=torch.float64, requires_grad=True)
     for level, row in ((1, 17), (2, 30), (5, 3), (8, 5)):
@@ -175,7 +112,7 @@ def test_a_row_hears_its_own_samples_and_no_others() -> None:
 @pytest.mark.parametrize(("frames", "per_frame"), [(30, 800), (24, 1067), (36, 800), (20, 100)])
 def test_a_frame_is_the_mean_of_the_rows_whose_middle_it_holds(frames: int, per_frame: int) -> None:
     torch.manual_seed(0)
-    encoder = SpeechEncoder(SMALL)
+    encoder = SpeechEncoder(6)
     samples = torch.randn(2, frames * per_frame)
     with torch.no_grad():
         levels = encoder(samples)
@@ -191,68 +128,40 @@ def test_a_frame_is_the_mean_of_the_rows_whose_middle_it_holds(frames: int, per_
             assert torch.allclose(found[:, frame], levels[level - 1][:, :, own].mean(-1), atol=1e-5)
 
 
-def test_an_encoder_that_was_in_use_can_be_trained() -> None:
-    encoder = SpeechEncoder(SMALL)
-    samples = torch.randn(1, 3700)
-    with torch.inference_mode():
-        in_use = encoder.levels(samples, 37, (2, 8))
-    low, high = encoder.levels(samples, 37, (2, 8))
-    assert torch.equal(in_use[0], low) and torch.equal(in_use[1], high)
-    high.sum().backward()
-    assert encoder.convolutions[0].weight.grad is not None
-
-
-def test_too_short_a_window_and_senseless_settings_are_refused() -> None:
+def test_too_short_a_window_is_refused() -> None:
     with pytest.raises(ValueError, match="465"):
-        SpeechEncoder(SMALL)(torch.zeros(1, 464))
+        SpeechEncoder(6)(torch.zeros(1, 464))
     with pytest.raises(ValueError, match="too short"):
-        PredictiveCoding(SpeechEncoder(SMALL), SMALL).scores(torch.zeros(1, 465))
-    for wrong in ({"activation": "tanh"}, {"width": 0}, {"temperature": 0.0}, {"negatives": 0}):
-        with pytest.raises(InputError, match=f"encoder.{next(iter(wrong))}"):
-            EncoderConfig(**wrong)  # type: ignore[arg-type]
+        PredictiveCoding(SpeechEncoder(6)).scores(torch.zeros(1, 465))
 
 
 class Numbered(nn.Module):
     """An "encoder" whose row t is the t-th unit vector, so that a score tells which row it is of."""
 
-    config = EncoderConfig(width=20)
+    width = 20
 
     def forward(self, samples: Tensor) -> list[Tensor]:
         return [torch.eye(20).expand(len(samples), 20, 20)]
 
 
 def test_predictive_coding_asks_for_the_row_that_comes_and_for_others_of_the_crop() -> None:
-    config = EncoderConfig(width=20, prediction_steps=3, negatives=200)
-    model = PredictiveCoding(Numbered(), config)  # type: ignore[arg-type]
+    model = PredictiveCoding(Numbered())  # type: ignore[arg-type]
     with torch.no_grad():
         model.predict.weight.zero_()
-        model.predict.bias.copy_(torch.arange(20.0).repeat(3) * 20 ** 0.5)
+        model.predict.bias.copy_(torch.arange(20.0).repeat(PREDICTION_STEPS) * 20 ** 0.5)
     torch.manual_seed(0)
-    scores, there = model.scores(torch.zeros(2, 1))
-    assert scores.shape == (2, 20, 3, 201)
+    scores, there = model.scores(torch.zeros(20, 1))
+    assert scores.shape == (20, 20, PREDICTION_STEPS, 1 + NEGATIVES)
     rows = scores.round().long()
     for t in range(20):
-        assert there[t].tolist() == [t >= step for step in (1, 2, 3)]
+        assert there[t].tolist() == [t > step for step in range(PREDICTION_STEPS)]
         assert (rows[:, t, :, 0] == t).all()
         assert set(rows[:, t, :, 1:].flatten().tolist()) == set(range(20)) - {t}
 
 
-def test_predictive_coding_foresees_from_the_past_alone() -> None:
-    model = PredictiveCoding(Numbered(), EncoderConfig(width=20, prediction_steps=3))  # type: ignore[arg-type]
-    heard: list[Tensor] = []
-    model.context.register_forward_hook(lambda module, given, out: heard.append(out[0]))
-    scores, there = model.scores(torch.zeros(1, 1))
-    predicted = model.predict(heard[0]).unflatten(-1, (3, 20)) / 20 ** 0.5
-    for t in range(1, 20):
-        for step in range(1, 4):
-            if there[t, step - 1]:  # the row t is the t-th unit vector
-                assert torch.allclose(scores[0, t, step - 1, 0], predicted[0, t - step, step - 1, t], atol=1e-6)
-
-
 def test_predictive_coding_is_at_chance_untold_and_learns_what_repeats() -> None:
     torch.manual_seed(0)
-    config = EncoderConfig(width=12, context_width=16, prediction_steps=4, negatives=10)
-    model = PredictiveCoding(SpeechEncoder(config), config)
+    model = PredictiveCoding(SpeechEncoder(12))
     generator = np.random.default_rng(0)
 
     def crops() -> dict[str, Tensor]:
@@ -277,9 +186,9 @@ def test_predictive_coding_is_at_chance_untold_and_learns_what_repeats() -> None
     assert set(model.weights) == set(model.losses(crops()))
 
 
-def contrast(config: EncoderConfig = SMALL, text_width: int = 9) -> TextContrast:
+def contrast(width: int = 6, text_width: int = 9) -> TextContrast:
     torch.manual_seed(1)
-    return TextContrast(SpeechEncoder(config), config, text_width, FRAMES)
+    return TextContrast(SpeechEncoder(width), text_width, FRAMES)
 
 
 def batch_of(seed: int, blocks: int = 5, text_width: int = 9) -> dict[str, Tensor]:
@@ -304,16 +213,12 @@ def cosines(model: TextContrast, batch: dict[str, Tensor]) -> Array:
     return out
 
 
-@pytest.mark.parametrize("mask", [False, True])
-def test_the_contrast_is_equation_1_word_for_word(mask: bool) -> None:
-    config = EncoderConfig(width=6, projection=5, temperature=0.3, mask_same_word=mask)
-    model, batch = contrast(config), batch_of(0)
+def test_the_contrast_is_equation_1_word_for_word() -> None:
+    model, batch = contrast(), batch_of(0)
     similar, word = cosines(model, batch), batch["word"].numpy()
     terms = []
     for b, k in np.argwhere(word >= 0):
-        below = [similar[b, k, level, i] / 0.3 for level in range(8) for i in range(FRAMES)
-                 if not (mask and level == 7 and i != k and word[b, i] == word[b, k])]
-        terms.append(logsumexp(below) - similar[b, k, 7, k] / 0.3)
+        terms.append(logsumexp(similar[b, k] / 0.1) - similar[b, k, 7, k] / 0.1)
     assert 0 < len(terms) < word.size
     assert float(model.losses(batch)["contrast"].detach()) == pytest.approx(np.mean(terms), abs=1e-4)
     scaled = {**batch, "text": 3 * batch["text"]}
@@ -350,13 +255,10 @@ def test_silence_gives_no_anchor_and_the_neighbouring_blocks_no_candidates() -> 
     assert heard[0] >= FRAMES * PER_FRAME - 240 and heard[-1] < 2 * FRAMES * PER_FRAME + 240
 
 
-@pytest.mark.parametrize("projections", [True, False])
-def test_training_draws_level_8_to_the_words_and_frozen_projections_stay(projections: bool) -> None:
-    config = EncoderConfig(width=24, projection=16, train_projections=projections)
-    model, batch = contrast(config), batch_of(2, blocks=6)
-    before = {key: value.clone() for key, value in model.state_dict().items()}
+def test_training_draws_level_8_to_the_words() -> None:
+    model, batch = contrast(24), batch_of(2, blocks=6)
     first = float(model.losses(batch)["contrast"].detach())
-    optimiser = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=3e-3)
+    optimiser = torch.optim.Adam(model.parameters(), lr=3e-3)
     for _ in range(60):
         optimiser.zero_grad()
         model.losses(batch)["contrast"].backward()
@@ -364,6 +266,3 @@ def test_training_draws_level_8_to_the_words_and_frozen_projections_stay(project
     assert float(model.losses(batch)["contrast"].detach()) < 0.8 * first
     best = model.similarities(batch)[batch["word"] >= 0].flatten(1).argmax(1) // FRAMES
     assert float((best == LEVELS - 1).float().mean()) > 0.9
-    for key, value in model.state_dict().items():
-        frozen = not projections and key.startswith(("text.", "audio."))
-        assert torch.equal(before[key], value) == frozen, key

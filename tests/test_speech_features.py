@@ -8,16 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from data_module.blocks import stretch_speech, windows_of
 from data_module.speech.audio import SAMPLE_RATE
-from data_module.speech.silence import reference_level
 from data_module.store import Store
 from data_module.text.word_vectors import WordEncoder
 from data_module.types import Speech, Word
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
-from gesticulator.bundle import features as hearing
-from gesticulator.bundle.features import encode, front_end_for, tempo_column, three_blocks
+from gesticulator.bundle.features import front_end_for, tempo_column, three_blocks
 from gesticulator.sampling.cutter import encode_speech
 from gesticulator.training import presets
 from gesticulator.training.stages.corpus import Corpus, prepare
@@ -84,29 +81,6 @@ def test_words_sit_on_the_frames_at_which_they_sound() -> None:
     assert seen == {1, 2, 4} and (rows[1:-1, :, 2] == 1).any(), "words and silence"
     expected = np.concatenate([rows[:-2], rows[1:-1], rows[2:]], axis=1)
     np.testing.assert_array_equal(heard.text, expected)
-
-
-def test_without_words_or_without_an_encoder_there_is_no_text() -> None:
-    config = configs.with_settings(presets.preset("tiny"), ["front_end.name=mel"])
-    assert encode_speech(Speech(babble(1.0), SAMPLE_RATE, WORDS[:1]), config).text is None
-    assert encode_speech(Speech(babble(1.0), SAMPLE_RATE), config, words=Numbers()).text is None  # type: ignore[arg-type]
-
-
-def test_a_long_recording_heard_in_pieces_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    config = configs.with_settings(presets.preset("tiny"), ["front_end.name=mel"])
-    speech = Speech(babble(9.0), SAMPLE_RATE)
-    whole = encode_speech(speech, config)
-    for size in (1, 4, len(whole.blocks) - 1):
-        monkeypatch.setattr(hearing, "_CHUNK", size)
-        np.testing.assert_allclose(encode_speech(speech, config).low, whole.low, atol=1e-4)
-    # And both are what the front end makes of all windows at once.
-    stretched = stretch_speech(speech, whole.blocks)
-    reference = reference_level(speech.samples, SAMPLE_RATE, whole.blocks.edges)
-    levels = front_end_for(config).encode(windows_of(stretched), reference)
-    np.testing.assert_allclose(whole.low[..., :-1], levels.low, atol=1e-4)
-    monkeypatch.undo()
-    np.testing.assert_allclose(encode(stretched, reference, whole.blocks.durations, config, front_end_for(config))[0],
-                               whole.low, atol=1e-6)
 
 
 def test_in_use_a_bundle_hears_what_it_was_trained_on(prepared: tuple[bundles.Bundle, Store, Corpus]) -> None:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import gc
-import json
 import tracemalloc
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import jsonschema
 import numpy as np
 import pytest
 import torch
@@ -25,15 +22,11 @@ from data_module.motion.kinematics import positions_of
 from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.types import Array, Motion, Samples, Speech, Word
 from generator.flow import Guidance, SamplingHead
-from gesticulator import stream as stream_module
 from gesticulator.bundle.features import representation_of
 from gesticulator.gesticulator import Gesticulator
-from gesticulator.live.limits import ServerLimits
-from gesticulator.live.pace import Effort
-from gesticulator.live.protocol import StreamRequest, published
-from gesticulator.live.session import session_opener
 from gesticulator.sampling.cutter import BlockCutter
 from gesticulator.stream import Stream, StreamFrames, StreamState
+from gesticulator.systems import movement
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
 FPS = 60.0
@@ -280,31 +273,6 @@ def test_a_change_of_the_look_ahead_leaves_no_jump_and_no_gap() -> None:
     assert found["head"][0].max() < HEAD_FASTEST and found["head"][1].max() < HEAD_HARDEST
 
 
-def test_a_session_that_is_downgraded_and_restored_sends_every_frame_and_says_so() -> None:
-    """As the server asks for it, step by step: low look-ahead, hurried blocks, idle motion, and back."""
-    sound, limits = example(), ServerLimits()
-    session = session_opener(system(), limits)("one", StreamRequest(SAMPLE_RATE, options={"keep_up": True}))
-    order = [*Effort, *reversed(list(Effort)[:-1])]
-    messages: list[bytes | str] = []
-    for number, effort in enumerate(order):
-        for at in range(number * SAMPLE_RATE, (number + 1) * SAMPLE_RATE, 1600):
-            for answer in session.feed(sound[at:at + 1600], effort=effort):
-                messages += answer.messages
-    for answer in session.obey({"type": "finish"}):
-        messages += answer.messages
-    events = [json.loads(one) for one in messages if isinstance(one, str)]
-    shown = [event["effort"] for event in events if event["type"] == "pace"]
-    assert [shown[0], *(now for before, now in pairwise(shown) if now != before)] == [str(one) for one in order[1:]]
-    for event in events:
-        jsonschema.validate(event, {"$ref": f"#/$defs/{event['type']}", "$defs": published()["$defs"]})
-    numbers: list[int] = []
-    for packet in messages:
-        if isinstance(packet, bytes):
-            header = json.loads(packet[4:4 + int.from_bytes(packet[:4], "little")])
-            numbers += range(header["first"], header["first"] + header["count"])
-    assert numbers == list(range(round(len(order) * FPS)))
-
-
 @pytest.mark.parametrize("latency", ["full", "low"])
 def test_what_is_passed_over_leaves_no_jump_and_no_gap(latency: str) -> None:
     """Sound that came too late, in the middle of strokes, for a moment and for long; hurried blocks between."""
@@ -357,9 +325,8 @@ def test_who_hurries_draws_with_fewer_steps_and_says_the_same_blocks() -> None:
             blocks = [block for part in (*fed(stream, sound, (4000,)), stream.finish()) for block in part.blocks]
         edges.append([block.end for block in blocks])
         calls.append(sum(rows) / len(blocks))
-    chosen = system().bundle.config.selection
     assert edges[0] == edges[1]
-    assert calls[0] >= (chosen.flow_steps + 1) * chosen.candidates and calls[1] == 3
+    assert calls[0] >= (movement.FLOW_STEPS + 1) * movement.CANDIDATES and calls[1] == 3
 
 
 def test_who_listens_nods_in_the_pauses_of_the_other() -> None:
@@ -422,27 +389,13 @@ def test_what_was_played_stays_and_speech_goes_on_after_an_interruption() -> Non
     assert found[1].max() < HURRIED_HARDEST, "strokes that are drawn later are as hard as drawn strokes may be"
 
 
-def test_what_is_remembered_longer_can_be_taken_back_longer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream_module, "HISTORY", 2.0)
-    forgets, remembers = (system().stream(legs=True) for _ in range(2))
-    remembers.history = 8.0
-    for stream in (forgets, remembers):
-        stream.feed(example()[:9 * SAMPLE_RATE])
-    with pytest.raises(InputError, match="interrupt"):
-        forgets.interrupt(2.5)
-    assert remembers.interrupt(2.5).first == round(2.5 * FPS)
-    for seconds in (0.0, -1.0, 601.0, float("nan")):
-        with pytest.raises(InputError, match="history"):
-            forgets.history = seconds
-
-
 # ---------------------------------------------------------------------------------------------------- for ever
 
 @pytest.mark.parametrize("what", ["speech", "idling", "interruptions", "face"])
-def test_memory_does_not_grow(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream_module, "HISTORY", 2.0)
+def test_memory_does_not_grow(what: str) -> None:
     sound = example()[3 * SAMPLE_RATE:4 * SAMPLE_RATE]
-    stream, sizes = system().stream(face="full" if what == "face" else "off"), []
+    stream, sizes = system().stream(face="full" if what == "face" else "off"), list[int]()
+    stream.history = 2.0
     tracemalloc.start()
     try:
         for second in range(16):

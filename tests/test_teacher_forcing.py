@@ -56,7 +56,7 @@ def test_a_window_of_training_a_whole_recording_and_a_stream_tell_the_same(memor
     parts = sequences(corpus, labels, "train", np.zeros(len(labels), np.int64))
     batch = Windows(corpus, parts, len(own) - 1).batch(np.array([[2, 0]]))
     with torch.no_grad():
-        window, _ = model.scores(batch["lexeme_index"][:, :-1], batch["audio_high"][:, 1:], batch["speaker"],
+        window, _ = model.scores(batch["lexeme"][:, :-1], batch["audio_high"][:, 1:], batch["speaker"],
                                  pose=model.poses(batch))
     torch.testing.assert_close(torch.log_softmax(window[0], -1), whole, atol=1e-5, rtol=1e-4)
     features, state = features_of(corpus), model.start(0, int(labels[own[0]]))

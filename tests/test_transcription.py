@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import re
 from difflib import SequenceMatcher
 from pathlib import Path
@@ -15,8 +14,8 @@ import pytest
 from data_module.errors import InputError
 from data_module.speech.audio import load_speech
 from data_module.text import transcription
-from data_module.text.alignment import align
-from data_module.text.transcription import MODELS, PackagedModel, find_model, transcribed
+from data_module.text.alignment import alignment
+from data_module.text.transcription import find_model, transcribed
 from data_module.types import Speech
 from gesticulator import Gesticulator
 from gesticulator.infer import main
@@ -41,7 +40,7 @@ def test_the_words_of_the_example_are_heard_at_their_times(model: str) -> None:
     speech = load_speech(SPEECH)
     transcript = transcribed(speech, model)
     assert transcript is not None and transcript.timing == "words" and transcript.words
-    reference, words = align(speech, TEXT.read_text(encoding="utf-8")), transcript.words
+    reference, words = alignment(speech, TEXT.read_text(encoding="utf-8")).words, transcript.words
     times = [(word.start, word.end) for word in words]
     assert times == sorted(times) and times[0][0] >= 0.0 and times[-1][1] <= speech.duration
     spelled, spelled_reference = ([re.sub(r"[^a-z0-9']", "", word.text.lower()) for word in some]
@@ -57,19 +56,6 @@ def test_the_words_of_the_example_are_heard_at_their_times(model: str) -> None:
 
 def test_silence_has_no_words(model: str) -> None:
     assert transcribed(Speech(np.zeros(48000, np.float32), 16000), model) is None
-
-
-def test_the_command_hears_words_and_the_plan_holds_them(model: str, tmp_path: Path, capsys: Any) -> None:
-    assert main([str(SPEECH), "-o", str(tmp_path / "a.bvh"), "--plan-out", str(tmp_path / "a.json"), "--transcribe",
-                 model]) == 0
-    assert "words, heard with their times" in capsys.readouterr().out
-    plan = json.loads((tmp_path / "a.json").read_text())
-    assert [word["text"] for word in plan["words"]][-1] == "listening."
-    assert {one["word"] for one in plan["meanings"]} >= {"here"}, "meaning works from sound alone"
-    performance = Gesticulator.from_pretrained()(SPEECH, transcribe=model)
-    performance.save(tmp_path / "b.bvh")
-    assert (tmp_path / "b.bvh").read_bytes() == (tmp_path / "a.bvh").read_bytes()
-    assert performance.options.transcribe is None, "its words are in the speech"
 
 
 # ---------------------------------------------------------------- what is missing or wrong
@@ -95,34 +81,6 @@ def recogniser(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transcription.importlib.util, "find_spec",
                         lambda name: object() if name == "faster_whisper" else found(name))
     transcription._packaged.cache_clear()
-
-
-@pytest.mark.usefixtures("recogniser")
-def test_folders_that_are_no_model_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"is not a folder.*tiny\.en"):
-        find_model(tmp_path / "none")
-    (tmp_path / "config.json").write_text("{}")
-    with pytest.raises(InputError, match=r"has no model\.bin"):
-        find_model(tmp_path)
-    for name in ("model.bin", "tokenizer.json"):
-        (tmp_path / name).write_text("{}")
-    assert find_model(tmp_path) == tmp_path
-
-
-@pytest.mark.usefixtures("recogniser")
-def test_a_packaged_file_with_another_hash_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transcription, "MODELS", MODELS | {"odd": PackagedModel("email", ".", {
-        "charset.py": "0" * 64})})
-    with pytest.raises(InputError, match=r"charset\.py: is not the file that this version knows"):
-        find_model("odd")
-
-
-def test_a_damaged_model_is_refused(tmp_path: Path) -> None:
-    pytest.importorskip("faster_whisper", reason=f"faster-whisper is not installed: {INSTALL}")
-    for name in ("config.json", "model.bin", "tokenizer.json", "vocabulary.txt"):
-        (tmp_path / name).write_text("{}")
-    with pytest.raises(InputError, match="cannot be opened as a model"):
-        transcribed(Speech(np.zeros(16000, np.float32), 16000), tmp_path)
 
 
 def test_words_are_heard_or_given_and_not_in_streams(tmp_path: Path, capsys: Any) -> None:

@@ -13,11 +13,11 @@ from data_module.types import Array, Motion
 from gesticulator.characters.body_surface import outline_of
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import CharacterMotion, Retargeter
-from gesticulator.contacts.columns import trunk_distances
+from gesticulator.contacts.columns import TRUNK
 from gesticulator.contacts.default_body import cleared
-from gesticulator.contacts.limbs import MARGIN, OURS, pose_of
+from gesticulator.contacts.limbs import MARGIN, OURS, TrunkAxes, pose_of
 from gesticulator.contacts.other_bodies import HandLimit, HandPoint, Obstacle, displacement, spread
-from gesticulator.contacts.surfaces import Outline, TrunkAxes, ellipse
+from gesticulator.contacts.surfaces import Outline, ellipse
 from tests.awkward import figure, write
 from tests.rig_errors import inside, places_of
 from tests.rigs import Rig, draw
@@ -164,7 +164,7 @@ def test_an_arm_swung_across_a_stout_body_stays_outside_and_is_not_faster(
     """The control is the correction of each frame by itself, which leads the hand around in the time in which it would
     have gone through."""
     motion = swung()
-    assert trunk_distances(pose_of(motion))["Left"].min() > -1e-3
+    assert TRUNK.distances(pose_of(motion))["Left"].min() > -1e-3
     rig = draw(seed, "mixamo", "A", True)
     bare, moved = (Retargeter(rig.character, contacts=contacts)(motion) for contacts in (False, True))
     monkeypatch.setattr("gesticulator.characters.body_surface.spread", lambda push, *_: push)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from data_module.errors import EXIT_BAD_INPUT, EXIT_PIPE, InputError, one_line_errors
-from data_module.types import Array, BeatFlag, Beats, Blocks, Motion, Skeleton, Speech, Word
+from data_module.types import Array, BeatFlag, Beats, Blocks, Motion, Skeleton, Speech
 
 TWO = Skeleton(("root", "tip"), (-1, 0), np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
 
@@ -36,19 +36,6 @@ def test_a_skeleton_that_is_no_tree_is_refused(names: tuple[str, ...], parents: 
         Skeleton(names, parents, offsets)
 
 
-def test_a_skeleton_finds_its_joints_by_name() -> None:
-    assert TWO.index("tip") == 1
-    with pytest.raises(KeyError, match="nose"):
-        TWO.index("nose")
-
-
-def test_same_joints_ignores_proportions_but_not_the_tree() -> None:
-    longer = Skeleton(TWO.names, TWO.parents, TWO.offsets * 3)
-    other = Skeleton(("root", "end"), (-1, 0), TWO.offsets)
-    assert TWO.same_joints(longer)
-    assert not TWO.same_joints(other)
-
-
 def test_a_motion_refuses_wrong_shapes_no_frames_no_rate_and_nan() -> None:
     for rotations, root, fps in [
         (still(3)[:, :1], np.zeros((3, 3)), 30.0),
@@ -63,13 +50,6 @@ def test_a_motion_refuses_wrong_shapes_no_frames_no_rate_and_nan() -> None:
             Motion(TWO, rotations, root, fps)
 
 
-def test_crop_keeps_the_frames_asked_for_and_duration_counts_each() -> None:
-    root = np.arange(30.0).reshape(10, 3)
-    motion = Motion(TWO, still(10), root, 20.0)
-    assert motion.duration == pytest.approx(0.5)
-    assert motion.crop(2, 5).root_positions.tolist() == root[2:5].tolist()
-
-
 def test_speech_without_samples_or_with_nan_is_the_users_error() -> None:
     with pytest.raises(InputError, match="no samples"):
         Speech(np.zeros(0, dtype=np.float32), 16000)
@@ -78,12 +58,6 @@ def test_speech_without_samples_or_with_nan_is_the_users_error() -> None:
     with pytest.raises(ValueError):
         Speech(np.zeros((2, 2), dtype=np.float32), 16000)
     assert Speech(np.zeros(8000, dtype=np.float32), 16000).duration == 0.5
-
-
-@pytest.mark.parametrize(("start", "end"), [(1.0, 0.5), (float("nan"), 1.0), (0.0, float("inf"))])
-def test_a_word_ends_after_it_begins(start: float, end: float) -> None:
-    with pytest.raises(ValueError, match="hello"):
-        Word("hello", start, end)
 
 
 def test_beats_rise_strictly_from_zero() -> None:

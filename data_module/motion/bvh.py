@@ -24,19 +24,17 @@ __all__ = ["BvhWarning", "read_bvh", "write_bvh"]
 _AXES = {"Xrotation": "X", "Yrotation": "Y", "Zrotation": "Z"}
 _PLACES = {"Xposition": 0, "Yposition": 1, "Zposition": 2}
 _WRITTEN_ORDER = "ZXY"
+# Orders of the joints of an arm, which lies along X at rest. The middle angle of an order must stay away from 90
+# degrees: around there, a small detour lets the other two angles turn by 360 degrees. A palm turns about X by more than
+# that, so X is the last axis of hand and forearm. In takes of nine speakers with random poses laid over 540 stretches,
+# the hands' angles ended 360 degrees off three times; with `_WRITTEN_ORDER` it was twenty times.
 _ORDERS_OF_ARMS = {"Arm": "YXZ", "ForeArm": "YZX", "Hand": "YZX"}
-"""Orders of the joints of an arm, which lies along X at rest. The middle angle of an order must stay away from 90
-degrees: around there, a small detour lets the other two angles turn by 360 degrees. A palm turns about X by more than
-that, so X is the last axis of hand and forearm. In takes of nine speakers with random poses laid over 540 stretches,
-the hands' angles ended 360 degrees off three times; with `_WRITTEN_ORDER` it was twenty times."""
 CENTIMETRES = 0.01
 """Metres."""
-_ROWS = 2048
-"""Frames that become text at a time: a megabyte or two."""
+# Largest plausible number of degrees or units of length, of at least a millimetre.
 _LARGEST = 1e9
-"""Largest plausible number of degrees or units of length, of at least a millimetre."""
+# Bytes (1 GiB): an hour of a body with fingers at 120 frames a second.
 _LARGEST_FILE = 1 << 30
-"""Bytes (1 GiB): an hour of a body with fingers at 120 frames a second."""
 FRAME_RATE_ADVICE = "give the frame rate"
 """Advice for a file of doubtful frame rate, which commands replace by their option."""
 
@@ -256,83 +254,47 @@ def _compose(angles: Array, order: str) -> Array:
 
 def write_bvh(path: str | os.PathLike[str], motion: Motion, unit: float = CENTIMETRES) -> None:
     """Write a motion as BVH, atomically; rotations in the order ZXY, those of the arms in `_ORDERS_OF_ARMS`. unit:
-    metres per unit of the file."""
-    writer = _BvhWriter(motion.skeleton, motion.fps, unit, len(motion))
+    metres per unit of the file; its numbers have six decimals."""
+    head, rows = _written(motion, unit)
     with new_file(path) as out:
-        out.write(writer.head().encode())
-        # The text of an hour is 300 MB: it is written in pieces.
-        for first in range(0, len(motion), _ROWS):
-            out.write(writer.rows(motion.crop(first, first + _ROWS)).encode())
+        out.write(head.encode())
+        # Straight into the file: the text of an hour is 300 MB.
+        np.savetxt(out, rows, fmt="%.6f")
 
 
 def bvh_text(motion: Motion, unit: float = CENTIMETRES) -> str:
-    """The BVH file of a motion, as text. unit: metres per unit of the file; its numbers have six decimals."""
-    writer = _BvhWriter(motion.skeleton, motion.fps, unit, len(motion))
-    return writer.head() + writer.rows(motion)
+    """The file of `write_bvh` as text."""
+    head, rows = _written(motion, unit)
+    body = io.StringIO()
+    np.savetxt(body, rows, fmt="%.6f")
+    return head + body.getvalue()
 
 
-class _BvhWriter:
-    """The text of a BVH file in pieces; it is the same as for all frames at once."""
-
-    def __init__(self, skeleton: Skeleton, fps: float, unit: float, frames: int) -> None:
-        """unit: metres per unit of the file; frames: their number."""
-        if unit != 1.0:
-            skeleton = skeletons.scaled_skeleton(skeleton, 1.0 / unit)
-        self._orders = [_order_of(name) for name in skeleton.names]
-        turns = [tuple(f"{axis}rotation" for axis in order) for order in self._orders]
-        channels = [("Xposition", "Yposition", "Zposition", *turns[0]), *turns[1:]]
-        # An end site belongs to a leaf: the bone of another joint ends in its child.
-        tips = {joint: tip for joint, tip in skeleton.end_sites.items() if joint not in skeleton.parents}
-        self._lines, self._order = hierarchy(skeleton.names, skeleton.parents, skeleton.offsets, tips, channels)
-        self._fps, self._unit, self._unwrap = fps, unit, Unwrap()
-        self._frames = frames
-
-    def rows(self, motion: Motion) -> str:
-        """The lines of the next frames."""
-        places = motion.root_positions if self._unit == 1.0 else motion.root_positions * (1.0 / self._unit)
-        # Unwrapped angles are smooth in tools that interpolate the channels separately.
-        euler = np.empty((len(motion), len(self._orders), 3))
-        for order in set(self._orders):
-            at = [joint for joint, each in enumerate(self._orders) if each == order]
-            euler[:, at] = rotation.to_euler(motion.rotations[:, at], order)
-        angles = np.degrees(self._unwrap(euler))
-        values = np.concatenate([places, angles[:, self._order].reshape(len(motion), -1)], axis=1)
-        body = io.StringIO()
-        # Adding 0 turns -0 into 0, which would be written with its sign.
-        np.savetxt(body, values + 0.0, fmt="%.6f")
-        return body.getvalue()
-
-    def head(self) -> str:
-        return "\n".join([*self._lines, "MOTION", f"Frames: {self._frames}", f"Frame Time: {1.0 / self._fps:.10f}", ""])
+def _written(motion: Motion, unit: float) -> tuple[str, Array]:
+    """The lines up to the frames, and the numbers of the frames [T, C]."""
+    skeleton = motion.skeleton if unit == 1.0 else skeletons.scaled_skeleton(motion.skeleton, 1.0 / unit)
+    orders = [_order_of(name) for name in skeleton.names]
+    turns = [tuple(f"{axis}rotation" for axis in order) for order in orders]
+    channels = [("Xposition", "Yposition", "Zposition", *turns[0]), *turns[1:]]
+    # An end site belongs to a leaf: the bone of another joint ends in its child.
+    tips = {joint: tip for joint, tip in skeleton.end_sites.items() if joint not in skeleton.parents}
+    lines, written_order = hierarchy(skeleton.names, skeleton.parents, skeleton.offsets, tips, channels)
+    head = "\n".join([*lines, "MOTION", f"Frames: {len(motion)}", f"Frame Time: {1.0 / motion.fps:.10f}", ""])
+    places = motion.root_positions if unit == 1.0 else motion.root_positions * (1.0 / unit)
+    euler = np.empty((len(motion), len(orders), 3))
+    for order in set(orders):
+        at = [joint for joint, each in enumerate(orders) if each == order]
+        euler[:, at] = rotation.to_euler(motion.rotations[:, at], order)
+    # Unwrapped angles are smooth in tools that interpolate the channels separately.
+    angles = np.degrees(np.unwrap(euler, axis=0))
+    values = np.concatenate([places, angles[:, written_order].reshape(len(motion), -1)], axis=1)
+    return head, values + 0.0  # adding 0 turns -0 into 0, which would be written with its sign
 
 
 def _order_of(joint: str) -> str:
     """The order of rotations of a joint, the first axis outermost."""
     side = next((side for side in skeletons.SIDES if joint.startswith(side)), None)
     return _WRITTEN_ORDER if side is None else _ORDERS_OF_ARMS.get(joint.removeprefix(side), _WRITTEN_ORDER)
-
-
-class Unwrap:
-    """Streaming `numpy.unwrap` along the first axis for angles [T, ...] in radians."""
-
-    def __init__(self) -> None:
-        self._last: Array | None = None
-        self._turned: Array | None = None
-
-    def __call__(self, angles: Array) -> Array:
-        if not len(angles):
-            return angles
-        before = angles[:1] if self._last is None else self._last
-        steps = np.diff(angles, axis=0, prepend=before)
-        near = np.mod(steps + np.pi, 2 * np.pi) - np.pi
-        near = np.where((near == -np.pi) & (steps > 0), np.pi, near)
-        turns = np.where(np.abs(steps) < np.pi, 0.0, near - steps)
-        # Summed in sequence from the first piece on, for the same bits as at once.
-        if self._turned is not None:
-            turns = np.concatenate([self._turned, turns])
-        summed = turns.cumsum(axis=0)[-len(angles):]
-        self._last, self._turned = angles[-1:].copy(), summed[-1:].copy()
-        return np.asarray(angles + summed)
 
 
 def hierarchy(names: Sequence[str], parents: Sequence[int], offsets: Array, tips: Mapping[int, Array],

@@ -19,6 +19,7 @@ import numpy as np
 from data_module.types import Array
 
 FINGERS = ("Thumb", "Index", "Middle", "Ring", "Pinky")
+# Bend of the three joints of each finger from the palm on, degrees, the thumb first.
 _SHAPES: dict[str, tuple[tuple[float, float, float], ...]] = {
     "hanging": ((8, 14, 16), (11, 36, 18), (18, 46, 23), (23, 48, 23), (29, 46, 22)),
     "relaxed": ((10, 14, 12), (5, 29, 13), (13, 40, 18), (21, 47, 22), (27, 48, 22)),
@@ -29,22 +30,21 @@ _SHAPES: dict[str, tuple[tuple[float, float, float], ...]] = {
     "pinch": ((20, 22, 12), (33, 46, 22), (22, 38, 18), (13, 31, 15), (9, 24, 12)),
     "spread": ((-10, -2, 0), (0, 5, 3), (3, 9, 4), (6, 15, 6), (9, 20, 8)),
 }
-"""Bend of the three joints of each finger from the palm on, degrees, the thumb first."""
 RAISED = tuple(_SHAPES)[1:]
 SHAPES = {name: np.array(bends, dtype=np.float64) for name, bends in _SHAPES.items()}
 """Name -> [5, 3] degrees."""
 SPREAD = {"hanging": 0.3, "relaxed": 0.5, "open": 1.0, "cup": 0.6, "fist": 0.1, "point": 0.3, "pinch": 0.5,
           "spread": 1.9}
 """Name -> how far the fingers are apart, 1 for an open hand."""
+# Temperature of the mixture: the lower, the purer the shapes.
 _SHARP = 0.32
-"""Temperature of the mixture: the lower, the purer the shapes."""
+# Amplitude of the moods, and the period of the first shape's in seconds with what each shape adds.
 _MOOD, _PERIODS = 0.9, (4.7, 1.31)
-"""Amplitude of the moods, and the period of the first shape's in seconds with what each shape adds."""
+# Speed of a fast hand and downward speed of a chop, m/s.
 _FAST, _CHOP = 0.7, 0.6
-"""Speed of a fast hand and downward speed of a chop, m/s."""
+# From where to where an arm counts as stretched (wrist from shoulder, as a share of the arm) and a hand as far out to
+# the side (metres).
 _STRETCHED, _SIDE = (0.82, 0.97), (0.35, 0.55)
-"""From where to where an arm counts as stretched (wrist from shoulder, as a share of the arm) and a hand as far out to
-the side (metres)."""
 
 
 @dataclass(frozen=True)

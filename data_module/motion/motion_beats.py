@@ -21,14 +21,14 @@ SMOOTHING = 0.05
 SPACING = 0.1
 """Seconds; of two closer motion beats only the stronger one counts."""
 
+# Least depth of a minimum, in standard deviations of its curve.
 _DEPTH = 0.5
-"""Least depth of a minimum, in standard deviations of its curve."""
+# Summed speed below which the arms stand still, m/s.
 _STILL = 0.1
-"""Summed speed below which the arms stand still, m/s."""
+# Least deceleration of a beat in mode A, m/s^2, for recordings in which little moves.
 _GENTLE = 0.5
-"""Least deceleration of a beat in mode A, m/s^2, for recordings in which little moves."""
+# Seconds before a beat in which the arms must have moved.
 _BEFORE = 0.3
-"""Seconds before a beat in which the arms must have moved."""
 
 
 def acting_speed(positions: Array, fps: float) -> Array:

@@ -24,17 +24,17 @@ from data_module.types import Array
 
 PAST = 3
 """Frames of the past of a block: enough for a pose, a velocity and an acceleration."""
+# Ridge of the predictor, on features of unit deviation: negligible for tens of thousands of blocks, but it keeps a fit
+# to few blocks stable.
 _RIDGE = 1.0
-"""Ridge of the predictor, on features of unit deviation: negligible for tens of thousands of blocks, but it keeps a fit
-to few blocks stable."""
 _TORSO = ("Hips", "Spine")
 _HEAD = ("Neck", "Head")
 _FINGERS = ("Thumb", "Index", "Middle", "Ring", "Pinky", "Little")
+# Least deviation of a coefficient, by which others divide: a joint that never moves has 0.
 _LEAST_SCALE = 1e-6
-"""Least deviation of a coefficient, by which others divide: a joint that never moves has 0."""
+# Weights relative to an arm (1): fingers hardly define a gesture but have four times as many dimensions, and with the
+# weight of an arm a third of the codes would only distinguish sways of the trunk with both hands at rest.
 _SHARES = {"torso": 0.4, "head": 0.4, "left fingers": 0.3, "right fingers": 0.3}
-"""Weights relative to an arm (1): fingers hardly define a gesture but have four times as many dimensions, and with the
-weight of an arm a third of the codes would only distinguish sways of the trunk with both hands at rest."""
 LIMITS = (0.03, 99.97)
 """Percentiles of the training coefficients that are used as limits."""
 

@@ -26,16 +26,16 @@ FAST = 0.3
 """m/s: the least peak of a movement."""
 RAISED = 0.06
 """Metres over the hips at and above which a still hand is held, not hanging."""
+# Seconds of rest near home, of rest anywhere, and of a hold, at least.
 _AT_HOME, _ANYWHERE, _HOLD = 0.4, 0.8, 0.25
-"""Seconds of rest near home, of rest anywhere, and of a hold, at least."""
+# Metres over the 10 % quantile of its height within which a hand is at home.
 _HOME = 0.10
-"""Metres over the 10 % quantile of its height within which a hand is at home."""
+# M/s by which a minimum of speed lies under its surroundings to end a movement.
 _PROMINENCE = 0.12
-"""m/s by which a minimum of speed lies under its surroundings to end a movement."""
+# Standard deviation of the smoothing of the positions, seconds, as for motion beats.
 _SMOOTHING = 0.05
-"""Standard deviation of the smoothing of the positions, seconds, as for motion beats."""
+# A stop is harder than another if its deceleration is greater by this factor.
 _HARDER = 1.1
-"""A stop is harder than another if its deceleration is greater by this factor."""
 
 
 def hand_places(motion: Motion, rate: float, times: Array | None = None, count: int | None = None) -> Array:

@@ -17,25 +17,25 @@ from data_module.motion.hand_shapes import HandMotion
 from data_module.motion.skeletons import FINGER_JOINTS, FINGERS
 from data_module.types import Array, Motion, Skeleton
 
+# Shares by which the bend is reduced in a raised hand and in a fast hand.
 _LIFT_OPENS, _SPEED_OPENS = 0.45, 0.22
-"""Shares by which the bend is reduced in a raised hand and in a fast hand."""
+# Height over the hips at which a hand counts as half raised, and the scale of the transition, metres; a hanging hand is
+# 4 cm below them.
 _LIFTED, _LIFT_WIDTH = 0.12, 0.05
-"""Height over the hips at which a hand counts as half raised, and the scale of the transition, metres; a hanging hand
-is 4 cm below them."""
+# Speed of a fast hand, m/s.
 _FAST = 0.7
-"""Speed of a fast hand, m/s."""
+# Smoothing of the hand's height and speed, seconds, so that fingers follow the arm loosely.
 _SMOOTH = 0.12
-"""Smoothing of the hand's height and speed, seconds, so that fingers follow the arm loosely."""
+# Lag of each finger behind the previous one, from the index finger on, seconds.
 _LAG = 0.035
-"""Lag of each finger behind the previous one, from the index finger on, seconds."""
+# Sideways angle of the fingers of an open hand, towards the thumb, degrees.
 _SPREAD = {"Thumb": 0.0, "Index": 5.0, "Middle": 1.0, "Ring": -3.5, "Pinky": -8.0}
-"""Sideways angle of the fingers of an open hand, towards the thumb, degrees."""
+# Amplitude of the fidget of a resting hand's joints in degrees, and its period in seconds.
 _FIDGET, _FIDGET_SECONDS = 1.6, 5.3
-"""Amplitude of the fidget of a resting hand's joints in degrees, and its period in seconds."""
+# Length of the character's arm to the wrist, metres.
 _ARM = 0.53
-"""Length of the character's arm to the wrist, metres."""
+# Direction of the closed left thumb: along the palm and under it.
 _THUMB_GOAL = np.array([0.75, -0.55, -0.35])
-"""Direction of the closed left thumb: along the palm and under it."""
 _UP = np.array([0.0, 1.0, 0.0])
 
 

@@ -208,8 +208,8 @@ def scaled_skeleton(skeleton: Skeleton, unit: float) -> Skeleton:
                    end_sites={joint: tip * unit for joint, tip in skeleton.end_sites.items()})
 
 
+# Least distance of two joints, metres.
 _EPS = 1e-9
-"""Least distance of two joints, metres."""
 _NEEDED_BONES = (("Hips", "Head"), ("RightArm", "LeftArm"), *((side + bone, side + tip) for side in _SIDES
                  for bone, tip in (("Arm", "ForeArm"), ("ForeArm", "Hand"))))
 

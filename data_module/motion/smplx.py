@@ -51,16 +51,16 @@ _TIPS = {"head": (0.0, 0.170, 0.020), "left_wrist": (0.160, 0.0, 0.0), "right_wr
 _FINGERS_AT = {55: 25, 52: 22}
 _FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 JOINTS = 55
+# Numbers of parameters of body shape and face in BEAT2.
 _BETAS, _EXPRESSIONS = 300, 100
-"""Numbers of parameters of body shape and face in BEAT2."""
+# Metres from the origin of the body, about the breastbone, whose position is `trans`, to the pelvis, our root.
 _PELVIS_BELOW_ORIGIN = 0.35
-"""Metres from the origin of the body, about the breastbone, whose position is `trans`, to the pelvis, our root."""
 
 _RATES = ("mocap_frame_rate", "mocap_framerate")
+# Largest angle, radians (160 turns); larger ones are not accurate.
 _MOST_TURN = 1e3
-"""Largest angle, radians (160 turns); larger ones are not accurate."""
+# Largest distance from the origin, metres; beyond it single precision is coarser than millimetres.
 _FARTHEST = 1e6
-"""Largest distance from the origin, metres; beyond it single precision is coarser than millimetres."""
 
 
 def _build() -> Skeleton:

@@ -17,20 +17,20 @@ from data_module.motion import kinematics, rotation, skeletons
 from data_module.motion.skeletons import HIP_HEIGHT, LEG_JOINTS, WHOLE_BODY
 from data_module.types import Array, Motion, Skeleton
 
+# Metres that the hips move per metre of the chest, in the opposite direction.
 _BALANCE = 0.25
-"""Metres that the hips move per metre of the chest, in the opposite direction."""
+# Smoothing of this motion, seconds: the weight moves slower than the chest.
 _SLOW = 0.35
-"""Smoothing of this motion, seconds: the weight moves slower than the chest."""
+# Height of the ankle of a flat foot, metres.
 _ANKLE = 0.08
-"""Height of the ankle of a flat foot, metres."""
+# Position of the left ankle relative to the floor under the hips, metres.
 _FEET = np.array([0.105, _ANKLE, -0.010])
-"""Position of the left ankle relative to the floor under the hips, metres."""
+# Outward turn of each foot, radians.
 _TOES_OUT = np.radians(9.0)
-"""Outward turn of each foot, radians."""
+# Largest extension of a leg as a share of its length: a locked knee jumps.
 _STRETCHED = 0.997
-"""Largest extension of a leg as a share of its length: a locked knee jumps."""
+# Seconds before and after in which the hips are lowered for a leg that would not reach, and the smoothing of that.
 _DIP, _DIP_WIDTH = 0.6, 0.2
-"""Seconds before and after in which the hips are lowered for a leg that would not reach, and the smoothing of that."""
 _SIDES = (("Left", 1.0), ("Right", -1.0))
 
 

@@ -1,6 +1,6 @@
 """Speech from a sound file or from samples in any common format, converted to mono 16 kHz.
 
-A recording is read piece by piece, so an hour of 48 kHz stereo is never in memory at its original rate.
+A recording is decoded piece by piece, so an hour of 48 kHz stereo is never in memory at its original rate.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import shutil
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias, cast
 
@@ -23,12 +23,10 @@ from data_module.errors import InputError
 from data_module.files import write_bytes
 from data_module.speech.silence import (
     FAINTEST_SPEECH,
-    FRAME,
     MARGIN,
-    STEP,
     TYPICAL_LEVEL,
-    LoudnessTracker,
     frame_levels,
+    loudness,
 )
 from data_module.speech.sound_files import (
     BrokenSoundError,
@@ -44,7 +42,7 @@ from data_module.speech.sound_files import (
 )
 from data_module.types import Samples, Speech
 
-__all__ = ["AudioWarning", "as_speech", "load_speech", "speech_pieces"]
+__all__ = ["AudioWarning", "as_speech", "load_speech"]
 
 SpeechInput: TypeAlias = "Speech | str | os.PathLike[str] | BinaryIO | NDArray[Any] | Mapping[str, Any]"
 """A recording: a `Speech`, a sound file by its path or as a binary stream, samples [n] or [n, channels], or an item of
@@ -61,19 +59,18 @@ SOUNDS = (".flac", ".wav", ".mp3", ".ogg", ".opus", ".m4a", ".aac", ".webm", ".m
 LOW_LEVEL = -45.0
 """Level of speech, dBFS, below which a recording is about 20 dB too low and quiet syllables get lost."""
 
+# Range of sample rates, hertz: below the first there is no intelligible speech, and no sound card exceeds the second.
 _LOWEST_RATE, _HIGHEST_RATE = 1000, 768_000
-"""Range of sample rates, hertz: below the first there is no intelligible speech, and no sound card exceeds the second.
-"""
+# Largest sample in floating point, times full scale (24 dB), that is clipped; more indicates another unit.
 _FULL_SCALE = 16.0
-"""Largest sample in floating point, times full scale (24 dB), that is clipped; more indicates another unit."""
+# Most channels; more indicate that samples and channels are swapped.
 _MOST_CHANNELS = 1024
-"""Most channels; more indicate that samples and channels are swapped."""
+# Channels (7.1) above which as few samples indicate the same.
 _USUAL_CHANNELS = 8
-"""Channels (7.1) above which as few samples indicate the same."""
+# Samples (two years) above which a decoder's length means that it is unknown.
 _OPEN_END = 1 << 40
-"""Samples (two years) above which a decoder's length means that it is unknown."""
+# Bytes that are read from a pipe at a time.
 _STREAM_PIECE = 1 << 20
-"""Bytes that are read from a pipe at a time."""
 
 
 class AudioWarning(UserWarning):
@@ -90,28 +87,6 @@ def load_speech(source: str | os.PathLike[str] | BinaryIO, any_length: bool = Fa
     Raises `InputError` for anything that is not a complete recording of at least `SHORTEST` seconds; warns with
     `AudioWarning` if the file does not contain its length.
     """
-    with speech_pieces(source, any_length) as sound:
-        return sound.whole()
-
-
-@dataclass(frozen=True)
-class SpeechPieces:
-    """A recording that is being read. seconds: from its header, 0 if unknown. pieces: mono samples [n] at
-    `SAMPLE_RATE`, to be iterated once; together they are those of `load_speech`, whose errors they raise."""
-
-    seconds: float
-    pieces: Iterator[Samples]
-
-    def whole(self) -> Speech:
-        buffer = bytearray()
-        for piece in self.pieces:
-            buffer += piece.tobytes()
-        return Speech(np.frombuffer(buffer, dtype=np.float32), SAMPLE_RATE)
-
-
-@contextlib.contextmanager
-def speech_pieces(source: str | os.PathLike[str] | BinaryIO, any_length: bool = False) -> Iterator[SpeechPieces]:
-    """A recording as by `load_speech`, some seconds at a time: memory does not grow with its length."""
     name = _name_of(source)
     with contextlib.ExitStack() as opened:
         try:
@@ -122,7 +97,7 @@ def speech_pieces(source: str | os.PathLike[str] | BinaryIO, any_length: bool = 
         except OSError as error:
             raise _unreadable(name, error) from None
         _check_sound(sound, promise, name, any_length)
-        yield SpeechPieces(_claimed(sound, promise) / sound.rate, _mono(sound, promise, name, any_length))
+        return Speech(np.concatenate(list(_mono(sound, promise, name, any_length))), SAMPLE_RATE)
 
 
 def as_speech(given: SpeechInput, sample_rate: float | None = None) -> Speech:
@@ -217,44 +192,16 @@ def header_seconds(name: Path) -> float:
 
 def level_note(speech: Speech) -> str | None:
     """A note for the user on a recording whose level is far too low, with the gain to apply; None for others."""
-    meter = LevelMeter(speech.sample_rate)
-    meter.add(speech.samples)
-    return meter.finish()
-
-
-class LevelMeter:
-    """Streaming `level_note`."""
-
-    def __init__(self, sample_rate: int = SAMPLE_RATE) -> None:
-        self._rate, self._step = sample_rate, STEP * round(FRAME * sample_rate)
-        self._tracker = LoudnessTracker()
-        self._left: Samples = np.zeros(0, np.float32)
-        self._loudest, self._sum, self._loud = -np.inf, 0.0, 0
-
-    def add(self, samples: Samples) -> None:
-        sound = np.concatenate([self._left, samples])
-        whole = len(sound) - len(sound) % self._step
-        self._measure(sound[:whole])
-        self._left = sound[whole:]
-
-    def finish(self) -> str | None:
-        self._measure(self._left)
-        if self._loudest <= FAINTEST_SPEECH:
-            return f"all of it is silence (its loudest 10 ms are at {self._loudest:.0f} dBFS); record it again"
-        level = self._sum / self._loud if self._loud else self._loudest
-        if level >= LOW_LEVEL:
-            return None
-        gain = round(TYPICAL_LEVEL - level)
-        return f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
-
-    def _measure(self, sound: Samples) -> None:
-        levels = frame_levels(sound, self._rate)
-        for start in range(0, len(levels), STEP):
-            step = levels[start:start + STEP]
-            floor = self._tracker.step(step, ended=len(step) < STEP).floor
-            loud = step[step > np.maximum(floor + MARGIN, FAINTEST_SPEECH)]
-            self._loudest = max(self._loudest, float(step.max()))
-            self._sum, self._loud = self._sum + float(loud.sum()), self._loud + len(loud)
+    frames = loudness(frame_levels(speech.samples, speech.sample_rate))
+    levels = frames.levels
+    if levels.max() <= FAINTEST_SPEECH:
+        return f"all of it is silence (its loudest 10 ms are at {levels.max():.0f} dBFS); record it again"
+    loud = levels > np.maximum(frames.floor + MARGIN, FAINTEST_SPEECH)
+    level = float(levels[loud].mean() if loud.any() else levels.max())
+    if level >= LOW_LEVEL:
+        return None
+    gain = round(TYPICAL_LEVEL - level)
+    return f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
 
 
 def amplified(speech: Speech, decibels: float) -> Speech:

@@ -20,8 +20,8 @@ from data_module.types import Array, BeatFlag, Beats, Speech
 __all__ = ["BeatSettings", "BeatTracker", "find_beats"]
 
 RULES = ("bounded", "strongest", "paper", "even")
+# Tolerance of times, seconds.
 _EPS = 1e-9
-"""Tolerance of times, seconds."""
 
 
 @dataclass(frozen=True)

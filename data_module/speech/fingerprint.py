@@ -31,16 +31,16 @@ LOWEST, HIGHEST = 100.0, 3800.0
 Frames = NDArray[np.uint8]
 """[F, BANDS] values of 0 to 15."""
 
+# Seconds of sound in a frame.
 _WINDOW = 0.05
-"""Seconds of sound in a frame."""
+# Decibels per step, the value of the loud level of a band, and the largest value: four bits.
 _STEP_DB, _ZERO, _MOST = 3.0, 13, 15
-"""Decibels per step, the value of the loud level of a band, and the largest value: four bits."""
+# Percentile of the loud level of a band, and decibels below the loudest frames in which a frame counts for it.
 _LOUD, _SPEECH_RANGE = 95.0, 30.0
-"""Percentile of the loud level of a band, and decibels below the loudest frames in which a frame counts for it."""
+# Floor of a band's power, relative to full scale: -90 dB.
 _FAINTEST = 1e-9
-"""Floor of a band's power, relative to full scale: -90 dB."""
+# Frames at a time: a minute.
 _PIECE = 3000
-"""Frames at a time: a minute."""
 _FRAME_BYTES = BANDS // 2
 
 

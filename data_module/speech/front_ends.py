@@ -15,21 +15,18 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.errors import InputError
+from data_module.settings import Width
 from data_module.speech.silence import TYPICAL_LEVEL
 from data_module.types import Array, Samples
 
 Features = NDArray[np.float32]
 
-ACTIVATIONS = ("gelu", "relu")
-"""Of the speech encoder: as in the published vq-wav2vec, and the simpler one."""
-
 _BATCH = 256
+# Least power under a logarithm.
 _FLOOR = 1e-8
-"""Least power under a logarithm."""
+# Hertz at which the bands of a robust front end end, and the power that it adds under a logarithm: 30 dB under the
+# typical level.
 _ROBUST_TOP, _ROBUST_FLOOR = 7000.0, 1e-5
-"""Hertz at which the bands of a robust front end end, and the power that it adds under a logarithm: 30 dB under the
-typical level."""
 
 
 @dataclass(frozen=True)
@@ -160,32 +157,7 @@ def scaled_windows(windows: Samples, reference: Array | None, length: int, batch
 
 @dataclass(frozen=True)
 class EncoderConfig:
-    """Size and training of the speech encoder; the defaults are the paper's where it gives them."""
+    """Size of the speech encoder."""
 
-    width: int = 512
+    width: Width = 512
     """Channels of every convolution, d_a = d_A."""
-    activation: str = "gelu"
-    """"gelu" as in the published vq-wav2vec, or "relu"."""
-    projection: int = 128
-    """Width of the space in which Eq. 1 compares text with audio."""
-    temperature: float = 0.1
-    """tau of Eq. 1."""
-    mask_same_word: bool = False
-    """Exclude the other level-8 frames of the anchor's word from the denominator of Eq. 1; the paper includes them."""
-    train_projections: bool = True
-    """Train F_t and F_a; without it only the encoder can lower Eq. 1."""
-    prediction_steps: int = 12
-    """Rows of 10 ms that predictive coding looks ahead."""
-    negatives: int = 10
-    """Negative rows from the same crop."""
-    context_width: int = 128
-    """Width of the recurrent net of predictive coding that summarises the past."""
-
-    def __post_init__(self) -> None:
-        if self.activation not in ACTIVATIONS:
-            raise InputError("encoder.activation", f"is {self.activation!r}", f"choose from {', '.join(ACTIVATIONS)}")
-        for name in ("width", "projection", "prediction_steps", "negatives", "context_width"):
-            if getattr(self, name) < 1:
-                raise InputError(f"encoder.{name}", f"is {getattr(self, name)}", "give 1 or more")
-        if not self.temperature > 0:
-            raise InputError("encoder.temperature", f"is {self.temperature}", "give a positive number")

@@ -68,7 +68,7 @@ def encoder_front_end(encoder: SpeechEncoder, mel: MelFrontEnd, layers: Sequence
         return first, second
 
     encoder.eval()
-    return LearnedFrontEnd(name, (encoder.config.width, encoder.config.width), mel, states)
+    return LearnedFrontEnd(name, (encoder.width, encoder.width), mel, states)
 
 
 def transformers_front_end(model_name: str, mel: MelFrontEnd, layers: Sequence[int] | None = None) -> LearnedFrontEnd:

@@ -59,11 +59,11 @@ _NEARLY_ALL = 0.9
 _PIECE = 10_000  # frames
 _FAINTEST = -120.0
 _VOICE_PRIOR, _VOICE_MEMORY = 5.0, 30.0  # seconds of speech
+# Decibels by which the mean of the loud frames is below the loudest 0.1 s of the first second of speech (-1 to 10, mean
+# 5, in eleven recordings).
 _VOICE_BELOW = 6.0
-"""Decibels by which the mean of the loud frames is below the loudest 0.1 s of the first second of speech (-1 to 10,
-mean 5, in eleven recordings)."""
+# Decibels by which a voice is expected above the noise before the first word.
 _VOICE_ABOVE = 20.0
-"""Decibels by which a voice is expected above the noise before the first word."""
 
 
 def frame_levels(samples: Samples, sample_rate: int) -> Array:
@@ -339,18 +339,18 @@ class VoiceLevel:
 
 # ------------------------------------------------------------------------------------------------------ its pitch
 
+# Hertz of voices.
 _LOWEST, _HIGHEST = 70.0, 500.0
-"""Hertz of voices."""
 PITCH_WINDOW, PITCH_HOP = 0.04, 0.01
 """Length of a frame and time between frames, seconds: nearly three periods of the lowest voice."""
+# Share of a frame that must repeat for it to be voiced.
 _VOICED = 0.5
-"""Share of a frame that must repeat for it to be voiced."""
+# Share by which a peak must be higher than one an octave above it: twice the period repeats as well.
 _OCTAVE = 0.02
-"""Share by which a peak must be higher than one an octave above it: twice the period repeats as well."""
+# Mean power of a frame without sound: 16 bits end at -98 dBFS.
 _NO_SOUND = 1e-10
-"""Mean power of a frame without sound: 16 bits end at -98 dBFS."""
+# Seconds of voice over which its mean pitch is remembered.
 _PITCH_MEMORY = 20.0
-"""Seconds of voice over which its mean pitch is remembered."""
 
 
 def pitch_of(samples: Samples, sample_rate: int) -> tuple[Array, NDArray[np.bool_]]:

@@ -26,12 +26,12 @@ PIECE = 1 << 18
 PYAV = "pip install 'gesticulator[video]'"
 """Command that installs the decoder of containers."""
 
+# Late start of a video's sound, seconds, above which it is shifted: half a frame of film.
 _OFFSET = 0.02
-"""Late start of a video's sound, seconds, above which it is shifted: half a frame of film."""
+# Late start, seconds, above which it is implausible and ignored.
 _MOST_OFFSET = 60.0
-"""Late start, seconds, above which it is implausible and ignored."""
+# Seconds that may be missing at the end of a container, because of encoder padding and rounding.
 _CUT = 0.25
-"""Seconds that may be missing at the end of a container, because of encoder padding and rounding."""
 
 
 @dataclass(frozen=True)
@@ -58,14 +58,14 @@ class BrokenSoundError(Exception):
 
 # Least placeholder of the length by a recorder that writes to a pipe and cannot fill it in later.
 _STREAMED = 0x7FFF0000
+# Most chunks of a WAV before its sound; a dozen are usual.
 _MOST_CHUNKS = 1000
-"""Most chunks of a WAV before its sound; a dozen are usual."""
+# (offset, bytes there, FFmpeg's name of the format): MP4 and M4A, WebM, AVI, WMA and WMV, AMR, MPEG.
 _CONTAINERS: tuple[tuple[int, bytes, str], ...] = (
     (4, b"ftyp", "mov,mp4,m4a,3gp,3g2,mj2"), (4, b"moov", "mov,mp4,m4a,3gp,3g2,mj2"),
     (4, b"mdat", "mov,mp4,m4a,3gp,3g2,mj2"), (0, b"\x1aE\xdf\xa3", "matroska,webm"), (8, b"AVI ", "avi"),
     (0, b"0&\xb2u\x8ef\xcf\x11", "asf"), (0, b"#!AMR", "amr"), (0, b"\0\0\x01\xba", "mpeg"),
 )
-"""(offset, bytes there, FFmpeg's name of the format): MP4 and M4A, WebM, AVI, WMA and WMV, AMR, MPEG."""
 
 
 @dataclass(frozen=True)

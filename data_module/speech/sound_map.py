@@ -36,14 +36,14 @@ another tempo is one stretch."""
 SPEECH = (6.0, 9.0)
 """Mean value of a frame from which it counts as speech (21 to 12 dB below the loud frames): 9 dB above the noise."""
 _NOISE, _ABOVE_NOISE = 10.0, 3.0
+# Largest share of frames of speech in a pause: breaths, and the last of a word.
 _PAUSE = 0.2
-"""Largest share of frames of speech in a pause: breaths, and the last of a word."""
 REACH = 20 * RATE
 """Frames by which the shift of two long recordings may exceed the difference of their lengths."""
+# Pairs of frames up to which all are compared (two recordings of 2.5 minutes); of longer ones those within `REACH`.
 _MOST_CELLS = 60_000_000
-"""Pairs of frames up to which all are compared (two recordings of 2.5 minutes); of longer ones those within `REACH`."""
+# Most bytes of the trace: two recordings of an hour whose lengths differ by half a minute.
 _MOST_KEPT = 700_000_000
-"""Most bytes of the trace: two recordings of an hour whose lengths differ by half a minute."""
 _MATCH, _SKIP, _ADD = 0, 1, 2
 _FAR = 1 << 28
 Shifts = NDArray[np.int64]

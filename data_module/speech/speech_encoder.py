@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import pickle
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -19,15 +19,20 @@ from torch import Tensor, nn
 
 from data_module.errors import InputError
 from data_module.layers import masked_mean
-from data_module.speech.front_ends import ACTIVATIONS, EncoderConfig
 
 SHAPES = ((10, 5), (8, 4), (4, 2), (4, 2), (4, 2), (1, 1), (1, 1), (1, 1))
 """Kernel and stride of the eight convolutions; the last four levels have 100 rows a second of 16 kHz sound."""
 LEVELS = len(SHAPES)
 LOW, HIGH = 2, 8
 """The levels that the paper takes as a_low and a_high."""
-_GELU, _RELU = ACTIVATIONS
-_ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {_GELU: F.gelu, _RELU: F.relu}
+PROJECTION = 128
+"""Width of the space in which Eq. 1 compares text with audio."""
+TEMPERATURE = 0.1
+"""tau of Eq. 1."""
+PREDICTION_STEPS, NEGATIVES = 12, 10
+"""Of predictive coding: rows of 10 ms that it looks ahead, and negative rows from the same crop."""
+CONTEXT_WIDTH = 128
+"""Width of the recurrent net of predictive coding that summarises the past."""
 
 
 def hop_and_reach(level: int) -> tuple[int, int]:
@@ -44,13 +49,13 @@ class SpeechEncoder(nn.Module):
     uses statistics of the whole input, so a level depends on the length of the input: all callers use a window of three
     blocks, in training and inference."""
 
-    def __init__(self, config: EncoderConfig) -> None:
+    def __init__(self, width: int) -> None:
+        """width: channels of every convolution."""
         super().__init__()
-        self.config = config
-        widths = (1, *[config.width] * LEVELS)
-        self.convolutions = nn.ModuleList(nn.Conv1d(widths[layer], config.width, kernel, stride, bias=False)
+        self.width, widths = width, (1, *[width] * LEVELS)
+        self.convolutions = nn.ModuleList(nn.Conv1d(widths[layer], width, kernel, stride, bias=False)
                                           for layer, (kernel, stride) in enumerate(SHAPES))
-        self.norms = nn.ModuleList(nn.GroupNorm(1, config.width) for _ in SHAPES)
+        self.norms = nn.ModuleList(nn.GroupNorm(1, width) for _ in SHAPES)
 
     def forward(self, samples: Tensor) -> list[Tensor]:
         """Samples [B, T] at 16 kHz to the eight levels, each [B, C, T_l]; the last as log(1 + |x|). ValueError when a
@@ -58,11 +63,10 @@ class SpeechEncoder(nn.Module):
         shortest = hop_and_reach(LEVELS)[1]
         if samples.ndim != 2 or samples.shape[1] < shortest:
             raise ValueError(f"samples {tuple(samples.shape)} are not [B, T] with {shortest} or more")
-        activate = _ACTIVATIONS[self.config.activation]
         x = samples.unsqueeze(1)
         out = []
         for convolve, norm in zip(self.convolutions, self.norms, strict=True):
-            x = activate(norm(convolve(x)))
+            x = F.gelu(norm(convolve(x)))
             out.append(x)
         out[-1] = torch.log1p(out[-1].abs())
         return out
@@ -96,11 +100,11 @@ class PredictiveCoding(nn.Module):
     """Contrastive predictive coding: from level 8 so far, identify the row 1 to 12 steps later among `negatives` others
     of the same crop, by the dot product with a linear prediction per step."""
 
-    def __init__(self, encoder: SpeechEncoder, config: EncoderConfig) -> None:
+    def __init__(self, encoder: SpeechEncoder) -> None:
         super().__init__()
-        self.encoder, self.config = encoder, config
-        self.context = nn.GRU(encoder.config.width, config.context_width, batch_first=True)
-        self.predict = nn.Linear(config.context_width, config.prediction_steps * encoder.config.width)
+        self.encoder = encoder
+        self.context = nn.GRU(encoder.width, CONTEXT_WIDTH, batch_first=True)
+        self.predict = nn.Linear(CONTEXT_WIDTH, PREDICTION_STEPS * encoder.width)
 
     @property
     def weights(self) -> dict[str, float]:
@@ -117,12 +121,12 @@ class PredictiveCoding(nn.Module):
         # Scaled as in attention: dot products of wide vectors would saturate the softmax.
         predicted = self.predict(context).unflatten(-1, (-1, width)) / width ** 0.5
         time = torch.arange(count, device=rows.device)
-        ahead = torch.arange(self.config.prediction_steps, device=rows.device)
+        ahead = torch.arange(PREDICTION_STEPS, device=rows.device)
         since = time[:, None] - 1 - ahead
         # Row t is compared with the prediction for t made `ahead` + 1 steps earlier.
         foreseen = predicted[:, since.clamp_min(0), ahead]
         positive = time[None, :, None].expand(batch, -1, 1)
-        others = torch.randint(count - 1, (batch, count, self.config.negatives), device=rows.device)
+        others = torch.randint(count - 1, (batch, count, NEGATIVES), device=rows.device)
         # Sampled among count - 1 rows and moved past the true one, so that it is never its own negative.
         picked = torch.cat([positive, others + (others >= positive)], dim=-1)
         candidates = rows[torch.arange(batch, device=rows.device)[:, None, None], picked]
@@ -150,14 +154,11 @@ class TextContrast(nn.Module):
     `retrieval` and by linear probes on frozen levels (docs/results/earlier/speech_levels.md), not by the loss.
     """
 
-    def __init__(self, encoder: SpeechEncoder, config: EncoderConfig, text_width: int, frames: int) -> None:
+    def __init__(self, encoder: SpeechEncoder, text_width: int, frames: int) -> None:
         super().__init__()
-        self.encoder, self.config, self.frames = encoder, config, frames
-        self.text = nn.Linear(text_width, config.projection, bias=False)
-        self.audio = nn.ModuleList(nn.Linear(encoder.config.width, config.projection, bias=False)
-                                   for _ in range(LEVELS))
-        for module in (self.text, self.audio):
-            module.requires_grad_(config.train_projections)
+        self.encoder, self.frames = encoder, frames
+        self.text = nn.Linear(text_width, PROJECTION, bias=False)
+        self.audio = nn.ModuleList(nn.Linear(encoder.width, PROJECTION, bias=False) for _ in range(LEVELS))
 
     @property
     def weights(self) -> dict[str, float]:
@@ -175,14 +176,10 @@ class TextContrast(nn.Module):
         """Eq. 1, averaged over anchors, the frames with a word. batch: "samples" [B, 3K * samples per frame], windows
         of three blocks; "text" [B, K, d_t] word vectors of the middle block; "word" [B, K] which word of the recording
         sounds, -1 for none."""
-        logits = self.similarities(batch) / self.config.temperature
+        logits = self.similarities(batch) / TEMPERATURE
         word = batch["word"]
-        frames = word.shape[1]
-        if self.config.mask_same_word:
-            same = (word[:, :, None] == word[:, None]) & ~torch.eye(frames, dtype=torch.bool, device=word.device)
-            last = logits[:, :, -1].masked_fill(same, -torch.inf)
-            logits = torch.cat([logits[:, :, :-1], last[:, :, None]], dim=2)
-        positive = torch.arange(frames, device=word.device).expand_as(word)
+        # The other frames of the anchor's word stay in the denominator, as in the paper.
+        positive = torch.arange(word.shape[1], device=word.device).expand_as(word)
         spread = torch.logsumexp(logits.flatten(2), dim=-1)
         terms = spread - logits[:, :, -1].gather(2, positive[..., None])[..., 0]
         return {"contrast": masked_mean(terms, word >= 0)}
@@ -200,19 +197,19 @@ class TextContrast(nn.Module):
 
 def load_fairseq(path: str | os.PathLike[str]) -> SpeechEncoder:
     """The feature extractor of a vq-wav2vec (or wav2vec) checkpoint as fairseq writes it, ready to use (frozen). Only
-    tensors and plain settings are read from the file, nothing in it is run. Width comes from the shapes, activation
-    from the settings (gelu where there are none). InputError where the file is not such a checkpoint."""
+    tensors and plain settings are read from the file, nothing in it is run. Width comes from the shapes. InputError
+    where the file is not such a checkpoint."""
     stored = _read_checkpoint(path)
     weights = {str(key): value for key, value in stored["model"].items() if isinstance(value, Tensor)}
     settings = _settings_of(stored)
     first = weights.get("feature_extractor.conv_layers.0.0.weight")
     if first is None or first.ndim != 3:
         raise InputError(path, "holds no feature extractor of vq-wav2vec", "give fairseq's vq-wav2vec.pt")
-    if settings.get("skip_connections_feat") or not settings.get("log_compression", True):
+    if settings.get("skip_connections_feat") or not settings.get("log_compression", True) \
+            or settings.get("activation", "gelu") != "gelu":
         raise InputError(path, "was trained with other settings than vq-wav2vec (skip connections in the feature "
-                         "extractor, or no log compression)", "give fairseq's vq-wav2vec.pt")
-    activation = str(settings.get("activation", "gelu"))
-    encoder = SpeechEncoder(EncoderConfig(width=len(first), activation=activation))
+                         "extractor, no log compression, or another activation)", "give fairseq's vq-wav2vec.pt")
+    encoder = SpeechEncoder(len(first))
     try:
         encoder.load_state_dict(_renamed(weights, len(first)))
     except (KeyError, RuntimeError) as error:

@@ -12,7 +12,6 @@ import functools
 import importlib.util
 import itertools
 import re
-import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -38,19 +37,12 @@ LONGEST_WIDE = 180.0
 LEAST_COVERED = 0.85
 """Least share of the loud frames within words for a matching transcript: at least 0.96 in English readings with their
 text, at most 0.8 with another one."""
-_WINDOW_CENTRE = 0.0128
-"""Seconds from the start of a frame of the aligner to the centre of its spectrum's window. Its times are that much
-early, which a word does not notice and the start of a phone does (in 89 sibilants of readings: by 15 to 30 ms)."""
 _WIDE_BEAM = {"beam": 1e-120, "pbeam": 1e-120, "wbeam": 1e-120}
 _WORDS_PER_SECOND = 6
 _KNOWN_LETTERS = frozenset("abcdefghijklmnopqrstuvwxyzéèêëïçàâ")
 _STRANGE_WORDS = 0.05
 # Scripts without spaces between words, and the longest stretch of them that counts as one word.
 _UNSPACED, _LONGEST_UNSPACED = re.compile(r"[\u3040-\u30ff\u3400-\u9fff\uf900-\ufaff\U00020000-\U0003ffff]"), 4
-
-
-class AlignmentWarning(UserWarning):
-    """The transcript could not be aligned; the times are estimates."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +80,7 @@ def letters_to_sounds(word: str) -> str:
         if at == len(text) - 3 and at and re.fullmatch("[aeiou][bcdfgklmnpstvz]e", text[at:]):
             sounds += [_LONG[text[at]], _SOUNDS[text[at + 1]]]
             break
+        # Soft before e, i and y, but not at the start of a word, where "get" and "give" are common.
         if text[at] in "cg" and text[at + 1:at + 2] in ("e", "i", "y") and at:
             sounds.append("S" if text[at] == "c" else "JH")
             at += 1
@@ -112,20 +105,15 @@ def spoken_words(transcript: str) -> list[tuple[str, str]]:
     return out
 
 
-def align(speech: Speech, transcript: str) -> tuple[Word, ...]:
-    """The words of an English transcript with their times in the recording; see `alignment`."""
-    return alignment(speech, transcript).words
-
-
-def alignment(speech: Speech, transcript: str, *, warn: bool = True) -> Alignment:
+def alignment(speech: Speech, transcript: str) -> Alignment:
     """Align an English transcript with its recording. Words rise in time and lie within the recording. `InputError` if
-    the transcript has no words or the aligner is not installed; with `warn` an `AlignmentWarning` if the times are
-    estimates."""
+    the transcript has no words or the aligner is not installed."""
     words = spoken_words(transcript)
     if not words:
         raise InputError("transcript", "has no words", "give the text that is spoken")
     plain = [word for _, word in words]
     samples = _aligner_samples(speech)
+    # The narrow beam is fast, and enough where text and sound agree; the wide one follows a reader who slips.
     spans = _by_pieces(samples, plain)
     if spans is None and speech.duration <= LONGEST_WIDE:
         spans = _whole(samples, plain)
@@ -136,11 +124,9 @@ def alignment(speech: Speech, transcript: str, *, warn: bool = True) -> Alignmen
         end = speech.duration
         timed = tuple(Word(written, min(a, end), min(b, end))
                       for (written, _), (a, b) in zip(words, spans, strict=True))
+# A text that is too short for its sound is squeezed in somewhere, with times that mean nothing.
         covered = _covered(samples, spans)
         doubt = "" if covered >= LEAST_COVERED else f"the transcript covers only {covered:.0%} of the speech"
-    if doubt and warn:
-        warnings.warn(f"{doubt} ('{transcript.strip()[:30]}...'); the times of its words are estimates",
-                      AlignmentWarning, stacklevel=3)
     return Alignment(timed, not doubt, doubt)
 
 
@@ -157,6 +143,7 @@ def written_words(transcript: str) -> list[str]:
     out: list[str] = []
     for token in re.sub("[-–—]", " ", transcript).split():
         if len(_UNSPACED.findall(token)) > _LONGEST_UNSPACED:
+# A stretch of such a script is a phrase; shorter ones are words, as a name within a text in another script is.
             token = _UNSPACED.sub(r" \g<0> ", token)
         stripped = (re.sub(r"^[\W_]+|[\W_]+$", "", part) for part in token.split())
         out += [part for part in stripped if part]
@@ -167,6 +154,7 @@ def can_follow(transcript: str) -> bool:
     """Whether the aligner supports a transcript: it has words, and few have letters that English lacks."""
     words = [word.lower() for word in written_words(transcript) if any(letter.isalpha() for letter in word)]
     strange = sum(any(letter.isalpha() and letter not in _KNOWN_LETTERS for letter in word) for word in words)
+# A few foreign names are no reason to give up on an English text.
     return bool(spoken_words(transcript)) and strange <= _STRANGE_WORDS * len(words)
 
 
@@ -181,6 +169,7 @@ def _aligner_samples(speech: Speech) -> NDArray[np.int16]:
 
         common = int(np.gcd(speech.sample_rate, ALIGNER_RATE))
         samples = resample_poly(samples, ALIGNER_RATE // common, speech.sample_rate // common)
+# The acoustic model takes 16-bit samples.
     return np.round(np.clip(samples, -1, 1) * 32767).astype(np.int16)
 
 
@@ -191,6 +180,7 @@ def _decoder(wide: bool) -> Any:
     return decoder
 
 
+# One with the narrow and one with the wide beam.
 @functools.lru_cache(maxsize=2)
 def _loaded_decoder(wide: bool) -> Any:
     try:
@@ -263,7 +253,7 @@ def _by_pieces(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[f
             break
         _follow(decoder, ahead, to_the_end=(start, stop) == cut[-1])
         decoded = _decode(decoder, samples[start:stop])
-        spans += [(a + start / ALIGNER_RATE, b + start / ALIGNER_RATE) for _, a, b in decoded]
+        spans += [(a + start / ALIGNER_RATE, b + start / ALIGNER_RATE) for a, b in decoded]
     return spans if len(spans) == len(words) else None
 
 
@@ -277,16 +267,15 @@ def _follow(decoder: Any, words: Sequence[str], *, to_the_end: bool) -> None:
     decoder.activate_search("chain")
 
 
-def _decode(decoder: Any, samples: NDArray[np.int16]) -> list[tuple[str, float, float]]:
-    """(word, start, end) in seconds from the start of the piece, without fillers and marks of variants."""
+def _decode(decoder: Any, samples: NDArray[np.int16]) -> list[tuple[float, float]]:
+    """Start and end of each word, seconds from the start of the piece, without fillers."""
     decoder.start_utt()
     decoder.process_raw(samples.tobytes(), full_utt=True)
     decoder.end_utt()
     if decoder.hyp() is None:
         return []
-    segments = decoder.seg()
-    return [(re.sub(r"\(\d+\)$", "", segment.word), segment.start_frame * FRAME, (segment.end_frame + 1) * FRAME)
-            for segment in (segments or ()) if not segment.word.startswith(("<", "(", "["))]
+    return [(segment.start_frame * FRAME, (segment.end_frame + 1) * FRAME)
+            for segment in (decoder.seg() or ()) if not segment.word.startswith(("<", "(", "["))]
 
 
 def _whole(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[float, float]] | None:
@@ -295,45 +284,7 @@ def _whole(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[float
     _know(decoder, words)
     decoder.set_align_text(" ".join(words))
     decoded = _decode(decoder, samples)
-    return [(a, b) for _, a, b in decoded] if len(decoded) == len(words) else None
-
-
-def phone_alignment(speech: Speech, transcript: str) -> list[tuple[str, float, float]]:
-    """(ARPABET phone, start, end) in seconds of an English reading, without silences and noises. Each piece is decoded
-    twice: along its words, which chooses among their pronunciations, and along the phones of those, each as a word.
-    `InputError` as for `alignment`, and if the transcript does not follow the recording."""
-    words = [plain for _, plain in spoken_words(transcript)]
-    samples = _aligner_samples(speech)
-    spans = (_by_pieces(samples, words) or _whole(samples, words)) if words else None
-    if spans is None:
-        raise InputError("transcript", "does not follow the recording", "give the words that are spoken")
-    out: list[tuple[str, float, float]] = []
-    for start, stop in pieces(samples):
-        inside = [word for word, (a, b) in zip(words, spans, strict=True)
-                  if start <= (a + b) / 2 * ALIGNER_RATE < stop]
-        phones = _pronounced(samples[start:stop], inside)
-        decoder = _decoder(wide=True)
-        for phone in dict.fromkeys(phones):
-            if decoder.lookup_word(f"_{phone.lower()}") is None:
-                decoder.add_word(f"_{phone.lower()}", phone, True)
-        _follow(decoder, [f"_{phone.lower()}" for phone in phones], to_the_end=True)
-        decoded = _decode(decoder, samples[start:stop])
-        # The search may end some phones early; then the last one that it has takes the time of the rest.
-        whole = decoded if len(decoded) == len(phones) else decoded[:-1]
-        offset = start / ALIGNER_RATE + _WINDOW_CENTRE
-        out += [(phone, a + offset, b + offset) for phone, (_, a, b) in zip(phones, whole, strict=False)]
-    return out
-
-
-def _pronounced(samples: NDArray[np.int16], words: Sequence[str]) -> list[str]:
-    """The phones of words as they are pronounced in a piece; empty if the words do not follow it."""
-    decoder = _decoder(wide=True)
-    _know(decoder, words)
-    _follow(decoder, words, to_the_end=True)
-    if len(_decode(decoder, samples)) != len(words):
-        return []
-    variants = [segment.word for segment in decoder.seg() if not segment.word.startswith(("<", "(", "["))]
-    return [phone for word in variants for phone in decoder.lookup_word(word).split()]
+    return decoded if len(decoded) == len(words) else None
 
 
 def _covered(samples: NDArray[np.int16], spans: Sequence[tuple[float, float]]) -> float:
@@ -348,8 +299,10 @@ def _shared_out(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[
     loud = np.flatnonzero(_loud(samples))
     if len(loud) == 0:
         loud = np.arange(max(1, len(samples) // int(FRAME * ALIGNER_RATE)))
+# One more than its letters for the pause after each word.
     share = np.concatenate([[0], np.cumsum([len(word) + 1 for word in words])])
     edges = np.floor(share / share[-1] * len(loud)).astype(int)
     last = len(loud) - 1
+# A word ends with its last loud frame, not where the next one begins: pauses lie between words.
     return [(float(loud[min(a, last)] * FRAME), float((loud[min(max(a, b - 1), last)] + 1) * FRAME))
             for a, b in itertools.pairwise(edges)]

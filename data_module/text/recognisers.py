@@ -26,8 +26,8 @@ MILLISECOND, TICK = 1e-3, 1e-7
 """Seconds."""
 LONGEST_WORD = 20.0
 """Seconds per word above which whole numbers are milliseconds: a word of 20 ms would be as short."""
+# Seconds per word of the last phrase of a recording, which may have no end: the mean of spoken English.
 _OPEN_WORD = 0.3
-"""Seconds per word of the last phrase of a recording, which may have no end: the mean of spoken English."""
 _TIME = re.compile(r"\d{1,9}(?:\.\d{1,9})?s")
 
 
@@ -405,9 +405,9 @@ def _tiers(source: str, content: Any, speaker: str | None) -> Content:
     return Content(words=spoken_tier(source, tiers, speaker))
 
 
+# Keys of AssemblyAI's answers.
 _OF_ASSEMBLY = frozenset({"audio_duration", "audio_url", "acoustic_model", "language_model", "speech_model",
                           "utterances", "webhook_status_code", "speaker_labels"})
-"""Keys of AssemblyAI's answers."""
 
 RECOGNISERS = (
     Recogniser("whisper.cpp", lambda content: _has_list(content, "transcription"), _whisper_cpp),

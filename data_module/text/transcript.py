@@ -11,7 +11,7 @@ import itertools
 import math
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, TypeAlias
@@ -26,7 +26,7 @@ from data_module.text.marks import marked_text, marked_words, with_marks
 from data_module.text.recognisers import words_json
 from data_module.text.subtitles import srt, vtt
 from data_module.text.transcript_formats import Content, Entry
-from data_module.types import Samples, Speech, Word
+from data_module.types import Speech, Word
 
 __all__ = ["Text", "Transcript", "as_transcript", "read_transcript", "timed_transcript", "with_transcript"]
 
@@ -36,10 +36,10 @@ FORMATS: dict[str, Callable[[str, str, str | None], Content]] = {
 }
 """Readers by suffix: (file, its text, speaker) to its content."""
 
+# Overlap of words, seconds, without a note: two frames of an aligner.
 _OVERLAP = 0.02
-"""Overlap of words, seconds, without a note: two frames of an aligner."""
+# Duration of a word without times and without timed neighbours, seconds: the mean of spoken English.
 _UNTIMED = 0.3
-"""Duration of a word without times and without timed neighbours, seconds: the mean of spoken English."""
 
 How = Literal["given", "heard", "guessed"]
 
@@ -53,8 +53,9 @@ class Transcript:
 
     words: with their times, None if the file has none. timing: "words" (the file has their times), "cues" (the file has
     the times of cues; `words` are spread over them by length, until `with_transcript` aligns them) or "none". cues: the
-    text of each cue and its time. guessed: number of words without a time in the file. notes: corrections. marks:
-    (offset in `text`, name) of each gesture mark, where the file has no word times; else they are on the words.
+    text of each cue, gesture marks included, and its time. guessed: number of words without a time in the file. notes:
+    corrections. marks: (offset in `text`, name) of each gesture mark of a text without times; else they are on the
+    words.
     """
 
     words: tuple[Word, ...] | None
@@ -73,11 +74,11 @@ IMPOSSIBLE = 15.0
 """Words per second above which a file is refused: no speaker is that fast, so its times mean something else."""
 LONGEST_MEDIAN = 5.0
 """Longest plausible median duration of a word, seconds: beyond it, times are not in seconds, or not of words."""
+# Words below which a rate says nothing.
 _FEW = 8
-"""Words below which a rate says nothing."""
 _ENGLISH_ONLY = "the aligner supports English only"
+# Seconds, 115 days: numbers beyond are no times, and sums of them overflow.
 _LATEST = 1e7
-"""Seconds, 115 days: numbers beyond are no times, and sums of them overflow."""
 
 
 class TranscriptWarning(UserWarning):
@@ -119,6 +120,7 @@ def as_transcript(text: Text, speech: Speech) -> Transcript:
     for a `str` that is the name of a file."""
     if not isinstance(text, str):
         return read_transcript(Path(text), speech)
+# Nearly always a forgotten Path: a single word with a suffix, or the name of a file that is there.
     names_file = Path(text[-80:]).suffix.lower() in FORMATS and (len(text.split()) < 2 or os.path.isfile(text))  # noqa: PTH113
     if names_file:
         raise InputError(f"text {text!r}", "is the name of a file, but a str must be the spoken text",
@@ -140,6 +142,7 @@ def with_transcript(speech: Speech, transcript: Transcript) -> tuple[Speech, Tim
     """The speech with the words of the transcript, and the source of their times. Given times are used. Words of cues
     are aligned within their cue if possible, else spread over its loud parts. Plain English is aligned (`InputError`
     without the aligner); other languages are spread over the loud parts of the recording."""
+# Once more: a transcript may have been read without its recording.
     transcript = _within(transcript, speech.duration)
     how: How
     if transcript.timing == "words":
@@ -149,25 +152,17 @@ def with_transcript(speech: Speech, transcript: Transcript) -> tuple[Speech, Tim
         how = "guessed" if 2 * guessed > len(words) else "heard"
         reason = "they are spread over their cues" if guessed else ""
     else:
-        words, reason = _without_times(speech, transcript)
+        placed, late, reason = _placed(speech, transcript.text, transcript.marks, aligner.can_follow(transcript.text))
+        words = _with_late(placed, late)
         guessed = len(words) if reason else 0
         how = "guessed" if reason else "heard"
     count = _spoken(words)
-    doubt = _doubt(transcript, count, reason, speech.duration)
-    if doubt:
-        _warn(transcript.source, doubt)
+    if transcript.timing == "none" and reason not in ("", _ENGLISH_ONLY):
+        _warn(transcript.source, reason)
+    elif count > MOST_WORDS * speech.duration + 2:
+        _warn(transcript.source, f"{count} words in {speech.duration:.1f} s are too many for speech")
     note = "; ".join([_summary(count, how, guessed, reason), *transcript.notes])
     return replace(speech, words=words), Timing(count, how, guessed, note)
-
-
-def _doubt(transcript: Transcript, count: int, reason: str, duration: float) -> str:
-    """Why a transcript may be of another recording; "" if there is no sign of it. count: its words; reason: of
-    estimated times; duration: of the sound, seconds."""
-    if transcript.timing == "none" and reason and reason != _ENGLISH_ONLY:
-        return reason
-    if count > MOST_WORDS * duration + 2:
-        return f"{count} words in {duration:.1f} s are too many for speech"
-    return ""
 
 
 def _warn(source: str, doubt: str) -> None:
@@ -175,12 +170,12 @@ def _warn(source: str, doubt: str) -> None:
 
 
 def _summary(count: int, how: How, guessed: int, reason: str) -> str:
-    plural = "word" if count == 1 else "words"
+    total = f"{count} word" + "s" * (count != 1)
     if guessed == 0:
-        return f"{count} {plural}, times {'given' if how == 'given' else 'aligned with the recording'}"
+        return f"{total}, times {'given' if how == 'given' else 'aligned with the recording'}"
     some = ("word times are estimates" if guessed == count
             else "1 word time is an estimate" if guessed == 1 else f"{guessed} word times are estimates")
-    return f"{count} {plural}, {some}" + (f": {reason}" if reason else "")
+    return f"{total}, {some}" + (f": {reason}" if reason else "")
 
 
 def _spoken(words: Sequence[Word]) -> int:
@@ -189,21 +184,19 @@ def _spoken(words: Sequence[Word]) -> int:
 
 def _transcript(source: str, content: Content) -> Transcript:
     """A transcript from a file's content, its times checked and sorted, the marks out of its words."""
+# Before anything is added up: numbers of this size overflow in sums.
     for entry in (*content.cues, *content.words):
         for time in (entry.start, entry.end):
             if time is not None and abs(time) > _LATEST:
                 raise InputError(source, f"{entry.where}: {time:g} s is no time of a recording",
                                  "give times in seconds from its start")
     if content.cues:
-        raw, notes = _in_order(source, content.cues)
-        parts = [marked_text(cue.text) for cue in raw]
-        cues = tuple(replace(cue, text=text) for cue, (text, _) in zip(raw, parts, strict=True))
-        starts = itertools.accumulate((len(text) + 1 for text, _ in parts), initial=0)
-        marks = tuple((start + at, name) for start, (_, named) in zip(starts, parts, strict=False)
-                      for at, name in named)
-        words = _as_words(_unmarked([word for cue in raw for word in formats.shared_in_cue(_entry_of(cue))]))
+        cues, notes = _in_order(source, content.cues)
+        spread = [word for cue in cues for word in formats.shared_in_cue(Entry(cue.text, cue.start, cue.end, ""))]
+        words = _as_words(_unmarked(spread))
         _check_rate(source, words)
-        return Transcript(words, " ".join(cue.text for cue in cues), "cues", source, cues, len(words), notes, marks)
+        text = " ".join(marked_text(cue.text)[0] for cue in cues)
+        return Transcript(words, text, "cues", source, cues, len(words), notes)
     if not content.words:
         text, marks = marked_text(content.text)
         return Transcript(None, text, "none", source, marks=marks)
@@ -215,10 +208,6 @@ def _transcript(source: str, content: Content) -> Transcript:
     words, notes = _in_order(source, filled)
     _check_rate(source, words)
     return Transcript(words, text, "words", source, guessed=sum(e.guessed for e in filled), notes=notes)
-
-
-def _entry_of(cue: Word) -> Entry:
-    return Entry(cue.text, cue.start, cue.end, "")
 
 
 def _as_words(entries: Sequence[Entry]) -> tuple[Word, ...]:
@@ -268,6 +257,7 @@ def _filled(entries: Sequence[Entry]) -> list[Entry]:
         if timed:
             out += run
             continue
+# A run without times shares the gap between its neighbours; at an end of the file it has a usual length.
         after = entries[len(out) + len(run)].start if len(out) + len(run) < len(entries) else None
         start = out[-1].end if out else None
         if start is None:
@@ -286,6 +276,7 @@ def _in_order(source: str, entries: Sequence[Entry]) -> tuple[tuple[Word, ...], 
         if entry.end < entry.start:
             raise InputError(source, f"{entry.where}: ends at {entry.end:g} s, before it starts at {entry.start:g} s",
                              "correct its times")
+# Words that end before the recording begins are of a part that was cut off.
     inside = [e for e in entries if e.end is not None and (e.end > 0 or e.start == 0)]
     early = sum(e.start is not None and e.start < 0 for e in entries)
     if early:
@@ -298,6 +289,7 @@ def _in_order(source: str, entries: Sequence[Entry]) -> tuple[tuple[Word, ...], 
     if overlaps:
         notes.append(f"{_times(overlaps)} overlapped the next and was cut" if overlaps == 1
                      else f"{_times(overlaps)} overlapped the next and were cut")
+# A frame has one word: each ends where the next begins, at the latest.
     ends = [min(a.end, b.start) for a, b in itertools.pairwise(words)] + [word.end for word in words[-1:]]
     return tuple(replace(word, end=end) for word, end in zip(words, ends, strict=True)), tuple(notes)
 
@@ -316,6 +308,7 @@ def _within(transcript: Transcript, duration: float) -> Transcript:
     if not _spoken(words):
         raise InputError(transcript.source, f"all its words come after the end of the recording ({duration:.1f} s)",
                          "give the transcript of this recording, its times in seconds")
+# With more words lost than kept this is another recording; a few are a cut end.
     if lost > _spoken(words):
         raise InputError(transcript.source, f"{lost} of its {lost + _spoken(words)} words come after the end of the "
                          f"recording ({duration:.1f} s)", "give the transcript of this recording, its times in seconds")
@@ -327,44 +320,36 @@ def _in_cues(speech: Speech, transcript: Transcript) -> tuple[tuple[Word, ...], 
     """The words of all cues, aligned or spread within their cue, and the number of the latter."""
     out: list[Word] = []
     guessed, late = 0, tuple[str, ...]()
-    for cue, marks in _cues_with_marks(transcript):
-        piece = _piece(speech, cue)
-        written = aligner.written_words(cue.text)
-        marks = [*((0, name) for name in late), *marks]
+    for cue in transcript.cues:
+        text, marks = marked_text(cue.text)
+        # Marks after the last word of a cue belong to the first word of the next.
+        marks = (*((0, name) for name in late), *marks)
         late = tuple(name for _, name in marks)
-        if not written or len(piece) == 0:
+        first, last = math.floor(cue.start * speech.sample_rate), math.ceil(cue.end * speech.sample_rate)
+        piece = speech.samples[first:last]
+        if not aligner.written_words(text) or len(piece) == 0:
             continue
-        words, aligned = _in_cue(replace(speech, samples=piece, words=None), cue.text, written)
-        guessed += 0 if aligned else len(words)
-        words, late = with_marks(words, cue.text, marks, aligner.spoken_words if aligned else aligner.written_words)
+        follows = aligner.can_follow(text) and aligner.aligner_installed()
+        part = replace(speech, samples=piece, words=None)
+        words, late, doubt = _placed(part, text, marks, follows)
+        if follows and doubt:
+            words, late, doubt = _placed(part, text, marks, follows=False)
+        guessed += len(words) if doubt else 0
         out += [replace(w, start=w.start + cue.start, end=min(w.end + cue.start, max(cue.end, w.start + cue.start)))
                 for w in words]
     return _with_late(out, late), guessed
 
 
-def _cues_with_marks(transcript: Transcript) -> Iterator[tuple[Word, list[tuple[int, str]]]]:
-    """Each cue with its marks, whose offsets are in its text."""
-    marks, start, at = transcript.marks, 0, 0
-    for cue in transcript.cues:
-        end, first = start + len(cue.text) + 1, at
-        while at < len(marks) and marks[at][0] < end:
-            at += 1
-        yield cue, [(offset - start, name) for offset, name in marks[first:at]]
-        start = end
-
-
-def _piece(speech: Speech, cue: Word) -> Samples:
-    """The samples of a cue."""
-    return speech.samples[math.floor(cue.start * speech.sample_rate):math.ceil(cue.end * speech.sample_rate)]
-
-
-def _in_cue(piece: Speech, text: str, written: Sequence[str]) -> tuple[tuple[Word, ...], bool]:
-    """The words of a cue, seconds from its start, and whether the aligner heard them."""
-    if aligner.can_follow(text) and aligner.aligner_installed():
-        result = aligner.alignment(piece, text, warn=False)
-        if result.aligned:
-            return result.words, True
-    return aligner.shared_out(piece, written), False
+def _placed(speech: Speech, text: str, marks: Sequence[tuple[int, str]], follows: bool
+            ) -> tuple[tuple[Word, ...], tuple[str, ...], str]:
+    """The words of a text in its recording, with the gesture marks on them; the marks after the last word; and why the
+    times are estimates ("" if they are aligned). follows: whether the aligner can read the text."""
+    # The aligner spells words otherwise than they are written: marks are counted in the words that get times.
+    if follows:
+        result = aligner.alignment(speech, text)
+        return (*with_marks(result.words, text, marks, aligner.spoken_words), result.doubt)
+    words = aligner.shared_out(speech, aligner.written_words(text))
+    return (*with_marks(words, text, marks, aligner.written_words), _ENGLISH_ONLY)
 
 
 def _with_late(words: Sequence[Word], late: tuple[str, ...]) -> tuple[Word, ...]:
@@ -372,15 +357,3 @@ def _with_late(words: Sequence[Word], late: tuple[str, ...]) -> tuple[Word, ...]
     if not words or not late:
         return tuple(words)
     return (*words[:-1], replace(words[-1], marks=(*words[-1].marks, *late)))
-
-
-def _without_times(speech: Speech, transcript: Transcript) -> tuple[tuple[Word, ...], str]:
-    """The words of a plain text, and why their times are estimates ("" if they are aligned)."""
-    text = transcript.text
-    if not aligner.can_follow(text):
-        words, late = with_marks(aligner.shared_out(speech, aligner.written_words(text)), text, transcript.marks,
-                                 aligner.written_words)
-        return _with_late(words, late), _ENGLISH_ONLY
-    result = aligner.alignment(speech, text, warn=False)
-    words, late = with_marks(result.words, text, transcript.marks, aligner.spoken_words)
-    return _with_late(words, late), result.doubt

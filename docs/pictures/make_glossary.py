@@ -143,11 +143,11 @@ def lexeme_motion(system: Gesticulator, lexeme: int, fps: float) -> Motion:
     return representation_of(bundle.config).motion(bundle.statistics.denormalise(shows, who)[0], fps)
 
 
-def hand_height(motion: Motion) -> tuple[Array, Array]:
-    """Seconds [T] and the height of the right hand over the hips [T] in metres."""
+def hand_height(motion: Motion, side: str) -> tuple[Array, Array]:
+    """Seconds [T] and the height of a hand above the hips [T] in metres."""
     places = kinematics.positions_of(motion)
     index = motion.skeleton.index
-    return np.arange(len(motion)) / motion.fps, places[:, index("RightHand"), 1] - places[:, index("Hips"), 1]
+    return np.arange(len(motion)) / motion.fps, places[:, index(f"{side}Hand"), 1] - places[:, index("Hips"), 1]
 
 
 def onset(s: Scene) -> Figure:
@@ -286,7 +286,8 @@ def control(s: Scene) -> Figure:
     assert s.system.bundle.levels is not None
     for level, colour in (("low", BLUE), ("mid", SOFT), ("high", RED)):
         asked = controls_from(level, None, None, s.system.bundle.levels)
-        axis.plot(*hand_height(s.system(s.sound, controls=asked).motion), color=colour, linewidth=1.6, label=level)
+        motion = s.system(s.sound, controls=asked).motion
+        axis.plot(*hand_height(motion, "Right"), color=colour, linewidth=1.6, label=level)
     plain(axis)
     axis.set_xlim(START, 3 * STOP)
     axis.set_yticks([0.0, 0.2, 0.4], ["0", "0.2 m", "0.4 m"])
@@ -318,12 +319,8 @@ def interpreter(s: Scene) -> Figure:
 def generator(s: Scene) -> Figure:
     """The height of both hands over the hips: one smooth curve over all blocks."""
     figure, (axis,) = canvas((1.35,))
-    places = kinematics.positions_of(s.made.motion)
-    index = s.made.motion.skeleton.index
-    times = np.arange(len(places)) / s.made.motion.fps
     for side, colour in (("Left", TEAL), ("Right", RED)):
-        height = places[:, index(f"{side}Hand"), 1] - places[:, index("Hips"), 1]
-        curve(axis, times, height, colour, f"{side.lower()} hand")
+        curve(axis, *hand_height(s.made.motion, side), colour, f"{side.lower()} hand")
     for i, start, stop in shown(s):
         if i % 2:
             axis.axvspan(start, stop, color=PAPER, linewidth=0, zorder=-5)

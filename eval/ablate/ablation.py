@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from eval.ablate.cells import Cell, Cells, CellStore
+from tqdm import tqdm
+
+from eval.ablate import figures
+from eval.ablate.cells import Cell, CellStore, summaries
 from eval.ablate.racer import RacerRows
 from eval.ablate.rows import CONTROLS, REFERENCES, ROWS, is_racer
 from eval.ablate.run import RgRows
+from eval.ablate.tables import write
+from eval.table import Provenance
 from gesticulator.bundle import config as configs
 
 
@@ -29,11 +34,49 @@ class Ablation:
         """RACER's rows."""
         return RacerRows.over(self.rg, self.bundle)
 
+    def run(self, only: Sequence[str], seeds: int, systems: Mapping[str, Path], about: Provenance) -> dict[str, Any]:
+        """Run the rows and figures of `only` (empty: all) that are not finished, and write the tables of all that is.
+
+        systems: folders of other systems' motion for the test speech. about: where the figures come from. Gives the
+        facts of the first table.
+        """
+        names, store = [name for name in ROWS if name in (only or ROWS)], self.rg.context.store
+        # All rows at one seed before the next: a run that is stopped has every row.
+        bar = tqdm([(name, seed) for seed in range(1, seeds + 1) for name in names], desc="rows",
+                   disable=not self.rg.context.progress)
+        for name, seed in bar:
+            bar.set_postfix_str(f"{name}, seed {seed}")
+            self.cell(name, seed)
+        # Each paper's rows stand on their own hash, so a run of one alone must not open what the other needs.
+        rg_names = [name for name in names if not is_racer(name)]
+        shared = {True: self.racer.shared} if len(rg_names) < len(names) else {}
+        if rg_names or not names:
+            shared[False] = self.rg.shared
+            for split in dict.fromkeys(["test", *(ROWS[name].split for name in rg_names)]):
+                for name in (*REFERENCES, *CONTROLS):
+                    self.reference(name, split)
+        for name, folder in systems.items():
+            self.system(name, folder)
+        # Cells of settings that have changed since stay in the folder and out of the tables.
+        cells = {row: {seed: cell for seed, cell in by_seed.items() if self._current(row, cell)}
+                 for row, by_seed in self.cells.read(shared).items()}
+        cells = {row: by_seed for row, by_seed in cells.items() if by_seed}
+        facts: dict[str, Any] = {
+            "preset": self.rg.first.config.name, "refused": {}, "rows": summaries(cells),
+            "store": {"name": store.corpus, "fingerprint": store.fingerprint,
+                      "test_recordings": len(self.rg.names("test"))}}
+        for name in figures.FIGURES:
+            if not only or name in only:
+                refused = figures.draw(self.rg, name, facts["rows"], self.cells.out)
+                facts["refused"] |= {name: refused} if refused else {}
+        write(cells, facts, self.cells.out, about)
+        return facts
+
     def cell(self, name: str, seed: int) -> Cell:
         """One row at one seed: read if it was finished under the same key, else trained, played, measured and kept."""
         row, rows = ROWS[name], self.rg if ROWS[name].train == "stages" else self.racer
         result = self._kept(name, seed, rows.cell_key(name, seed), rows.shared, lambda: rows.measured(name, seed),
-                           kind="row", question=row.ask, settings=list(row.set), split=row.split)
+                            kind="row", question=row.ask, settings=list(row.set), split=row.split)
         assert result is not None
         return result
 
@@ -51,13 +94,9 @@ class Ablation:
         return self._kept(name, 0, key, self.rg.shared, lambda: self.rg.foreign_measured(folder, clips), kind="system",
                           settings=[], split="test", question=f"another system's motion, {len(clips)} clips")
 
-    def current(self, shared: Mapping[bool, str]) -> Cells:
-        """All cells but those of rows whose settings have changed since."""
-        cells = self.cells.read(shared)
-        for name in [name for name in cells if name in ROWS and not is_racer(name)]:
-            cells[name] = {seed: cell for seed, cell in cells[name].items()
-                           if cell["key"] == self.rg.cell_key(name, seed)}
-        return {name: by_seed for name, by_seed in cells.items() if by_seed}
+    def _current(self, name: str, cell: Cell) -> bool:
+        """False for a cell of a row whose settings have changed since."""
+        return name not in ROWS or is_racer(name) or cell["key"] == self.rg.cell_key(name, cell["seed"])
 
     def _kept(self, name: str, seed: int, key: str, shared: str, make: Callable[[], Mapping[str, Any] | None],
               **about: Any) -> Cell | None:

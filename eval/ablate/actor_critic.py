@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from data_module.layers import freeze, masked_mean
 from interpreters.base import BlockFeatures, InterpreterDefaults, Need, Scores
-from interpreters.cql import QNetwork, QState, backed_up, data_nll, next_known
+from interpreters.cql import DROPOUT, QNetwork, QState, backed_up, data_nll, next_known
 from interpreters.transformer import Head, Layer, begin_small, sliding
 
 
@@ -44,7 +44,7 @@ class ActorCritic(nn.Module, InterpreterDefaults):
         if self.shared < 0 or self.config.branch < 1:
             raise ValueError(f"{self.config.branch} layers cannot be split off {actor.config.layers}")
         sizes = actor.config
-        self.critic = nn.ModuleList(Layer(sizes.width, sizes.heads, sizes.dropout) for _ in range(self.config.branch))
+        self.critic = nn.ModuleList(Layer(sizes.width, sizes.heads, DROPOUT) for _ in range(self.config.branch))
         self.value = Head(sizes.width, 1)
         self.critic.apply(begin_small)
         self.value.apply(begin_small)

@@ -1,8 +1,8 @@
 """The papers' figures, drawn from what the rows of an ablation left behind (see `eval.ablate.command`).
 
 A figure is FIGURE.svg or FIGURE.png in the folder of the cells. figures.json there holds for each which figure of the
-paper it is, its title, caption and numbers. It is drawn again when what it is drawn from has another key. The motion
-that it shows is of the first seed and, where one clip is shown, of the first test recording, whatever it looks like.
+paper it is, its title and its caption. The motion that it shows is of the first seed and, where one clip is shown, of
+the first test recording, whatever it looks like.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -18,7 +18,7 @@ import torch
 from data_module import intervals
 from data_module.blocks import cut
 from data_module.errors import InputError
-from data_module.files import lock, write_text
+from data_module.files import lock, read_object, write_text
 from data_module.motion.motion_beats import acting_positions, acting_speed, motion_beats
 from data_module.speech.beats import find_beats
 from data_module.speech.onsets import detect_onsets
@@ -30,24 +30,19 @@ from eval.clip.excerpts import evenly
 from eval.metrics import audio_clusters, pmb
 from eval.metrics.encode import EncodedMotion, latents_of
 from eval.metrics.evaluate import WIDE
-from eval.pictures.edited import figure_10
+from eval.pictures import plots
 from eval.pictures.embedding import NEIGHBOURS, embed, embedding_panels, joint_embedding, neighbours_agree
 from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curves, overview, size_sweep
 from eval.pictures.strips import STRIP, Source, draw_page, frame_times, save_strip
-from eval.table import dumps, loads
-from gesticulator.bundle import config as configs
+from eval.table import dumps
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages import LABELS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
-    from gesticulator.training.stages.lexicon import BlockLexicon
-
 DRAWN = "figures.json"
-"""The file of captions, numbers and keys of all figures."""
-VERSION = 4
-"""Raised when the same rows would be drawn otherwise."""
+"""The file of the captions of all figures."""
 POINTS = 3000
 """Blocks in the picture of the lexicon."""
 EACH = 500
@@ -56,8 +51,8 @@ COUNTED = 24
 """Training recordings whose intervals are counted."""
 STRETCH = 8.0
 """Seconds of a clip that are shown."""
-Drawn = tuple["Picture", str, dict[str, Any]]
-"""The picture, its caption, its numbers."""
+Drawn = tuple["Picture", str]
+"""The picture and its caption."""
 Summaries = Mapping[str, Any]
 """`eval.ablate.cells.summaries`."""
 Draw = Callable[[RgRows, Summaries], Drawn]
@@ -86,26 +81,24 @@ def onset_intervals(rg: RgRows, rows: Summaries) -> Drawn:
     infos = evenly(store, "train", COUNTED)
     counted = sum((intervals.measure(store.load(info.name).speech)[1] for info in infos), intervals.Intervals())
     bounds = rg.first.config.rhythm.beats
-    share = counted.share(bounds.d_min, bounds.d_max)
     return intervals.drawn(counted, f"{store.corpus}, {len(infos)} recordings"), (
-        f"Intervals between onsets of the speech, and between beats; {share:.0%} of the former lie between "
-        f"{bounds.d_min:g} and {bounds.d_max:g} s."), {"recordings": len(infos), "share_within_bounds": share}
+        f"Intervals between onsets of the speech, and between beats; {counted.share(bounds.d_min, bounds.d_max):.0%} "
+        f"of the former lie between {bounds.d_min:g} and {bounds.d_max:g} s.")
 
 
 def lexicon(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 6 and 8b."""
-    judge, labelled, corpus = cast("BlockLexicon", rg.judge.lexicon), rg.first.get(LABELS), rg.context.corpus
+    judge, labelled, corpus = rg.judge.block_lexicon, rg.first.get(LABELS), rg.context.corpus
     few = np.sort(np.random.default_rng(0).permutation(corpus.select("train"))[:POINTS])
     at = torch.as_tensor(few)
     latents = latents_of(judge, corpus.motion[at], corpus.pasts[at]).double().numpy()
     labels = np.asarray(labelled.labels)[few]
     flat = embed(latents)
+    # A t-SNE bends distances: how much of the neighbourhood survives says what the picture can be read for.
     shown, true = neighbours_agree(flat, labels), neighbours_agree(latents, labels)
     caption = (f"E(M) of {len(few)} blocks by t-SNE, coloured by lexeme, silent ones crossed. {100 * shown:.0f} % of "
                f"the {NEIGHBOURS} nearest neighbours share the lexeme, {100 * true:.0f} % in latent space.")
-    return embedding_panels({"E(M)": (flat, labels)}, len(judge.vectors), labelled.silent.tolist()), caption, {
-        "blocks": len(few), "lexemes_used": len(np.unique(labels)), "neighbours_in_picture": shown,
-        "neighbours_in_latents": true}
+    return embedding_panels({"E(M)": (flat, labels)}, len(judge.vectors), labelled.silent.tolist()), caption
 
 
 def pipeline(rg: RgRows, rows: Summaries) -> Drawn:
@@ -117,17 +110,18 @@ def pipeline(rg: RgRows, rows: Summaries) -> Drawn:
                      acting_speed(acting_positions(motion), motion.fps), motion.fps, motion_beats(motion),
                      recording.speech.words or (), rg.first.get(LABELS).silent.tolist())
     return (overview(shown, start_of(recording), STRETCH),
-            "Speech is cut at its beats; each block gets a lexeme; the generator draws the motion.", {})
+            "Speech is cut at its beats; each block gets a lexeme; the generator draws the motion.")
 
 
 def strip(name: str) -> Draw:
     """RG Fig. 9, of a row or of the performer."""
     def drawn(rg: RgRows, rows: Summaries) -> Drawn:
         recording, motion = shown_recording(rg), rg.motions(name)[0]
+        # Nine figures over four seconds: close enough to see a stroke, few enough to tell them apart.
         times = frame_times(motion, start_of(recording), STRETCH / 2, 9)
         return draw_page([Source("", motion)], times, recording.speech, find_beats(recording.speech),
                          layout=replace(STRIP, views=("front",))), (
-            f"{name}: {STRETCH / 2:g} s of {recording.info.name}."), {}
+            f"{name}: {STRETCH / 2:g} s of {recording.info.name}.")
 
     return drawn
 
@@ -135,15 +129,10 @@ def strip(name: str) -> Draw:
 def edited(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 10."""
     bundle, _ = rg.trained("style-editing", SHOWN_SEED)
-    if bundle.levels is None:
-        raise InputError("style-editing", "hears no controls", "leave generator.use_control as the row sets it")
-    figures = style_editing.figures(style_editing.played_by(Gesticulator(bundle)),
-                                  style_editing.excerpts(rg.context.store, 4), bundle.levels)
-    numbers = {f"{feature}, asked {level}": row.mean for feature in style_editing.FEATURES
-               for level in style_editing.LEVELS
-               for row in [figures["rows"][style_editing.row_name(feature, level)][feature]]}
-    return figure_10(figures), (
-        "Motion for the same speech when low, middle and high values of each feature are asked for."), numbers
+    assert bundle.levels is not None
+    clips = style_editing.excerpts(rg.context.store)
+    return plots.style_editing(style_editing.figures(Gesticulator(bundle), clips, bundle.levels)), (
+        "Motion for the same speech when low, middle and high values of each feature are asked for.")
 
 
 def curves(rg: RgRows, rows: Summaries) -> Drawn:
@@ -153,17 +142,18 @@ def curves(rg: RgRows, rows: Summaries) -> Drawn:
     shown = {name: rows[name]["pmb_curve"] for name in (*names, *beside)}
     return delta_curves(shown, pmb.DELTAS, dashed=(PERFORMER, *beside)), (
         "PMB over the distance delta at which a motion beat counts as matched; shuffled motion shows how much of it is "
-        "chance."), {name: dict(zip(map(str, pmb.DELTAS), curve, strict=True)) for name, curve in shown.items()}
+        "chance.")
 
 
 def clusters(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 14."""
-    corpus, frames = rg.context.corpus, rg.first.config.rhythm.frames
-    groups = np.unique(rg.groups("test"), return_inverse=True)[1]
-    blocks = [corpus.blocks_of(corpus.names.index(name)) for name in rg.names("test")]
+    corpus, frames, names = rg.context.corpus, rg.first.config.rhythm.frames, rg.names("test")
+    groups = np.unique(rg.scored(names).clips.groups, return_inverse=True)[1]
+    blocks = [corpus.blocks_of(corpus.names.index(name)) for name in names]
     spoken = [~np.asarray(corpus.silent)[numbers].astype(bool) for numbers in blocks]
     every = np.concatenate([numbers[voiced] for numbers, voiced in zip(blocks, spoken, strict=True)])
     place = np.repeat(np.arange(len(blocks)), [int(voiced.sum()) for voiced in spoken])
+    # Features hold the block before and the one after it too; the block itself is the middle third.
     levels = {f"{kind} level": audio_clusters.cluster(
         features[every][:, frames:2 * frames].float().mean(dim=1).numpy())
         for kind, features in (("low", corpus.low), ("high", corpus.high))}
@@ -173,67 +163,55 @@ def clusters(rg: RgRows, rows: Summaries) -> Drawn:
         associations[name] = audio_clusters.association(levels, np.concatenate(lexemes), place, groups[place])
     return cluster_bars(associations), (
         "H(lexeme of the motion | cluster of the audio), less than by chance where the level says something of the "
-        "lexeme. The paper's claim is that the high level says more than the low one."), {
-        f"{name}, {what}": value for name, association in associations.items() for what, value in (
-            *((f"{level}, gain in nats", association[level]["gain"].mean) for level in levels),
-            *((f"{pair}, difference of gains", gain.mean)
-              for pair, gain in association["gain_differences"].items()))}
+        "lexeme. The paper's claim is that the high level says more than the low one.")
 
 
-def panels(title: str, *names: str) -> Draw:
+def panels(*names: str) -> Draw:
     """RG Figs 15 and 17: the latents of rows in one embedding."""
     def drawn(rg: RgRows, rows: Summaries) -> Drawn:
         clips = {name: encoded(rg, name) for name in names}
         latents = {name: np.concatenate([clip.latents.double().numpy() for clip in of]) for name, of in clips.items()}
         labels = {name: np.concatenate([clip.labels for clip in of]) for name, of in clips.items()}
-        silent, size = rg.first.get(LABELS).silent.tolist(), len(rg.judge.lexicon.vectors)
         shown = {name: (points, labels[name][chosen])
                  for name, (points, chosen) in joint_embedding(latents, EACH).items()}
-        return embedding_panels(shown, size, silent), title, {
-            f"{name}, lexemes": len(np.unique(lexemes)) for name, lexemes in labels.items()}
+        return embedding_panels(shown, len(rg.judge.lexicon.vectors), rg.first.get(LABELS).silent.tolist()), (
+            "Latents of the motion in one t-SNE, coloured by the nearest lexeme.")
 
     return drawn
 
 
 def strips_of_beats(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 16."""
-    names = [line.row for line in TABLES["RG Table 4"].lines]
     recording = shown_recording(rg)
     onsets = detect_onsets(recording.speech.samples, recording.speech.sample_rate)
     shown = {}
-    for name in (*names, PERFORMER):
+    for name in (*(line.row for line in TABLES["RG Table 4"].lines), PERFORMER):
         rhythm = configured(rg.first.config, OURS if name == PERFORMER else name).rhythm
         shown[name] = (motion_beats(rg.motions(name)[0]), onsets, cut(recording.speech, rhythm).edges)
     return beat_strips(shown, start_of(recording), STRETCH, WIDE), (
         f"Onsets of the speech above, beats of the motion below, pairs within {WIDE} s joined. No chance level "
-        "is drawn: at this delta most beats find an onset in any motion (Fig. 11)."), {
-        name: pmb.pmb(beats, onsets, WIDE) for name, (beats, _, _) in shown.items()}
+        "is drawn: at this delta most beats find an onset in any motion (Fig. 11).")
 
 
 def sizes(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 18."""
-    sizes = [int(name.removeprefix("size-")) for name in ROWS if name.startswith("size-")]
-    there = [size for size in sizes if f"size-{size}" in rows]
+    there = [int(name.removeprefix("size-")) for name in ROWS if name.startswith("size-") and name in rows]
     if len(there) < 2:
         raise InputError("figure-18", "needs two sizes", "run the rows size-N")
     keys = {COLUMNS[key].heading: key for key in ("fgd", "pmb_above_chance")}
-    figures = {title: [rows[f"size-{size}"]["figures"][key] for size in there] for title, key in keys.items()}
+    bounds = {title: [(value.mean, value.low, value.high) for size in there
+                      for value in [rows[f"size-{size}"]["figures"][key]]] for title, key in keys.items()}
     beside = rows.get(f"{PERFORMER}-val")
     reference = {title: beside["figures"][key].mean for title, key in keys.items()} if beside else {}
-    chosen = rg.first.config.lexicon.size
-    bounds = {title: [(interval.mean, interval.low, interval.high) for interval in intervals]
-              for title, intervals in figures.items()}
-    return size_sweep(there, bounds, reference, chosen=chosen), (
-        "Lexicons of different sizes on the validation split; the performer dashed."), {
-        f"{size} lexemes, {title}": intervals[k].mean
-        for title, intervals in figures.items() for k, size in enumerate(there)}
+    return size_sweep(there, bounds, reference, chosen=rg.first.config.lexicon.size), (
+        "Lexicons of different sizes on the validation split; the performer dashed.")
 
 
 # ------------------------------------------------------------------------------------------------------------ the list
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """A figure: which of the paper it is, what it shows, the rows that it is drawn from, how; dots: as PNG."""
+    """A figure: which of the paper it is, what it shows, how, the rows that it is drawn from; dots: as PNG."""
 
     paper: str
     title: str
@@ -242,7 +220,8 @@ class PaperFigure:
     dots: bool = False
 
 
-_STEPS = ("no-audio-no-style", "no-style", "random-style", OURS)
+_STEPS = (PERFORMER, "no-audio-no-style", "no-style", "random-style", OURS)
+_LEXEMES = (PERFORMER, "no-lexemes", OURS)
 FIGURES: dict[str, PaperFigure] = {
     "figure-2": PaperFigure("RG Fig. 2", "from speech to motion", pipeline, (OURS,)),
     "figure-5": PaperFigure("RG Fig. 5 and 8a", "intervals between onsets", onset_intervals),
@@ -253,52 +232,28 @@ FIGURES: dict[str, PaperFigure] = {
     "figure-11": PaperFigure("RG Fig. 11", "PMB over delta", curves),
     "figure-14": PaperFigure("RG Fig. 14", "what two levels of the audio say of the lexeme", clusters,
                              (PERFORMER, OURS)),
-    "figure-15": PaperFigure("RG Fig. 15", "what style codes add", panels(
-        "Latents of the motion in one t-SNE, coloured by the nearest lexeme.",
-        PERFORMER, *_STEPS), (PERFORMER, *_STEPS), dots=True),
+    "figure-15": PaperFigure("RG Fig. 15", "what style codes add", panels(*_STEPS), _STEPS, dots=True),
     "figure-16": PaperFigure("RG Fig. 16", "beats under three ranges of intervals", strips_of_beats,
                              (*(line.row for line in TABLES["RG Table 4"].lines), PERFORMER)),
-    "figure-17": PaperFigure("RG Fig. 17", "what lexemes add", panels(
-        "Latents of the motion in one t-SNE, coloured by the nearest lexeme.",
-        PERFORMER, "no-lexemes", OURS), (PERFORMER, "no-lexemes", OURS), dots=True),
+    "figure-17": PaperFigure("RG Fig. 17", "what lexemes add", panels(*_LEXEMES), _LEXEMES, dots=True),
     "figure-18": PaperFigure("RG Fig. 18", "how many lexemes", sizes),
 }
 
 
-def figure_key(rg: RgRows, name: str, rows: Summaries) -> str:
-    """Hash of what a figure is drawn from: the rows whose motion it shows, or else all figures of the tables."""
-    shown = FIGURES[name].rows
-    stands = ([rg.shared if row == PERFORMER else rg.cell_key(row, SHOWN_SEED) for row in shown] if shown else
-              [rg.shared, {row: {key: value.to_dict() for key, value in summary["figures"].items()}
-                                      for row, summary in rows.items()}])
-    return configs.digest(VERSION, name, stands)
-
-
 def draw(rg: RgRows, name: str, rows: Summaries, out: Path) -> str:
-    """Write a figure to a folder unless it stands there; why it cannot be drawn, or ""."""
+    """Write a figure and its caption to a folder; why it cannot be drawn, or ""."""
     figure, place = FIGURES[name], out / DRAWN
     lacking = [row for row in figure.rows if row not in rows]
     if lacking:
         return f"not run: {', '.join(lacking)}"
-    key = figure_key(rg, name, rows)
-    if _drawn(place).get(name, {}).get("key") == key:
-        return ""
     try:
-        picture, caption, numbers = figure.draw(rg, rows)
+        picture, caption = figure.draw(rg, rows)
     except InputError as error:
         return str(error)
     save_strip(picture, out / f"{name}.{'png' if figure.dots else 'svg'}")
-    facts = {"figure": figure.paper, "title": figure.title, "caption": caption, "numbers": numbers, "key": key}
     # Several commands may draw figures of one folder at a time.
     with lock(out, "an ablation that draws figures", beside=True, wait=True):
-        write_text(place, dumps(dict(sorted({**_drawn(place), name: facts}.items()))))
+        drawn = read_object(place, "remove it, and draw the figures again") if place.exists() else {}
+        drawn[name] = {"figure": figure.paper, "title": figure.title, "caption": caption}
+        write_text(place, dumps(dict(sorted(drawn.items()))))
     return ""
-
-
-def _drawn(place: Path) -> dict[str, Any]:
-    """Name -> facts of the figures that were drawn; empty where the file is missing or damaged."""
-    try:
-        drawn = loads(place.read_text())
-    except (FileNotFoundError, ValueError):
-        return {}
-    return drawn if isinstance(drawn, dict) else {}

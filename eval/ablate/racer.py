@@ -18,7 +18,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -29,27 +29,24 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from data_module.errors import InputError
-from data_module.files import lock
 from data_module.layers import freeze
-from data_module.speech.audio import SAMPLE_RATE
-from data_module.speech.audio import resample as resample_speech
 from data_module.store import Recording
+from data_module.types import Motion
 from eval.ablate.actor_critic import ActorCritic, ActorCriticConfig
-from eval.ablate.policy import Decisions, Policy, PolicyJudge, Rewards, entropy_of, matched_temperature, perform, walk
+from eval.ablate.policy import Decisions, PolicyJudge, walk
 from eval.ablate.rows import RACER_PRESETS, RACER_SUPERVISED, ROWS
 from eval.ablate.run import RgRows
-from eval.ablate.simulator import Choose, Replay, Simulator, collect
+from eval.ablate.simulator import Choose, Replay, Simulator
+from eval.baselines.interpreters import ReplayInterpreter
 from eval.context import EvalContext, Lexemes, with_judges
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
 from gesticulator.bundle.config import Config
-from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.bundle.models import JUDGES
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages import STAGES, Corpus
 from gesticulator.training.stages import base as stages
 from gesticulator.training.stages.caches import weights_hash
-from gesticulator.training.stages.interpreter import teacher_logits
 from gesticulator.training.stages.q_network import features_of, new_q_network, q_batch, takes_of
 from gesticulator.training.stages.reward import reward_table, taught_reward
 from interpreters.base import LexemeInterpreter
@@ -87,7 +84,6 @@ class RacerRows:
     tables: dict[str, EnsembleReward]
     shapes: str
     rg: RgRows
-    _taught: dict[int, EnsembleReward | Centred] = field(default_factory=dict)
 
     @classmethod
     def over(cls, rg: RgRows, bundle: str | None) -> RacerRows:
@@ -115,9 +111,11 @@ class RacerRows:
         decisions = Decisions.of(bundle, corpus, labels, context.limit)
         if not decisions.takes:
             raise InputError(store.path, "has no test recording with a decision in it", "build the store again")
+        # The data are relabelled as the hint wants it: in silence the nearest silent lexeme is what was done.
         silent = SilentLexemes(bundle.silent, nearest_silent(bundle.vectors.double().numpy(), bundle.silent))
         takes = [replace(take, lexemes=silent.relabel(take)) for take in takes_of(corpus, labels, "train")]
         models = (lexicon, bundle.interpreter, bundle.reward, bundle.reward_judge, bundle.encoder)
+        # All that shapes episodes and rewards, so that a finished network of other models is never taken for this one.
         hashes = [weights_hash(model) for model in models if model is not None]
         shapes = configs.digest(VERSION, store.fingerprint, hashes, bundle.silent.tolist(), config.silence.mask)
         tables = {"": reward_table(bundle.reward, lexicon, corpus),
@@ -137,10 +135,7 @@ class RacerRows:
 
     def taught(self, config: Config) -> EnsembleReward | Centred:
         """The training reward as policies are taught it under the settings."""
-        draws = config.episodes.baseline
-        if draws not in self._taught:
-            self._taught[draws] = taught_reward(self.tables[""], self.corpus, draws)
-        return self._taught[draws]
+        return taught_reward(self.tables[""], self.corpus, config.episodes.baseline)
 
     def config(self, name: str) -> Config:
         """The settings of a row."""
@@ -151,7 +146,7 @@ class RacerRows:
         row = ROWS[name]
         how = {"online": [ACT_EVERY, MEMORY, GREEDY_AT, LEAST_EPSILON], "offline": [],
                "actor-critic": [ActorCriticConfig(), self.config(RACER_SUPERVISED)]}[row.train]
-        return configs.digest(self.shapes, self.config(name), row.train, row.scale, how, seed)
+        return configs.digest(self.shapes, self.config(name), row.train, how, seed)
 
     @cached_property
     def shared(self) -> str:
@@ -165,18 +160,27 @@ class RacerRows:
     def cell_key(self, name: str, seed: int) -> str:
         """Hash of everything that shapes a row's cell."""
         names = [self.corpus.names[take.recording] for take in self.judge.decisions.takes]
-        return configs.digest(self.shared, self.key(name, seed), ROWS[name].matched, names)
+        return configs.digest(self.shared, self.key(name, seed), names)
 
     def measured(self, name: str, seed: int) -> dict[str, Any]:
         """"clips", "sets" and "seconds" of a row's cell: all test recordings judged, the first `MOTION` played."""
         policy, seconds = trained(self, name, seed)
-        chosen, clips = judged(self, name, policy)
-        motions = perform(self.context.system, self.recordings, chosen[:MOTION], name, self.context.progress,
-                          self.encoded)
+        takes = self.judge.decisions.takes
+        chosen = [walk(policy, self.judge.decisions, take) for take in takes]
+        clips = [{"name": self.corpus.names[take.recording], "decisions": len(take.blocks) - 1,
+                  **self.judge.lexeme_values(take, lexemes)} for take, lexemes in zip(takes, chosen, strict=True)]
+        # Without a lexicon: lexemes that were chosen are known, and need not be read from the motion.
         scored = self.rg.scored([recording.info.name for recording in self.recordings], lexicon=False)
+        motions = [self._played(*pair) for pair in zip(self.recordings, chosen, strict=False)]
         for clip, motion in zip(clips, self.rg.summary(scored, motions)["clips"], strict=False):
             clip |= motion
         return {"clips": clips, "sets": {}, "seconds": {"training": round(seconds, 1)}}
+
+    def _played(self, recording: Recording, lexemes: Lexemes) -> Motion:
+        """Motion that the generator samples for lexemes [M] on the speech of a recording, the gate open."""
+        return self.context.system(
+            replace(recording.speech, words=None), speaker=recording.info.speaker, temperature=0.0, activity=1.0,
+            interpreter=ReplayInterpreter([lexemes], len(self.bundle.vectors))).motion
 
     @cached_property
     def recordings(self) -> list[Recording]:
@@ -184,63 +188,11 @@ class RacerRows:
         return [self.context.store.load(self.corpus.names[take.recording])
                 for take in self.judge.decisions.takes[:MOTION]]
 
-    @cached_property
-    def encoded(self) -> list[SpeechFeatures]:
-        """Their speech as the system hears it without words, the same for every row."""
-        return [self.context.system.encode_speech(replace(resample_speech(recording.speech, SAMPLE_RATE), words=None))
-                for recording in self.recordings]
-
     def untrained(self, name: str, seed: int) -> QNetwork:
         """The network that a row begins with, the same for all rows of a seed."""
+        # Rows of a seed differ by what they learn, not by where they begin.
         torch.manual_seed(seed)
         return new_q_network(self.config(name), self.corpus, self.bundle.vectors, self.bundle.silent)
-
-    @cached_property
-    def nats(self) -> float:
-        """Mean entropy of the lstm's choice on the validation split as the bundle samples it, on the person's past."""
-        model, temperature = self.bundle.interpreter, self.bundle.config.selection.temperature or 1.0
-        return entropy_of(torch.cat([teacher_logits(model, self.corpus, take.blocks, take.lexemes)
-                                     for take in self.held]) / temperature)
-
-    @cached_property
-    def held(self) -> list[Demonstration]:
-        """The recordings on which temperatures are matched: the validation split, or training where there is none."""
-        corpus = self.corpus
-        takes = takes_of(corpus, self.context.labels, "val" if corpus.recordings("val") else "train")
-        return [take for take in takes if len(take.blocks) > 1][:4]
-
-    def temperature(self, name: str, policy: QNetwork | ActorCritic) -> float:
-        """The divisor of a row's scores: 0 to take the best lexeme, or that which gives the entropy of the lstm."""
-        if not ROWS[name].matched:
-            return 0.0
-        with torch.no_grad():
-            scores = [forced_values(policy, self.corpus, take) for take in self.held]
-        return matched_temperature(torch.cat(scores), self.nats)
-
-
-def forced_values(policy: QNetwork | ActorCritic, corpus: Corpus, take: Demonstration) -> Tensor:
-    """[M - 1, S] a policy's scores on a recording of M blocks, on the performer's past."""
-    observed = {"block": torch.as_tensor(take.blocks[1:])[None], "previous": torch.as_tensor(take.lexemes[:-1])[None],
-            "silent": torch.as_tensor(take.silent[1:])[None], "speaker": torch.tensor([take.speaker])}
-    config = (policy.actor if isinstance(policy, ActorCritic) else policy).config
-    batch = q_batch(corpus, observed, config.lookahead)
-    return policy.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[0]
-
-
-class TabledReward:
-    """A reward that is written down for every lexeme on every block of the corpus (what `Rewards` asks for)."""
-
-    def __init__(self, table: Tensor) -> None:
-        """table: [N, S]."""
-        self.table, self.window = table, 1
-
-    def every(self, history: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
-        """[B, S] on the last of blocks [B, 1]."""
-        return self.table[blocks[:, -1]]
-
-    def sequence_every(self, lexemes: Tensor, blocks: Tensor) -> Tensor:
-        """[M, S] on blocks [M]."""
-        return self.table[blocks]
 
 
 def rescaled(table: Tensor, episodes: Episodes) -> Tensor:
@@ -255,29 +207,26 @@ def rescaled(table: Tensor, episodes: Episodes) -> Tensor:
     return (table - float(new.mean())) * float(scale) + float(recorded.mean())
 
 
-def rewarded(racer: RacerRows, config: Config) -> tuple[Episodes, Rewards]:
-    """The offline data set with the reward of the settings, and that reward."""
+def rewarded(racer: RacerRows, config: Config) -> Episodes:
+    """The offline data set with the reward of the settings."""
     episodes = _episodes(racer, config)
     if config.episodes.reward == "contrastive":
-        return episodes, racer.taught(config)
+        return episodes
     lexicon = racer.bundle.block_lexicon
-    table = rescaled(distance_rewards(lexicon.shown(), racer.corpus.motion), episodes)
-    with_distance = [replace(e, reward=table.numpy()[e.blocks, e.actions].astype(np.float32))
-                     for e in episodes.episodes]
-    return Episodes(with_distance, cloned=episodes.cloned, stretch=episodes.stretch), TabledReward(table)
+    table = rescaled(distance_rewards(lexicon.shown(), racer.corpus.motion), episodes).numpy()
+    return Episodes([replace(e, reward=table[e.blocks, e.actions].astype(np.float32)) for e in episodes.episodes])
 
 
 def _episodes(racer: RacerRows, config: Config) -> Episodes:
     """The offline data set with the contrastive reward, kept in the work folder; every seed learns from the same."""
     plain = replace(config.episodes, reward="contrastive")
-    file = racer.context.work / f"racer-{configs.digest(racer.shapes, plain, config.statistical, config.seed)}.npz"
-    with lock(file, "a row that makes its data", beside=True, wait=True):
-        if not file.exists():
-            interpreters: dict[str, LexemeInterpreter] = {
-                "sampled": racer.bundle.interpreter, "statistical": racer.bundle.statistical()}
-            build(racer.takes, plain, racer.taught(config).sequence, silent=racer.silent,
-                  vectors=racer.bundle.vectors.numpy(), seed=config.seed,
-                  policies=BehaviourPolicies(interpreters, features_of(racer.corpus))).save(file)
+    file = racer.context.work / f"racer-{configs.digest(racer.shapes, plain, config.seed)}.npz"
+    if not file.exists():
+        interpreters: dict[str, LexemeInterpreter] = {
+            "sampled": racer.bundle.interpreter, "statistical": racer.bundle.statistical()}
+        build(racer.takes, plain, racer.taught(config).sequence, silent=racer.silent,
+              vectors=racer.bundle.vectors.numpy(), seed=config.seed,
+              policies=BehaviourPolicies(interpreters, features_of(racer.corpus))).save(file)
     return Episodes.load(file)
 
 
@@ -289,8 +238,7 @@ Learner = tuple[ConservativeQ | ActorCritic, fitting.MakeBatch]
 
 def latest(policy: QNetwork | ActorCritic, corpus: Corpus, observed: dict[str, Tensor]) -> Tensor:
     """Scores [B, S] of the lexeme to be chosen now, after what was seen (see `eval.ablate.simulator.Choose`)."""
-    config = (policy.actor if isinstance(policy, ActorCritic) else policy).config
-    batch = q_batch(corpus, observed, config.lookahead)
+    batch = q_batch(corpus, observed)
     return policy.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[:, -1]
 
 
@@ -323,9 +271,9 @@ def epsilon_at(step: int, steps: int) -> float:
 
 def offline(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
     """Conservative Q-learning, or what the settings leave of it, on the recorded episodes (RACER Eq. 11)."""
-    episodes, _ = rewarded(racer, config)
+    episodes = rewarded(racer, config)
     return ConservativeQ(network), lambda rng, size: q_batch(racer.corpus, episodes.windows(
-        rng, size, config.cql.decisions), config.cql.lookahead)
+        rng, size, config.cql.decisions))
 
 
 class Acting(ConservativeQ):
@@ -343,13 +291,13 @@ class Acting(ConservativeQ):
             rng = np.random.default_rng([self._seed, step, 1])  # not the numbers that the step's batch is drawn with
             epsilon = epsilon_at(step, self._config.schedules.cql.steps)
             with without_dropout(self.online):
-                self._memory.add(collect(self._simulator, epsilon_greedy(
-                    self.online, self._racer.corpus, epsilon, rng), rng, self._config.schedules.cql.batch,
-                    self._config.cql.decisions))
+                self._memory.add(self._simulator.collect(
+                    epsilon_greedy(self.online, self._racer.corpus, epsilon, rng), rng,
+                    self._config.schedules.cql.batch, self._config.cql.decisions))
 
     def batch(self, rng: np.random.Generator, size: int) -> fitting.Batch:
         """Windows of what it remembers."""
-        return q_batch(self._racer.corpus, self._memory.windows(rng, size), self._config.cql.lookahead)
+        return q_batch(self._racer.corpus, self._memory.windows(rng, size))
 
 
 def online(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
@@ -365,17 +313,8 @@ def actor_critic(racer: RacerRows, config: Config, network: QNetwork, seed: int)
     assert isinstance(supervised, QNetwork)
     model.begin_as(supervised)
     simulator = Simulator(racer.takes, racer.taught(config).rewards, racer.tables[""].window)
-    return model, lambda rng, size: q_batch(racer.corpus, collect(
-        simulator, sampled(model, racer.corpus, rng), rng, size, config.cql.decisions), config.cql.lookahead)
-
-
-def scaled(make_batch: fitting.MakeBatch, factor: float) -> fitting.MakeBatch:
-    """The same batches with rewards times a factor."""
-    def made(rng: np.random.Generator, size: int) -> fitting.Batch:
-        batch = make_batch(rng, size)
-        return {**batch, "reward": factor * batch["reward"]}
-
-    return made
+    return model, lambda rng, size: q_batch(racer.corpus, simulator.collect(
+        sampled(model, racer.corpus, rng), rng, size, config.cql.decisions))
 
 
 TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
@@ -384,27 +323,19 @@ TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
 def trained(racer: RacerRows, name: str, seed: int) -> tuple[QNetwork | ActorCritic, float]:
     """The network of a row, trained now or read from the work folder, and how many seconds that took.
 
-    A training that is stopped begins anew: what was remembered of roll-outs is not kept. One that another process is at
-    is waited for.
+    A training that is stopped begins anew: what was remembered of roll-outs is not kept.
     """
-    name = ROWS[name].network or name
-    folder = racer.context.work / f"{name}-{racer.key(name, seed)}"
-    with lock(folder, "a row", beside=True, wait=True):
-        return _trained(racer, name, seed, folder)
-
-
-def _trained(racer: RacerRows, name: str, seed: int, folder: Path) -> tuple[QNetwork | ActorCritic, float]:
     row, config, began = ROWS[name], racer.config(name), time.monotonic()
+    folder = racer.context.work / f"{name}-{racer.key(name, seed)}"
     network = racer.untrained(name, seed)
     if stages.finished(folder):
         policy: QNetwork | ActorCritic = network
+        # A stored actor-critic has a critic beside its network, so it is made before its weights are read.
         if row.train == "actor-critic":
             policy = ActorCritic(network, ActorCriticConfig(gamma=config.cql.gamma))
         policy.load_state_dict(load_file(folder / stages.WEIGHTS))
     else:
         model, make_batch = TRAININGS[row.train](racer, config, network, seed)
-        if row.scale != 1:
-            make_batch = scaled(make_batch, row.scale)
         began = time.monotonic()  # without the data set, or the network that it begins as
         folder.mkdir(parents=True, exist_ok=True)
         # No checkpoint is kept: what roll-outs remembered would be lost, so a resumed training would be another one.
@@ -416,16 +347,3 @@ def _trained(racer: RacerRows, name: str, seed: int, folder: Path) -> tuple[QNet
         stages.keep(folder, policy, {})
     freeze(policy)
     return policy, time.monotonic() - began
-
-
-def judged(racer: RacerRows, name: str, policy: QNetwork | ActorCritic
-           ) -> tuple[list[Lexemes], list[dict[str, Any]]]:
-    """The lexemes [M] that a policy chose on each test recording, and its figures there."""
-    decisions = racer.judge.decisions
-    chooser, chosen, rows = Policy(policy, racer.temperature(name, policy)), [], []
-    for take in decisions.takes:
-        free, _ = walk(chooser, decisions, take)
-        chosen.append(free)
-        rows.append({"name": racer.corpus.names[take.recording], "decisions": len(take.blocks) - 1,
-                     **racer.judge.lexeme_values(take, free)})
-    return chosen, rows

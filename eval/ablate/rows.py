@@ -10,11 +10,12 @@ from __future__ import annotations
 import dataclasses
 import math
 import tomllib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from functools import cache
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from eval.table import Column
 from gesticulator.bundle import config as configs
@@ -36,8 +37,7 @@ DECIDED = 3
 SIGNS = {"<": "lower than", ">": "higher than", "=": "about that of"}
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A variant of a system; the fields are the keys of rows.toml."""
 
     ask: str
@@ -46,10 +46,6 @@ class Row:
     style: str = "interpreted"
     split: str = "test"
     train: str = "stages"
-    scale: float = 1.0
-    matched: bool = False
-    network: str = ""
-    """Of a matched row: the row whose network it samples."""
 
 
 @dataclass(frozen=True)
@@ -63,13 +59,12 @@ class FigureColumn(Column):
     beaten: str = ""
 
 
-@dataclass(frozen=True)
-class TableLine:
+class TableLine(msgspec.Struct, frozen=True, array_like=True):
     """A line of a table: the paper's name for it, our row, and the paper's figures by column, one for each data set."""
 
     label: str
     row: str
-    paper: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    paper: dict[str, tuple[float, ...]] = {}
 
 
 @dataclass(frozen=True)
@@ -83,23 +78,33 @@ class Claim:
     second: str
 
 
-@dataclass(frozen=True)
-class PaperTable:
-    """A table or figure of a paper. places: what the paper's figures are of; references: whether the performer and the
-    controls stand below."""
+class PaperTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A table or figure of a paper. sentences: its claims as papers.toml writes them; places: the data sets of the
+    paper's figures; references: whether the performer and the controls stand below."""
 
     title: str
     columns: tuple[str, ...]
     lines: tuple[TableLine, ...]
-    claims: tuple[Claim, ...] = ()
+    sentences: tuple[str, ...] = msgspec.field(default=(), name="claims")
     split: str = "test"
     places: tuple[str, ...] = ("Trinity", "TED")
     references: bool = True
 
+    @property
+    def claims(self) -> Iterator[Claim]:
+        """Every column of a sentence with every row that it compares."""
+        # "fgd: ours < no-style no-lexemes" is a claim by one column about each of two rows.
+        for sentence in self.sentences:
+            metrics, _, comparison = sentence.partition(": ")
+            first, sign, *others = comparison.split()
+            for metric in metrics.split():
+                for second in others:
+                    yield Claim(self.title, metric, first, sign, second)
+
     def printed(self, row: str, column: str) -> tuple[float, ...]:
         """The paper's figures of a row by a column, NaN for a data set that it has none of; empty without any."""
         line = next((line for line in self.lines if line.row == row), None)
-        return () if line is None else tuple(line.paper.get(COLUMNS[column].paper, ()))
+        return () if line is None else line.paper.get(COLUMNS[column].paper, ())
 
     def both(self, claim: Claim) -> list[tuple[str, float, float]]:
         """Place and the two figures of a claim's rows, on each data set on which the paper prints both."""
@@ -108,8 +113,7 @@ class PaperTable:
                 if math.isfinite(one + other)]
 
 
-@dataclass(frozen=True)
-class Elsewhere:
+class Elsewhere(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A claim that no table carries; the fields are the keys of papers.toml."""
 
     where: str
@@ -120,52 +124,24 @@ class Elsewhere:
     source: str = ""
 
 
-# ------------------------------------------------------------------------------------------------------------- reading
-
-def _held(name: str) -> dict[str, Any]:
+def _toml(name: str) -> dict[str, Any]:
     return tomllib.loads((Path(__file__).parent / name).read_text(encoding="utf-8"))
 
 
-@cache
-def read_rows() -> dict[str, Row]:
+def _rows() -> dict[str, Row]:
     """The rows by name, each with the settings of the row that it is `from` before its own."""
-    rows: dict[str, Row] = {}
-    for name, entry in _held("rows.toml").items():
-        base = rows.get(entry.pop("from", ""))
-        settings = (*(base.set if base else ()), *entry.pop("set", ()))
-        if entry.get("matched"):
-            assert base is not None, f"{name} is matched, so it needs `from`"
-            source = next(other for other, row in rows.items() if row is base)
-            rows[name] = dataclasses.replace(base, ask=entry["ask"], matched=True, network=source)
-        else:
-            rows[name] = Row(set=settings, **entry)
-    return rows
+    entries = _toml("rows.toml")
+    for entry in entries.values():
+        # A base stands above the rows that start from it, so its own base is in its settings already.
+        entry["set"] = [*entries.get(entry.pop("from", ""), {}).get("set", []), *entry.get("set", [])]
+    return msgspec.convert(entries, dict[str, Row])
 
 
-def _claims(title: str, sentences: list[str]) -> Iterator[Claim]:
-    for sentence in sentences:
-        metrics, _, comparison = sentence.partition(": ")
-        first, sign, *others = comparison.split()
-        for metric in metrics.split():
-            for second in others:
-                yield Claim(title, metric, first, sign, second)
-
-
-def _table(entry: dict[str, Any]) -> PaperTable:
-    lines = tuple(TableLine(label, row, {key: tuple(map(float, values)) for part in paper
-                                         for key, values in part.items()})
-                  for label, row, *paper in entry.pop("lines"))
-    return PaperTable(columns=tuple(entry.pop("columns")), lines=lines,
-                      claims=tuple(_claims(entry["title"], entry.pop("claims", []))),
-                      places=tuple(entry.pop("places", PaperTable.places)), **entry)
-
-
-_PAPERS = _held("papers.toml")
-ROWS: dict[str, Row] = read_rows()
-COLUMNS: dict[str, FigureColumn] = {key: FigureColumn(**entry) for key, entry in _PAPERS["columns"].items()}
-TABLES: dict[str, PaperTable] = {entry["title"]: _table(entry) for entry in _PAPERS["table"]}
-ELSEWHERE: list[Elsewhere] = [Elsewhere(**{**entry, "lowest": tuple(entry.get("lowest", ()))})
-                              for entry in _PAPERS["elsewhere"]]
+_PAPERS = _toml("papers.toml")
+ROWS: dict[str, Row] = _rows()
+COLUMNS: dict[str, FigureColumn] = msgspec.convert(_PAPERS["columns"], dict[str, FigureColumn])
+TABLES: dict[str, PaperTable] = {table.title: table for table in msgspec.convert(_PAPERS["table"], list[PaperTable])}
+ELSEWHERE: list[Elsewhere] = msgspec.convert(_PAPERS["elsewhere"], list[Elsewhere])
 
 
 # ------------------------------------------------------------------------------------------------------------- presets
@@ -178,6 +154,7 @@ def ablation() -> Config:
 def tiny() -> Config:
     """The `tiny` preset at half its steps, without what no row of the papers has: gate, style editing, Q-network."""
     base = presets.tiny()
+    # A test of the whole path, not of quality: every stage is trained, none for long.
     halved = {name: dataclasses.replace(schedule, steps=schedule.steps // 2)
               for name in ("speech", "contrast", "lexicon", "generator", "interpreter", "style")
               for schedule in [getattr(base.schedules, name)]}

@@ -19,14 +19,13 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from torch import nn
 from tqdm import tqdm
 
@@ -35,8 +34,6 @@ from data_module.files import lock
 from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.motion.kinematics import resample
 from data_module.motion.skeletons import to_character
-from data_module.speech.audio import SAMPLE_RATE
-from data_module.speech.audio import resample as resample_speech
 from data_module.store import Recording
 from data_module.types import Array, Motion
 from eval import stats
@@ -54,7 +51,6 @@ from eval.score.command import ScoredClips, ScoreRow, control_rows
 from gesticulator.bundle import config as configs
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import Config
-from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.options import FPS
 from gesticulator.training.fit import late_gain
@@ -123,9 +119,7 @@ class RgRows:
 
     context: EvalContext
     _corpora: dict[str, Run] = field(default_factory=dict, init=False)
-    _encoded: dict[str, dict[str, SpeechFeatures]] = field(default_factory=dict, init=False)
     _scored: dict[tuple[Any, ...], ScoredClips] = field(default_factory=dict, init=False)
-    _real: dict[tuple[Any, ...], list[Array]] = field(default_factory=dict, init=False)
 
     @property
     def first(self) -> Run:
@@ -142,7 +136,7 @@ class RgRows:
     def runs(self, name: str, seed: int) -> tuple[RowRun, RowRun]:
         """The run that makes a row's lexicon, at the preset's seed, and the one that does the rest."""
         first, config = self.first, configured(self.first.config, name)
-        about = (first.store, first.work, first.device, first.progress, first.speech, first.workers)
+        about = (first.store, first.work, first.device, first.progress, first.workers)
         corpora = self._corpus_run(config)
         before = RowRun(config, *about, taken={ENCODER.name: first, BLOCKS.name: corpora, CORPUS.name: corpora})
         return before, RowRun(replace(config, seed=seed), *about, taken={**before.taken, LEXICON.name: before})
@@ -152,13 +146,18 @@ class RgRows:
         first = self.first
         key, preset = (configs.digest(settings.rhythm, settings.motion, settings.control, settings.text,
                                       settings.front_end) for settings in (config, first.config))
-        return first if key == preset else _latest(self._corpora, key, 1, lambda: RowRun(
-            config, first.store, first.work, first.device, first.progress, first.speech, first.workers,
-            taken={ENCODER.name: first}))
+        if key == preset:
+            return first
+        if key not in self._corpora:
+            # One at a time: the blocks of five hours fill the memory.
+            self._corpora = {key: RowRun(config, first.store, first.work, first.device, first.progress,
+                                         workers=first.workers, taken={ENCODER.name: first})}
+        return self._corpora[key]
 
     def trained(self, name: str, seed: int) -> tuple[Bundle, RowRun]:
         """The bundle of a row, and its run; what is not in the work folder is trained."""
         before, run = self.runs(name, seed)
+        # The lexicon is trained by the other run, at the preset's seed, so its seconds are noted there.
         bundle = assemble(run)
         run.seconds["lexicon"] = before.seconds.get("lexicon", 0.0)
         return bundle, run
@@ -167,8 +166,9 @@ class RgRows:
         """Hash of everything that shapes a row's cell."""
         row, (_, run) = ROWS[name], self.runs(name, seed)
         config = run.config
+        # Beside the stages everything that is applied when they play: it changes the motion and no weights.
         return configs.digest(self.shared, run.key(LEXICON), [run.key(stage) for stage in wanted(config)], row.play,
-                              row.style, config.selection, config.silence, config.statistical, config.motion,
+                              row.style, config.selection, config.silence, config.motion,
                               self.names(row.split))
 
     # ------------------------------------------------------------------------------------------------------ recordings
@@ -176,6 +176,7 @@ class RgRows:
     def names(self, split: str) -> list[str]:
         """Recordings of a split that are long enough for shares and speeds (all, where none is), `limit` at most."""
         every = [info for info in self.first.store.recordings if info.split == split]
+        # A store of short clips has none that is long enough; all of them are better than no table.
         long_enough = [info.name for info in every if info.seconds >= SHORTEST] or [info.name for info in every]
         if not long_enough:
             raise InputError(self.first.store.path, f"has no recording in its {split} split", "build the store again")
@@ -184,20 +185,6 @@ class RgRows:
     def recording(self, name: str) -> Recording:
         """One with its sound and motion."""
         return self.context.loaded(self.context.corpus.names.index(name))
-
-    def groups(self, split: str) -> list[str]:
-        """For each recording of a split which others share its sound or text."""
-        known = {info.name: info.group or info.name for info in self.first.store.recordings}
-        return [known[name] for name in self.names(split)]
-
-    def encoded(self, system: Gesticulator, recording: Recording) -> SpeechFeatures:
-        """A recording's speech as a system encodes it; kept for the preset's own way and for the last other one."""
-        config = system.bundle.config
-        key = configs.digest(config.rhythm, config.text, config.front_end, system.reads_text)
-        known = _latest(self._encoded, key, 2, dict)
-        if recording.info.name not in known:
-            known[recording.info.name] = system.encode_speech(resample_speech(recording.speech, SAMPLE_RATE))
-        return known[recording.info.name]
 
     # ------------------------------------------------------------------------------------------------ what is measured
 
@@ -208,15 +195,15 @@ class RgRows:
 
     def scored(self, names: Sequence[str], lexicon: bool = True) -> ScoredClips:
         """The recordings of these names as `gesticulator score` reads its truth; lexicon: with figures of lexemes."""
-        def read() -> ScoredClips:
+        key = (*names, lexicon)
+        if key not in self._scored:
             recordings = [self.recording(name) for name in names]
-            groups = {info.name: info.group or info.name for info in self.first.store.recordings}
+            groups = [recording.info.group or recording.info.name for recording in recordings]
             speeches = [replace(recording.speech, speaker=recording.info.speaker) for recording in recordings]
-            clips = ClipSet(list(names), [groups[name] for name in names], [*speeches],
-                            {TRUTH: [recording.motion for recording in recordings]}, recordings[0].motion.fps)
-            return self._read(clips, lexicon)
-
-        return _latest(self._scored, (*names, lexicon), 2, read)
+            self._scored[key] = self._read(ClipSet(
+                list(names), groups, [*speeches], {TRUTH: [recording.motion for recording in recordings]},
+                recordings[0].motion.fps), lexicon)
+        return self._scored[key]
 
     def _read(self, clips: ClipSet, lexicon: bool = True) -> ScoredClips:
         return ScoredClips.of(replace(self.context, models=self.judge if lexicon else None), clips)
@@ -224,15 +211,17 @@ class RgRows:
     def summary(self, scored: ScoredClips, motions: Sequence[Motion]) -> dict[str, Any]:
         """"clips" and "sets" of a cell: the values of each clip, those of the whole set by the jackknife."""
         truth = scored.clips.motions[TRUTH]
+        # Other systems come with other rigs, rates and lengths; the performer's decide.
         fitting = [resample(to_character(motion), reference.fps).crop(0, len(reference))
                    for motion, reference in zip(motions, truth, strict=True)]
         row = scored.row("", "system", fitting)
         values = {key: row.values[column.metric] for key, column in COLUMNS.items() if column.metric in row.values}
         for key, column in COLUMNS.items():
             if column.metric in row.sets:
-                values[key] = _jackknife(row.sets[column.metric], len(truth))
+                values[key] = stats.jackknife(row.sets[column.metric], len(truth))
         values["fgd"] = self._distances(row, truth)
-        percent = [pmb.delta_curve(beats.modes["A"], track.onsets).percent
+        # The curve of RG Fig. 11 is a mean over clips whose speech is known.
+        percent = [pmb.delta_curve(beats.modes["A"], track.onsets)
                    for beats, track in zip(row.beats, scored.tracks, strict=True) if track is not None]
         return {"clips": [{"name": name, **{key: float(value[k]) for key, value in values.items()}}
                           for k, name in enumerate(scored.clips.names)],
@@ -243,19 +232,14 @@ class RgRows:
         if not row.features:
             return np.full(len(truth), np.nan)
         network = next(iter(row.features))
-        real = self._features(truth, network)
+        real = pooled(list(truth), self.context.networks[network])
 
-        def distance(chosen: list[int]) -> float:
+        def distance(chosen: stats.Indices) -> float:
             sides = ([part[k] for k in chosen if len(part[k])] for part in (row.features[network], real))
             features, reference = (np.concatenate(side) if side else np.zeros((0, 1)) for side in sides)
             return fgd.distance(features, reference) if min(len(features), len(reference)) > 1 else float("nan")
 
         return stats.jackknife(distance, len(truth))
-
-    def _features(self, motions: Sequence[Motion], network: str) -> list[Array]:
-        """[n, E] of each motion by a network; those of the performer are computed once."""
-        key = (network, *(id(motion) for motion in motions))
-        return _latest(self._real, key, 2, lambda: pooled(list(motions), self.context.networks[network]))
 
     def measured(self, name: str, seed: int) -> dict[str, Any]:
         """"clips", "sets" and "seconds" of a row's cell."""
@@ -266,12 +250,10 @@ class RgRows:
             style = RandomStyle(bundle.config.generator.style_width, seed)
             bundle = bundle.with_parts(style=cast(Any, style), style_text=None)
         system = Gesticulator(bundle)
-        motions = []
-        for recording in tqdm(recordings, desc=f"{name}, seed {seed}", disable=not self.context.progress):
-            performance = system(recording.speech, speaker=recording.info.speaker, interpreter=row.play, seed=seed,
-                          encoded=self.encoded(system, recording),
-                          temperature=1.0 if row.play == "statistical" else None)
-            motions.append(performance.motion)
+        temperature = 1.0 if row.play == "statistical" else None  # its arg max never changes
+        motions = [system(recording.speech, speaker=recording.info.speaker, interpreter=row.play, seed=seed,
+                          temperature=temperature).motion
+                   for recording in tqdm(recordings, desc=f"{name}, seed {seed}", disable=not self.context.progress)]
         if seed == SHOWN_SEED:
             self.keep(name, motions)
         summary = self.summary(self.scored(self.names(row.split)), motions)
@@ -334,6 +316,7 @@ class RgRows:
         take = real_take(FPS)
         if take is None:
             return None
+        # Its own motion is its truth, so whatever compares with the performer would be zero and is taken out.
         clips = ClipSet(["take"], ["take"], [take[1]], {TRUTH: [take[0]]}, take[0].fps)
         summary = self.summary(self._read(clips), [take[0]])
         summary["clips"][0] |= dict.fromkeys(("maje", "mad", "fgd"), float("nan"))
@@ -341,15 +324,16 @@ class RgRows:
 
     def _floor(self, scored: ScoredClips) -> dict[str, Any] | None:
         """FGD between halves of the performer's clips, halved in several ways: no skill gets below it."""
+        if not self.context.networks:
+            return None
         truth = scored.clips.motions[TRUTH]
         place = {id(motion): k for k, motion in enumerate(truth)}
-        clips = []
-        for seed in range(FLOOR_DRAWS if self.context.networks else 0):
+        real, clips = pooled(list(truth), next(iter(self.context.networks.values()))), []
+        for seed in range(FLOOR_DRAWS):
             try:
                 halves = split_halves(truth, seed, scored.clips.groups)
             except ValueError:
                 return None
-            real = self._features(truth, next(iter(self.context.networks)))
             first, second = (np.concatenate([real[place[id(motion)]] for motion in half]) for half in halves)
             if min(len(first), len(second)) > 1:
                 clips.append({"name": f"halving {seed}", "fgd": fgd.distance(first, second)})
@@ -378,17 +362,3 @@ class RgRows:
         shorter = [reference.crop(0, min(len(reference), len(motion)))
                    for reference, motion in zip(truth.motions[TRUTH], motions, strict=True)]
         return self.summary(self._read(replace(truth, motions={TRUTH: shorter})), motions)
-
-
-def _jackknife(of: Callable[[NDArray[np.int64]], float], count: int) -> Array:
-    """[count] pseudo-values of a figure of a set, which takes the numbers of clips [n]."""
-    return stats.jackknife(lambda chosen: of(np.array(chosen)), count)
-
-
-def _latest(known: dict[Any, T], key: Any, most: int, make: Callable[[], T]) -> T:
-    """The value of a key, computed where it lacks; of `most` others the last one goes."""
-    if key not in known:
-        while len(known) >= most:
-            known.popitem()
-        known[key] = make()
-    return known[key]

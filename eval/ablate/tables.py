@@ -75,7 +75,8 @@ def _plain(key: str) -> Column:
 def _lines(table: PaperTable, rows: Rows, suffix: str) -> list[TableLine]:
     """The rows of a table, in order, by the names of the rows on its split."""
     beside = {**REFERENCES, **CONTROLS}
-    lines = [replace(line, row=line.row + suffix) if line.row in beside else line for line in table.lines]
+    lines = [TableLine(line.label, line.row + suffix, line.paper) if line.row in beside else line
+             for line in table.lines]
     if not table.references:
         return [line for line in lines if line.row in rows]
     there = {line.row for line in lines}
@@ -97,9 +98,11 @@ def paper_table(title: str, rows: Rows) -> Table:
     suffix = "" if table.split == "test" else f"-{table.split}"
     lines = _lines(table, rows, suffix)
     papers = {key for line in lines for key in line.paper}
+    # A table without references has no controls by which a column could be refuted.
     fooled = {key: beaten(rows, key, suffix) if table.references else {} for key in table.columns}
     columns: dict[str, Column] = {}
     for key in table.columns:
+        # The mark stands in the heading, since it is about the measure and not about a row.
         columns[key] = replace(_plain(key), title=COLUMNS[key].title + (" (!)" if fooled[key] else ""))
         if COLUMNS[key].paper in papers:
             columns[f"{key}, paper"] = Column(f"the paper's, {' / '.join(table.places)}")
@@ -157,13 +160,12 @@ def difference_table(cells: Cells) -> Table:
 
 
 def racer_differences(cells: Cells) -> Table:
-    """RACER's own row less each other that has its seeds; matched rows are compared with its matched row."""
+    """RACER's own row less each other that has its seeds."""
     columns = TABLES["RACER Table 2"].columns
     body: dict[str, dict[str, Cell]] = {}
     for name in filter(is_racer, ROWS):
-        reference = f"{RACER_OURS}-matched" if ROWS[name].matched else RACER_OURS
-        if name != reference and set(cells.get(name, {})) & set(cells.get(reference, {})):
-            body[f"{reference} - {name}"] = {key: difference(cells, reference, name, key) for key in columns}
+        if name != RACER_OURS and set(cells.get(name, {})) & set(cells.get(RACER_OURS, {})):
+            body[f"{RACER_OURS} - {name}"] = {key: difference(cells, RACER_OURS, name, key) for key in columns}
     return Table("RACER Table 2, differences", {key: _plain(key) for key in columns}, body, "row")
 
 
@@ -216,6 +218,7 @@ def redraw(out: Path) -> None:
     cells = CellStore(out).read()
     if not cells:
         raise InputError(out, "holds no cells", "run the rows first")
+    # Cells carry figures alone; preset, store and provenance are those of the run that made them.
     tables, about = load_with_provenance(out / "table.json")
     facts = next(table.facts for table in tables if "store" in table.facts)
     write(cells, {**facts, "rows": summaries(cells)}, out, about, Provenance.now(COMMAND))

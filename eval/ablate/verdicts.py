@@ -32,6 +32,7 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+import msgspec
 import numpy as np
 from scipy.stats import t
 
@@ -202,6 +203,7 @@ def reading(claim: Claim, cells: Cells, column: str) -> Decision:
     if lacking:
         return Decision(UNDECIDED, f"not run: {', '.join(lacking)}")
     _, apart = pairs(cells[claim.first], cells[claim.second], column)
+    # A seed whose figure is undefined on every clip is no seed of this column.
     apart = apart[np.isfinite(apart).any(axis=1)] if apart.size else apart
     if not apart.size:
         return Decision(UNDECIDED, f"{COLUMNS[column].heading} was not measured of both")
@@ -213,6 +215,7 @@ def readings(claim: Claim, cells: Cells) -> tuple[Decision, Decision, str]:
     """The verdicts as published and valid, and the controls that beat the column of the latter."""
     table, published = TABLES[claim.where], COLUMNS[claim.metric].valid or claim.metric
     ours = OURS if table.split == "test" else claim.first
+    # On another split than the test split `ours` has no cell, and the claim's own row stands in for it.
     fooled = beaten_by(published, cells, table.split, ours)
     plain = reading(claim, cells, claim.metric)
     valid = plain if published == claim.metric else reading(claim, cells, published)
@@ -268,7 +271,8 @@ def _row_elsewhere(claim: Elsewhere) -> tuple[dict[str, str | None], dict[str, A
     decision = present(claim)
     word = _worded(decision)
     return {"where": claim.where, "claim": claim.says, "difference": _shown(decision, 2), "published": word,
-            "valid": word}, {**asdict(claim), "published": _facts(decision), "valid": _facts(decision)}
+            "valid": word}, {
+        **msgspec.structs.asdict(claim), "published": _facts(decision), "valid": _facts(decision)}
 
 
 def claims_table(cells: Cells) -> Table:

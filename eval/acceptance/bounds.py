@@ -1,15 +1,9 @@
 """The table of bounds (`bounds.toml`): a figure, the limits that it must keep, and the verdict on a measured value.
 
-A row of the table is one clause for each set of stimuli that it names. Which part of the interval is held against the
-limits stands in `of`:
-
-- `MEAN`: the mean, as what is wanted is a mean over renderings, and the interval says how far the next ones would move
-  it. An undefined mean breaks the bound.
-- `LOW`, `HIGH`: one end of the interval, for what must not be due to chance ("the lower end lies above 0").
-- `WHOLE`: the whole interval. If it straddles the bound, or is undefined, nothing is decided.
-
-A figure that cannot be measured (no store, no fingers) is skipped with the reason: its verdict neither holds nor fails
-and is not counted.
+A row of the table is one clause for each set of stimuli that it names. The mean of a figure is held against the limits,
+as what is wanted is a mean over renderings; the interval says how far the next ones would move it. An undefined mean
+breaks the bound. A figure that cannot be measured (no store, no fingers) is skipped with the reason: its verdict
+neither holds nor fails and is not counted.
 """
 
 from __future__ import annotations
@@ -26,13 +20,11 @@ from eval.metrics import EYE_METRICS
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
 
-__all__ = ["Bound", "Claim", "Measured", "Row", "Verdict", "at_least", "at_most", "judged", "verdict_table"]
+__all__ = ["Bound", "Claim", "Measured", "Row", "Verdict", "at_least", "at_most", "verdict_table"]
 
 TABLE = Path(__file__).with_name("bounds.toml")
-MEAN, LOW, HIGH, WHOLE = "mean", "low", "high", "whole"
 SHOWN = {True: "yes", False: "NO", None: ""}
 COLUMNS = {"value": Column("figure"), "bound": Column("bound"), "holds": Column("holds"), "reason": Column("remark")}
-_PART = {MEAN: "", LOW: "lower end ", HIGH: "upper end ", WHOLE: "interval "}
 FINGERS = "fingers"
 LACKING = {"voices": "needs several recordings with a voice", "pauses": "too few pauses",
            FINGERS: "the motion has no finger joints", "edges": "block boundaries are not known",
@@ -44,36 +36,22 @@ LACKING = {"voices": "needs several recordings with a voice", "pauses": "too few
 
 @dataclass(frozen=True)
 class Bound:
-    """Limits of a figure, either of which may be infinite. strict: the limits themselves are outside; of: which part of
-    the interval must keep them."""
+    """Limits of a figure, either of which may be infinite. strict: the limits themselves are outside."""
 
     low: float = -math.inf
     high: float = math.inf
     strict: bool = False
-    of: str = MEAN
 
     def keeps(self, value: float) -> bool:
         """True if a number lies within the limits; NaN does not."""
         return bool(self.low < value < self.high if self.strict else self.low <= value <= self.high)
 
-    def holds(self, value: Interval) -> bool | None:
-        """True if a value keeps the bound; None if its interval does not decide."""
-        if self.of != WHOLE:
-            return self.keeps({MEAN: value.mean, LOW: value.low, HIGH: value.high}[self.of])
-        if self.keeps(value.low) and self.keeps(value.high):
-            return True
-        return False if value.high < self.low or value.low > self.high else None
-
     def text(self, digits: int = 2) -> str:
         """For a reader, such as "at least 0.60"; empty without limits."""
-        low, high = (f"{limit:.{digits}f}" if self.of == MEAN else f"{limit:g}" for limit in (self.low, self.high))
-        if math.isfinite(self.low) and math.isfinite(self.high):
-            return f"{_PART[self.of]}{low} to {high}"
+        low, high = f"{self.low:.{digits}f}", f"{self.high:.{digits}f}"
         if math.isfinite(self.low):
-            return f"{_PART[self.of]}{'above' if self.strict else 'at least'} {low}"
-        if math.isfinite(self.high):
-            return f"{_PART[self.of]}{'below' if self.strict else 'at most'} {high}"
-        return ""
+            return f"{low} to {high}" if math.isfinite(self.high) else f"{'above' if self.strict else 'at least'} {low}"
+        return f"{'below' if self.strict else 'at most'} {high}" if math.isfinite(self.high) else ""
 
 
 ANY = Bound()
@@ -98,14 +76,12 @@ class Claim:
     bound: Bound = ANY
     digits: int = 2
 
-    def judge(self, value: Interval | float, reason: str = "") -> Verdict:
+    def judge(self, value: Interval, reason: str = "") -> Verdict:
         """The verdict on a measured value; reason: a remark for the reader."""
-        measured = value if isinstance(value, Interval) else Interval.exact(value, 1)
         if self.bound == ANY:
-            return Verdict(self, measured, None, reason)
-        undefined = "" if math.isfinite(measured.mean) or self.bound.of == WHOLE else (
-            "undefined: the motion has nothing of it")
-        return Verdict(self, measured, self.bound.holds(measured), "; ".join(filter(None, (undefined, reason))))
+            return Verdict(self, value, None, reason)
+        undefined = "" if math.isfinite(value.mean) else "undefined: the motion has nothing of it"
+        return Verdict(self, value, self.bound.keeps(value.mean), "; ".join(filter(None, (undefined, reason))))
 
     def undecided(self, reason: str) -> Verdict:
         """The verdict where there is no value to judge."""
@@ -138,16 +114,6 @@ class Verdict:
         """For a table with `COLUMNS`."""
         return {"value": self.value.text(self.claim.digits), "bound": self.claim.bound.text(self.claim.digits),
                 "holds": SHOWN[self.holds], "reason": self.reason}
-
-
-def judged(figure: str, value: Interval | float, bound: Bound = ANY, *, digits: int = 2, reason: str = "") -> Verdict:
-    """The verdict on a value, for a claim that is made where it is judged."""
-    return Claim(figure, bound, digits).judge(value, reason)
-
-
-def skipped(figure: str, why: str) -> Verdict:
-    """A figure that was not measured."""
-    return Claim(figure).undecided(f"not measured: {why}")
 
 
 def count(entries: Sequence[Mapping[str, Any]]) -> tuple[int, int]:
@@ -194,7 +160,6 @@ class Row:
     where the set belongs; needs: a key of `LACKING`; over: the set by whose mean the value is divided; limit: the set
     whose mean of the same figure, times `times` and at least `least` before that, is the upper limit."""
 
-    group: str
     figure: str
     title: str
     bound: Bound
@@ -206,38 +171,35 @@ class Row:
     times: float = 1.0
     least: float = -math.inf
 
-    def claim(self, on: str, bound: Bound | None = None) -> Claim:
-        """The clause on a set of stimuli; bound: in place of the row's."""
-        return Claim(self.title.format(on=on), bound or self.bound, self.digits)
-
-    def judge(self, figures: Figures) -> list[Verdict]:
-        """A verdict for each set of stimuli of which there is a value."""
-        return [self._judge(on, figures) for on in self.sets(figures)]
-
     def sets(self, figures: Figures) -> list[str]:
         """The sets of stimuli of the row on which the figure was measured."""
         measured = [on for figure, on in figures if figure == self.figure]
         return [on for on in self.on if on in measured] if self.on else measured
 
+    def judge(self, figures: Figures) -> list[Verdict]:
+        """A verdict for each set of stimuli of which there is a value."""
+        return [self._judge(on, figures) for on in self.sets(figures)]
+
     def _judge(self, on: str, figures: Figures) -> Verdict:
-        measured = figures[self.figure, on]
+        def claim(bound: Bound) -> Claim:
+            return Claim(self.title.format(on=on), bound, self.digits)
+
+        measured, other = figures[self.figure, on], figures.get((self.figure, self.over or self.limit))
         value, remark = measured.value, measured.remark
         lacking = measured.missing or self._lacking(on, figures)
+        # A ratio without its denominator is not measured; a limit without its set leaves a figure that is only shown.
+        if self.over and other is None:
+            lacking = lacking or LACKING["corpus"]
         if lacking:
-            return self.claim(on, ANY).undecided(f"not measured: {lacking}")
-        other = figures.get((self.figure, self.over or self.limit))
-        if self.over:
-            if other is None:
-                return self.claim(on, ANY).undecided(f"not measured: {LACKING['corpus']}")
+            return claim(ANY).undecided(f"not measured: {lacking}")
+        if self.over and other is not None:
             reference = other.value.mean
-            return self.claim(on).judge(value.times(1.0 / reference), f"{value.mean:.2f} and {reference:.2f}")
-        if not self.limit:
-            return self.claim(on).judge(value, remark)
-        if other is None:
-            return self.claim(on, ANY).judge(value, remark)
-        limit = self.times * max(other.value.mean, self.least)
+            return claim(self.bound).judge(value.times(1.0 / reference), f"{value.mean:.2f} and {reference:.2f}")
+        if not self.limit or other is None:
+            return claim(ANY if self.limit else self.bound).judge(value, remark)
         source = f"the bound is {f'{self.times:g} times ' if self.times != 1.0 else ''}that of: {self.limit}"
-        return self.claim(on, at_most(limit)).judge(value, "; ".join(filter(None, (remark, source))))
+        return claim(at_most(self.times * max(other.value.mean, self.least))).judge(
+            value, "; ".join(filter(None, (remark, source))))
 
     def _lacking(self, on: str, figures: Figures) -> str:
         """Why the figure has no value, where that is no fault of the motion; else empty."""
@@ -258,22 +220,22 @@ def table() -> dict[str, tuple[Row, ...]]:
     """Group -> its rows, as `bounds.toml` has them; ValueError for a key that no row has."""
     groups = tomllib.loads(TABLE.read_text(encoding="utf-8"))
     titles = groups.pop("titles")
-    return {group: tuple(_row(group, {"on": held.get("on", ()), **entry}, titles) for entry in held["rows"])
+    return {group: tuple(_row({"on": held.get("on", ()), **entry}, titles) for entry in held["rows"])
             for group, held in groups.items()}
 
 
-def _row(group: str, entry: dict[str, Any], titles: Mapping[str, str]) -> Row:
-    """A row from its TOML; ValueError for an unknown key."""
+def _row(entry: dict[str, Any], titles: Mapping[str, str]) -> Row:
     figure, on, high = entry.pop("figure"), entry.pop("on"), entry.pop("high", math.inf)
-    metric = EYE_METRICS.get(figure)
+    # An upper limit that is another set's figure is known only once both are measured.
     if isinstance(high, dict):
         entry |= {"limit": high.pop("of"), **high}
         high = math.inf
-    bound = Bound(entry.pop("low", -math.inf), high, entry.pop("strict", False), entry.pop("of", MEAN))
-    digits = entry.pop("digits", 2 if metric is None else metric.digits)
-    title = titles[figure] if figure in titles else f"{EYE_METRICS[figure].heading}, {{on}}"
+    bound = Bound(entry.pop("low", -math.inf), high, entry.pop("strict", False))
+    metric = EYE_METRICS.get(figure)
+    title = titles[figure] if metric is None else titles.get(figure, f"{metric.heading}, {{on}}")
+    entry.setdefault("digits", 2 if metric is None else metric.digits)
     try:
-        return Row(group, figure, title, bound, (on,) if isinstance(on, str) else tuple(on), digits, **entry)
+        return Row(figure, title, bound, (on,) if isinstance(on, str) else tuple(on), **entry)
     except TypeError as error:
         raise ValueError(f"{TABLE.name}, {figure}: {error}") from None
 

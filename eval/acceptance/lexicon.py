@@ -7,8 +7,8 @@ the blocks of strokes: those in which a wrist is faster than 0.3 m/s. With x the
 - within-block R2: 1 - sum |(y - mean y) - (x - mean x)|^2 / sum |x - mean x|^2. A lexicon of postures has none.
 - displacement R2: 1 - sum |y - x|^2 / sum |x - l|^2. Holding the last pose has none.
 
-Open loop decodes each block from the true frames before it, closed loop from what was decoded. A lexicon of poses takes
-no notice of either.
+Each block is decoded by all of its codes from the true frames before it (open loop); a lexicon of poses takes no notice
+of them. What the lexeme alone tells stands in `eval.quality`.
 
 Obedience: free-running, a sampled block is encoded again, after the block that was sampled before it; its rank is how
 many lexemes are nearer than the one that was requested. What fools it: a lexicon of few lexemes, or a lexeme that is
@@ -17,9 +17,8 @@ used alone; beside it stands the share that the most frequent lexeme would reach
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import torch
@@ -28,7 +27,7 @@ from torch import Tensor
 
 from data_module import blocks as block_module
 from data_module.motion.kinematics import positions_of
-from data_module.motion.movement import Pasts, joined, pasts_of
+from data_module.motion.movement import Pasts, pasts_of
 from data_module.motion.skeletons import CHARACTER
 from data_module.store import Store
 from data_module.types import Array, Motion
@@ -45,9 +44,9 @@ from lexicon.movement import MovementLexicon
 
 BEST = 5
 """Lexemes that count as near the requested one."""
-PLAYED, ALONE_PLAYED = "as played", "generator alone"
-"""As played: with rest and life laid over the sampled motion; generator alone: without them."""
-ALL, ALONE = "all levels", "the lexeme alone"
+PLAYED = "as played"
+"""With rest and life laid over the sampled motion."""
+OPEN = "all levels, open loop"
 
 Decode = Callable[[Tensor, Pasts], Tensor]
 """Blocks [B, K, D_m] and what came before each, to the blocks as their codes tell them."""
@@ -69,43 +68,15 @@ class HeldOut:
         return pasts_of(self.motion, self.durations, self.first)
 
 
-def codes_of(lexicon: Lexicon | MovementLexicon) -> dict[str, Decode]:
-    """Decoders of a lexicon by all of its codes, and by the lexeme alone."""
-    if isinstance(lexicon, MovementLexicon):
-        return {ALL: partial(_movements, lexicon, None), ALONE: partial(_movements, lexicon, 0)}
-    # A lexicon of poses has one level.
-    return {ALL: partial(_poses, lexicon), ALONE: partial(_poses, lexicon)}
+def decoder(lexicon: Lexicon | MovementLexicon) -> Decode:
+    """The decoder of a lexicon by all of its codes."""
+    @torch.no_grad()
+    def decode(blocks: Tensor, past: Pasts) -> Tensor:
+        if isinstance(lexicon, MovementLexicon):
+            return lexicon.basis.compose(lexicon.quantised(lexicon.basis.coefficients(blocks, past)), past)
+        return lexicon.decode(lexicon.vectors[lexicon.label(blocks)])
 
-
-@torch.no_grad()
-def _movements(lexicon: MovementLexicon, levels: int | None, blocks: Tensor, past: Pasts) -> Tensor:
-    return lexicon.basis.compose(lexicon.quantised(lexicon.basis.coefficients(blocks, past), levels), past)
-
-
-@torch.no_grad()
-def _poses(lexicon: Lexicon, blocks: Tensor, past: Pasts) -> Tensor:
-    return lexicon.decode(lexicon.vectors[lexicon.label(blocks)])
-
-
-def open_loop(decode: Decode, held: HeldOut) -> Tensor:
-    """[N, K, D_m] every block after the true frames before it."""
-    return decode(held.motion, held.pasts())
-
-
-def closed_loop(decode: Decode, recordings: Sequence[HeldOut]) -> list[Tensor]:
-    """[N, K, D_m] of each recording: every block after what was decoded before it."""
-    decoded: list[list[Tensor]] = [[] for _ in recordings]
-    true = [held.pasts() for held in recordings]
-    before = joined(past[:1] for past in true).frames
-    for at in range(max(len(held.motion) for held in recordings)):
-        on = [k for k, held in enumerate(recordings) if at < len(held.motion)]
-        ratio = torch.stack([true[k].ratio[at] for k in on])
-        block_batch = decode(torch.stack([recordings[k].motion[at] for k in on]), Pasts(before[on], ratio))
-        # The next block begins after the decoded frames, so that errors add up as they do in a performance.
-        before[on] = block_batch[:, -before.shape[1]:]
-        for k, block in zip(on, block_batch, strict=True):
-            decoded[k].append(block)
-    return [torch.stack(blocks) for blocks in decoded]
+    return decode
 
 
 @dataclass(frozen=True)
@@ -149,20 +120,14 @@ def r_squared(sums: Array) -> Interval:
     return stats.of_set(figure, len(sums), basic=False)
 
 
-def lexicon_figures(recordings: Sequence[HeldOut], codes: Mapping[str, Decode]) -> Results:
-    """Within-block and displacement R2 and the tie between the hands, of all codes and of the lexeme alone."""
-    results: Results = {}
-    for name, decode in codes.items():
-        for loop, decoded in (("open loop", [open_loop(decode, held) for held in recordings]),
-                              ("closed loop", closed_loop(decode, recordings))):
-            fits = [fit_of(held, blocks) for held, blocks in zip(recordings, decoded, strict=True)]
-            on = f"{name}, {loop}"
-            results["within_r2", on] = Measured(r_squared(np.array([fit.within for fit in fits])))
-            results["displacement_r2", on] = Measured(r_squared(np.array([fit.displaced for fit in fits])))
-            drawn, true = (stats.mean_interval([fit.heights[k] for fit in fits]) for k in (0, 1))
-            results["heights_apart", on] = Measured(Interval.exact(abs(drawn.mean - true.mean), drawn.n),
-                                                    f"decoded {drawn.text()}, truth {true.text()}")
-    return results
+def lexicon_figures(recordings: Sequence[HeldOut], decoded: Sequence[Tensor]) -> Results:
+    """Within-block and displacement R2 and the tie between the hands of decoded recordings, each [N, K, D_m]."""
+    fits = [fit_of(held, blocks) for held, blocks in zip(recordings, decoded, strict=True)]
+    drawn, true = (stats.mean_interval([fit.heights[k] for fit in fits]) for k in (0, 1))
+    return {("within_r2", OPEN): Measured(r_squared(np.array([fit.within for fit in fits]))),
+            ("displacement_r2", OPEN): Measured(r_squared(np.array([fit.displaced for fit in fits]))),
+            ("heights_apart", OPEN): Measured(Interval.exact(abs(drawn.mean - true.mean), drawn.n),
+                                              f"decoded {drawn.text()}, truth {true.text()}")}
 
 
 def absent_figure(decoded: Sequence[Tensor], present: Tensor) -> Measured:
@@ -182,6 +147,7 @@ def absent_figure(decoded: Sequence[Tensor], present: Tensor) -> Measured:
 def encode(bundle: Bundle, rendering: Rendering, speaker: int) -> NDArray[np.int64]:
     """[N] ranks of the requested lexemes: how many are nearer to each sampled block than the one that was requested."""
     lexicon = bundle.block_lexicon
+    # The blocks as the generator sampled them: rest and life are laid over later and are no answer to a lexeme.
     blocks, requested = torch.as_tensor(rendering.drawn), torch.as_tensor(rendering.lexemes)
     if isinstance(lexicon, Lexicon):
         return ranks_of(lexicon.quantizer.distances(lexicon.latents(blocks)), requested)
@@ -197,15 +163,12 @@ def ranks_of(distances: Tensor, requested: Tensor) -> NDArray[np.int64]:
     return np.asarray(nearer.sum(-1).numpy(), dtype=np.int64)
 
 
-def obedience_figures(ranks: Sequence[NDArray[np.int64]], lexemes: Sequence[NDArray[np.int64]],
-                      groups: Sequence[str], silent: NDArray[np.int64], on: str) -> Results:
-    """Shares of all blocks, with intervals over recordings; ranks, lexemes: [N] of each.
-
-    Beside them the share of blocks for which a gesture was requested: where a silent lexeme is played, the layer of
-    rest holds or sinks the hands whatever was sampled, and the lexicon names that otherwise.
-    """
+def obedience_figures(ranks: Sequence[NDArray[np.int64]], lexemes: Sequence[NDArray[np.int64]], groups: Sequence[str]
+                      ) -> Results:
+    """Shares of all blocks, with intervals over recordings; ranks, lexemes: [N] of each."""
     sizes = [len(rank) for rank in ranks]
     every = np.concatenate(lexemes)
+    # A generator that plays one lexeme all the time obeys as often as that lexeme is requested.
     common = float(np.bincount(every).max() / len(every))
 
     def share(least: int) -> Interval:
@@ -213,13 +176,7 @@ def obedience_figures(ranks: Sequence[NDArray[np.int64]], lexemes: Sequence[NDAr
 
     remark = (f"{sum(sizes)} blocks, {len(np.unique(every))} lexemes in use; always requesting the most frequent one "
               f"would reach {common:.2f}")
-    gestures = [~np.isin(lexeme, silent) for lexeme in lexemes]
-    among = stats.mean_interval([float((rank[gesture] < BEST).mean()) if gesture.any() else float("nan")
-                                 for rank, gesture in zip(ranks, gestures, strict=True)],
-                                [int(gesture.sum()) for gesture in gestures], groups=list(groups))
-    return {("obeyed", on): Measured(share(1), remark), ("among_best", on): Measured(share(BEST)),
-            ("gestures_among_best", on): Measured(
-                among, f"{sum(int(gesture.sum()) for gesture in gestures)} blocks")}
+    return {("obeyed", PLAYED): Measured(share(1), remark), ("among_best", PLAYED): Measured(share(BEST))}
 
 
 def silent_speed(motion: Motion, edges: Array, quiet: NDArray[np.bool_]) -> float:
@@ -248,9 +205,11 @@ def held_out(bundle: Bundle, store: Store) -> list[HeldOut]:
     for info in store.of_split("test"):
         recording = store.load(info.name, bundle.config.motion.joints)
         blocks = block_module.cut(recording.speech, bundle.config.rhythm)
+        # A single block has no block before it whose end it could hold.
         if len(blocks) < 2:
             continue
         poses = block_module.normalise_motion(recording.motion, blocks, representation)
+        # Every performer is centred on a pose of its own, as in training.
         known = info.speaker in statistics.speakers
         mean = statistics.mean_pose[statistics.speakers.index(info.speaker)] if known else poses.mean(axis=(0, 1))
         first = block_module.first_pose(recording.motion, representation)
@@ -272,25 +231,14 @@ def held_out(bundle: Bundle, store: Store) -> list[HeldOut]:
 def measure(system: BundleSystem, store: Store | None, voices: Sequence[AcceptanceVoice], renderings: int) -> Results:
     """The group `lexicon`; one missing figure without a store."""
     if store is None:
-        return {("within_r2", f"{ALL}, open loop"): Measured(missing=LACKING["corpus"])}
-    recordings, codes = held_out(system.bundle, store), codes_of(system.bundle.block_lexicon)
-    results = lexicon_figures(recordings, codes)
-    results["absent", ""] = absent_figure([open_loop(codes[ALL], held) for held in recordings],
-                                          system.bundle.statistics.present)
-    as_played = [system.render(voice, k % renderings) for k, voice in enumerate(voices)]
-    results |= _obedience(system, voices, as_played, PLAYED)
-    if system.bundle.rests_by_phrase:
-        bare = system.bare()
-        results |= _obedience(system, voices, [bare.render(voice, k % renderings) for k, voice in enumerate(voices)],
-                              ALONE_PLAYED)
-    groups = [voice.group or voice.name for voice in voices]
-    results["silent_speed", ""] = silent_figure(as_played, system.bundle.silent, groups)
-    return results
-
-
-def _obedience(system: BundleSystem, voices: Sequence[AcceptanceVoice], performed: Sequence[Rendering], on: str
-               ) -> Results:
+        return {("within_r2", OPEN): Measured(missing=LACKING["corpus"])}
+    bundle, groups = system.bundle, [voice.group or voice.name for voice in voices]
+    recordings, decode = held_out(bundle, store), decoder(bundle.block_lexicon)
+    decoded = [decode(held.motion, held.pasts()) for held in recordings]
+    played = [system.render(voice, k % renderings) for k, voice in enumerate(voices)]
     speakers = [system.gesticulator.resolver.speaker(system.speaker(voice)) for voice in voices]
-    ranks = [encode(system.bundle, rendering, speaker) for rendering, speaker in zip(performed, speakers, strict=True)]
-    groups = [voice.group or voice.name for voice in voices]
-    return obedience_figures(ranks, [rendering.lexemes for rendering in performed], groups, system.bundle.silent, on)
+    ranks = [encode(bundle, rendering, speaker) for rendering, speaker in zip(played, speakers, strict=True)]
+    return {**lexicon_figures(recordings, decoded),
+            ("absent", ""): absent_figure(decoded, bundle.statistics.present),
+            **obedience_figures(ranks, [rendering.lexemes for rendering in played], groups),
+            ("silent_speed", ""): silent_figure(played, bundle.silent, groups)}

@@ -10,8 +10,7 @@
 - Stability (`stability`): the same sound exported again, and with one word changed (`eval.metrics.eye.stability`).
 
 What fools them: a speaking rate alone makes strokes faster, so that amplitude is shown too; a hand that trembles is a
-fast hand; a system that ignores the sound is perfectly stable. Speed is measured properly, warm and cold, by
-`benchmarks/realtime.py`: the factor here depends on what else the machine was doing.
+fast hand; a system that ignores the sound is perfectly stable.
 """
 
 from __future__ import annotations
@@ -87,16 +86,16 @@ def effort_figures(values: Array, apart: Sequence[float]) -> Results:
             ("hands_apart", "a reading 6 dB quieter"): Measured(stats.mean_interval(apart))}
 
 
-def effort(system: BundleSystem, speaker: str | None, renderings: int) -> tuple[Results, list[Table]]:
+def effort(system: BundleSystem, speaker: str | None, renderings: int) -> Results:
     """The group `effort`; two seeds of every reading."""
     try:
         import parselmouth  # noqa: F401 - fail before anything is rendered
     except ImportError:
         return {("effort_ratio", ""): Measured(
-            missing="praat-parselmouth is not installed (pip install 'gesticulator[effort]')")}, []
+            missing="praat-parselmouth is not installed (pip install 'gesticulator[effort]')")}
     sounds = readings()
     if not sounds:
-        return {("effort_ratio", ""): Measured(missing=f"GESTICULATOR_DATA has no folder {READINGS}")}, []
+        return {("effort_ratio", ""): Measured(missing=f"GESTICULATOR_DATA has no folder {READINGS}")}
     seeds = range(min(2, renderings))
 
     def voice(name: str, speech: Speech) -> AcceptanceVoice:
@@ -106,6 +105,7 @@ def effort(system: BundleSystem, speaker: str | None, renderings: int) -> tuple[
         rows = [eye.figures(system.render(voice(name, speech), seed).motion, hear(speech)) for seed in seeds]
         return [float(np.mean([row[figure] for row in rows])) for figure in (SIZE, SPEED)]
 
+    # The same seed for both readings: only the sound differs.
     values = np.array([[size_and_speed(name, said_with(speech, manner)) for name, speech in sounds]
                        for manner in (LIVELY, SUBDUED)]).transpose(2, 0, 1)
     apart = []
@@ -113,17 +113,7 @@ def effort(system: BundleSystem, speaker: str | None, renderings: int) -> tuple[
         first, quieter = (common_body(system.render(voice(name, sound), 0).motion)
                           for sound in (speech, EXPORTS["6 dB quieter"](speech)))
         apart.append(stability.difference(first, quieter).hands)
-    return effort_figures(values, apart), [_readings_table([name for name, _ in sounds], values, apart)]
-
-
-def _readings_table(names: Sequence[str], values: Array, apart: Sequence[float]) -> Table:
-    """Every reading by itself."""
-    pairs = list(itertools.product((("size", "cm"), ("speed", "m/s")), ("lively", "subdued")))
-    columns = {f"{figure} {manner}": Column(f"{figure}, {manner}", unit, 2) for (figure, unit), manner in pairs}
-    rows = {name: {**dict(zip(columns, values[:, :, k].ravel().tolist(), strict=True)), "apart": apart[k]}
-            for k, name in enumerate(names)}
-    return Table("Readings with another effort", {**columns, "apart": Column("hands apart at -6 dB", "cm", 2)}, rows,
-                 "reading")
+    return effort_figures(values, apart)
 
 
 # ----------------------------------------------------------------------------------------------------------- controls
@@ -160,11 +150,7 @@ def controls(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> tuple[R
     results |= _words(system, voices)
     for name in sorted({*NEEDED, *system.gesticulator.interpreters}):
         results["interpreter", name] = _interpreter(system, short[0], name)
-    factors = [system.perform(voice, 1)[1] / voice.speech.duration for voice in short]
-    # The first one opens models and caches.
-    warm = stats.mean_interval(factors[1:] or factors)
     results["megabytes", ""] = Measured(Interval.exact(system.megabytes, 1))
-    results["factor", ""] = Measured(warm, "benchmarks/realtime.py measures it on a free machine")
     return results, tables
 
 
@@ -188,6 +174,7 @@ def _words(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Results:
     spoken = [voice for voice in voices if any(word.text.strip() for word in voice.speech.words or ())]
     if len(spoken) < 2:
         return {("other_lexemes", "other words"): Measured(missing="fewer than two voices have words")}
+    # Each voice is given the words of the next one, so every text is right once and wrong once.
     spoken = spread_out(spoken, CLIPS)
     changed, fainter = [], []
     for voice, other in zip(spoken, [*spoken[1:], spoken[0]], strict=True):
@@ -205,9 +192,10 @@ def _words(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Results:
 def _interpreter(system: BundleSystem, voice: AcceptanceVoice, name: str) -> Measured:
     """1 if the interpreter gives motion as long as the sound, else 0."""
     try:
-        performance, _ = system.perform(voice, 0, interpreter=name)
+        performance = system.perform(voice, 0, interpreter=name)
     except InputError as error:
         return Measured(Interval.exact(0.0, 1), str(error))
+    # Half a take without an error is worse than an error, so the length counts.
     whole = abs(performance.motion.duration - performance.duration) <= 1.0 / performance.fps
     return Measured(Interval.exact(float(whole), 1),
                     f"{len(np.unique(performance.lexemes))} lexemes in {len(performance.lexemes)} blocks")
@@ -235,6 +223,7 @@ def same_take(system: BundleSystem, voices: Sequence[AcceptanceVoice], rendering
         for name, change in EXPORTS.items():
             again = system.render(replace(voice, name=f"{voice.name}, {name}", speech=change(voice.speech)), seed)
             values[name].append(moved(first, again))
+        # How far apart two takes of one sound are: without it "2 cm apart" says nothing.
         values["another seed"].append(moved(first, system.render(voice, seed + len(seeds))))
     rows = {name: {key: stats.mean_interval([row[key] for row in variants]) for key in COLUMNS}
             for name, variants in values.items()}
@@ -269,6 +258,7 @@ def moved_by_word(first: Rendering, again: Rendering, time: float) -> tuple[floa
     before = stability.difference(body.crop(0, frames), other.crop(0, frames)).hands if begin > 1.0 else math.nan
     if at + 2 >= len(units):
         return before, math.nan
+    # The unit of the word itself and the one after it may differ; from then on the take must be the old one.
     late = int(np.searchsorted(first.edges[:-1], units[at + 2][0]))
     rest = first.edges[late:], first.lexemes[late:]
     return before, stability.other_lexemes(rest, (again.edges, again.lexemes))

@@ -4,8 +4,7 @@ The sounds are made for it (`stimuli`): voices with pauses of known lengths set 
 46 dB too low in noise, noise alone, silence alone. Speeds are those of the wrists relative to the hips, m/s, the
 mean of both unless stated otherwise; a real pause is one of a second or more, detected as the system detects it.
 
-- Settled: speed from half a second into a pause on, up to 2.5 s. At rest: from 2.5 s on to a second before the voice
-  returns, over that in speech.
+- At rest: speed from 2.5 s into a pause on to a second before the voice returns, over that in speech.
 - Waxing and waning: variation of hand speed over windows of 4 s in speech whose pauses were cut out.
 - Life: the longest freeze of the head; the share of frames in which a hand does not move at all.
 - Waking: the peaks of acceleration and speed around the ends of long pauses, beside those of the corpus' seconds.
@@ -36,9 +35,8 @@ from eval.metrics.eye import common_body, hands, together, trunk
 from eval.metrics.eye.body import HZ, CommonBody
 from eval.renderings import TAKE, AcceptanceVoice, BundleSystem, Rendering
 from eval.stats import Interval
-from eval.table import Cell, Column, Table
 
-SETTLED_FROM, RESTS_FROM, PREPARES = 0.5, 2.5, 1.0
+RESTS_FROM, PREPARES = 2.5, 1.0
 """Seconds into a pause, and before its end, when a hand may begin to move."""
 _LEAST = 0.2
 """Seconds of rest from which on a mean speed says something."""
@@ -97,11 +95,6 @@ class Rested:
             quiet[round(start * HZ):round(stop * HZ)] = True
         return stats.mean(self.speed[~quiet])
 
-    def settled(self) -> list[tuple[float, float]]:
-        """For each real pause its length and the mean speed from half a second into it on."""
-        return [(stop - start, stats.mean(self.between(start + SETTLED_FROM, min(stop, start + RESTS_FROM))))
-                for start, stop in self.pauses]
-
     def at_rest(self) -> float:
         """Mean speed from 2.5 s into pauses on, but for the last second, over that in speech; NaN where there is
         none."""
@@ -135,6 +128,7 @@ def seconds_of(motion: Motion) -> Array:
 
 def twitches(body: CommonBody) -> float:
     """Runs over 0.3 m/s of less than 0.15 s, a minute, of both hands' smoothed speeds."""
+    # Smoothed as everywhere else, so that noise of a single frame is no movement.
     fast = trunk.smoothed_speed(body.hands) > hands.MOVES
     turns = np.diff(np.pad(fast, ((1, 1), (0, 0))).astype(np.int8), axis=0).T
     short = sum(int((np.flatnonzero(hand < 0) - np.flatnonzero(hand > 0) < TWITCH * HZ).sum()) for hand in turns)
@@ -154,18 +148,9 @@ def head_freeze(body: CommonBody) -> float:
 # ------------------------------------------------------------------------------------------------- sets of recordings
 
 def pause_figures(rested: Sequence[Rested], groups: Sequence[str]) -> Results:
-    """Settling, rest and life of renderings of voices with pauses; groups: one name for each rendering."""
-    pairs = [(length, speed, group) for rendering, group in zip(rested, groups, strict=True)
-             for length, speed in rendering.settled()]
-    spans = ((1.0, 1.8), (1.8, 3.0), (3.0, 9.0))
-    means = [stats.mean(np.array([speed for length, speed, _ in pairs if low <= length < high]))
-             for low, high in spans]
-    by_length = "; ".join(f"{low:g} to {high:g} s: {mean:.2f}"
-                          for (low, high), mean in zip(spans, means, strict=True))
-    settled = stats.mean_interval([speed for _, speed, _ in pairs], groups=[group for _, _, group in pairs])
+    """Rest and life of renderings of voices with pauses; groups: one name for each rendering."""
     at_rest = stats.mean_interval([rendering.at_rest() for rendering in rested], groups=list(groups))
-    return {("settled", PAUSES): Measured(settled, f"{len(pairs)} pauses; by length, {by_length}"),
-            ("at_rest", PAUSES): Measured(at_rest),
+    return {("at_rest", PAUSES): Measured(at_rest),
             **life_figures([rendering.body for rendering in rested], groups, PAUSES)}
 
 
@@ -205,6 +190,7 @@ def waking_figures(wakes: Array, usual: Array | None) -> Results:
 
 def quiet_figures(rested: Sequence[Rested], on: str) -> Results:
     """Speed of the hands and time in which one moves, %, while nothing is said; the first second is left out."""
+    # The first second is the way from the initial pose into rest.
     speed = [stats.mean(rendering.between(1.0, rendering.body.duration)) for rendering in rested]
     moving = [100.0 * float((rendering.fastest[round(HZ):] > hands.MOVES).mean()) for rendering in rested]
     return {("quiet_speed", on): Measured(stats.mean_interval(speed)),
@@ -241,6 +227,7 @@ def shares_of(rendering: Rendering, silent: NDArray[np.int64], spoken: Flags) ->
     lasting = np.diff(rendering.edges) * spoken
     gesturing = ~np.isin(rendering.lexemes, silent)
     fastest = common_body(rendering.motion).hand_speed.max(axis=1)
+    # The block of every frame; frames after the last edge belong to the last block.
     at = np.clip(np.searchsorted(rendering.edges, np.arange(len(fastest)) / HZ, side="right") - 1, 0, len(spoken) - 1)
     talking = fastest[spoken[at]]
     moving = stats.mean((talking > hands.MOVES).astype(float))
@@ -249,7 +236,7 @@ def shares_of(rendering: Rendering, silent: NDArray[np.int64], spoken: Flags) ->
 
 # ------------------------------------------------------------------------------------------------------------- group
 
-def measure(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings: int) -> tuple[Results, list[Table]]:
+def measure(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings: int) -> Results:
     """The group `rest`, on four of the voices with two seeds each."""
     chosen, seeds = spread_out(voices, VOICES), range(min(2, renderings))
     pairs = [(voice, Rested.of(system.render(voice, seed).motion, voice.speech))
@@ -265,6 +252,7 @@ def measure(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings:
         return [Rested.of(system.render(sound, seed).motion, sound.speech) for seed in seeds]
 
     first = chosen[0]
+    # Digital silence and hiss: the first has no level at all, the second could be taken for breath.
     silence = Speech(np.zeros(round(ALONE * SAMPLE_RATE), np.float32), SAMPLE_RATE)
     hiss = Speech(noise(ALONE, NOISE, SAMPLE_RATE).astype(np.float32), SAMPLE_RATE)
     for on, speech in zip(QUIET, (silence, hiss), strict=True):
@@ -274,7 +262,7 @@ def measure(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings:
     bodies = [rendering.body for voice in chosen
               for rendering in rendered(voice, UNBROKEN, unbroken(middle_of(voice, PAUSED)))]
     results["variation", UNBROKEN] = Measured(variation(bodies, groups))
-    return results | _activity(system, chosen), [_described(pairs)]
+    return results | _activity(system, chosen)
 
 
 def _activity(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Results:
@@ -287,17 +275,3 @@ def _activity(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Result
             return {("activity_works", ""): Measured(Interval.exact(0.0, 1), str(error))}
         shares[:, row, column] = shares_of(rendering, system.bundle.silent, ~rendering.silent)
     return activity_figures(shares[0], shares[1])
-
-
-def _described(pairs: Sequence[tuple[AcceptanceVoice, Rested]]) -> Table:
-    """Every rendering of a voice with pauses by itself."""
-    columns = {"pauses": Column("real pauses"), "speech": Column("speed in speech", "m/s"),
-               "settled": Column("from .5 s into pauses", "m/s"), "rest": Column("from 2.5 s, over speech"),
-               "freeze": Column("longest head freeze", "s")}
-    rows: dict[str, dict[str, Cell]] = {
-        f"{voice.name}, rendering {k + 1}": {
-            "pauses": len(rendering.pauses), "speech": rendering.in_speech(), "rest": rendering.at_rest(),
-            "settled": stats.mean(np.array([speed for _, speed in rendering.settled()])),
-            "freeze": head_freeze(rendering.body)}
-        for k, (voice, rendering) in enumerate(pairs)}
-    return Table("Voices with pauses", columns, rows, "voice")

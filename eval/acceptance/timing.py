@@ -7,7 +7,6 @@ One recording has too few pauses and too little pitch to tell. So of all voices 
   and chance says how often.
 - Pitch with trunk: the correlation of pitch and trunk speed at once (`eval.metrics.eye.pitch`), and the share of
   exchanges of the sounds among the recordings that do as well.
-- Holds at phrase ends: the share of pauses around whose begin a raised hand is held, and that of circular shifts.
 
 A motion that is laid under another recording's sound is at chance in all of them. What fools them: of a corpus whose
 links between speech and motion were planted by rules they tell that a model has learned the rules, not that people do
@@ -25,11 +24,8 @@ import numpy as np
 from data_module.types import Array, Motion
 from eval import stats
 from eval.metrics.eye import common_body, pitch
-from eval.metrics.eye.body import HZ, CommonBody
-from eval.metrics.eye.hands import HANGS
 from eval.metrics.eye.pitch import Coupling
-from eval.metrics.eye.together import hand_speeds
-from eval.metrics.eye.units import HELD, HOLD, PAUSE, Leads, lasting, leads, silent_frames
+from eval.metrics.eye.units import Leads, leads
 from eval.renderings import AcceptanceVoice
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
@@ -45,29 +41,22 @@ TITLES = {FIRST: "first movement before the voice, pooled, %", FIRST_CHANCE: "th
           PITCH_CHANCE: "the same, 95 % of exchanged sounds, r", PITCH_LAG: "lag of the best r, s",
           PITCH_P: "pitch with trunk speed against exchanged sounds, p"}
 DIGITS = {FIRST: 0, FIRST_CHANCE: 0, FIRST_P: 3, PITCH: 3, PITCH_CHANCE: 3, PITCH_LAG: 2, PITCH_P: 3}
-_NEAR_END = (-0.2, 0.5)
-"""Seconds about the begin of a pause in which a hold is one of a phrase's end."""
-_LEAST_HELD = 0.5
-"""Share of that time."""
 
 
 @dataclass(frozen=True)
 class Timed:
-    """A rendering beside its sound. speed: of the trunk, for `pitch.lagged`; ends: percentages of phrase ends with a
-    held hand, as it is and under circular shifts."""
+    """A rendering beside its sound. speed: of the trunk, for `pitch.lagged`."""
 
     name: str
     first: Leads
     pitch: Array
     speed: Array
-    ends: tuple[float, float]
 
     @classmethod
     def of(cls, motion: Motion, said: AcceptanceVoice) -> Timed:
         """Measured."""
         body = common_body(motion)
-        return cls(said.name, leads(body, said.heard, SHIFTS), said.pitch, pitch.trunk_speed(body),
-                   holds_at_ends(body, said))
+        return cls(said.name, leads(body, said.heard, SHIFTS), said.pitch, pitch.trunk_speed(body))
 
     @property
     def at_once(self) -> float:
@@ -77,37 +66,20 @@ class Timed:
 
 PAIRED: Mapping[str, Callable[[Timed], float]] = {
     "pitch with trunk speed, no lag, r": lambda clip: clip.at_once,
-    "first movement before the voice, % above chance": lambda clip: clip.first.before - clip.first.chance,
-    "hand held at phrase ends, % above chance": lambda clip: clip.ends[0] - clip.ends[1]}
-
-
-def holds_at_ends(body: CommonBody, said: AcceptanceVoice) -> tuple[float, float]:
-    """Percentage of phrase ends at which a raised hand is held, and its mean under `SHIFTS` circular shifts of the
-    motion; NaN without such ends."""
-    speed = hand_speeds(body)
-    hold = np.zeros(len(speed), bool)
-    for hand in (0, 1):
-        hold |= lasting(speed[:, hand] < HELD, HOLD) & (body.hands[:, hand, 1] > HANGS)
-    begins = stats.runs(lasting(silent_frames(said.heard, len(speed)), PAUSE))[:, 0]
-    begins = begins[(begins > HZ) & (begins < len(speed) - HZ)]
-    if not len(begins) or len(speed) < 10 * HZ:
-        return math.nan, math.nan
-    at = begins[:, None] + np.arange(*(round(edge * HZ) for edge in _NEAR_END))
-    shifts = np.random.default_rng(1).integers(round(HZ), len(speed) - round(HZ), SHIFTS)
-    real, *shifted = (100.0 * float((np.roll(hold, shift)[at].mean(axis=1) >= _LEAST_HELD).mean())
-                      for shift in (0, *shifts.tolist()))
-    return real, float(np.mean(shifted))
+    "first movement before the voice, % above chance": lambda clip: clip.first.before - clip.first.chance}
 
 
 def figures(timed: Sequence[Timed]) -> dict[str, Interval]:
     """The rows of `TITLES`. p-values are undefined for renderings of a single voice, that of pitch for fewer than
     `FEWEST`."""
+    # The same voice several times is one draw of its sound: p-values need different voices.
     pooled, voices = Leads.pooled([clip.first for clip in timed]), len({clip.name for clip in timed})
     count = len(pooled.seconds)
     coupled = coupling(timed)
     first = {FIRST: pooled.before, FIRST_CHANCE: pooled.chance, FIRST_P: pooled.p if voices > 1 else math.nan}
     out = {name: Interval.exact(value, count) for name, value in first.items()}
     if coupled is not None:
+        # Of few voices most exchanges are the identity for some, and the test cannot reject.
         exchanged = float(np.percentile(coupled.chance, 95)) if voices >= FEWEST and len(coupled.chance) else math.nan
         out |= {name: Interval.exact(value, len(timed)) for name, value in (
             (PITCH, coupled.best), (PITCH_LAG, coupled.lag), (PITCH_CHANCE, exchanged),

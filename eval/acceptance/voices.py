@@ -10,18 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from data_module.blocks import cut
-from data_module.types import Array, Motion
 from eval.acceptance import timing
 from eval.acceptance.bounds import Measured, Results, bounds_of, mark
 from eval.acceptance.timing import Timed
-from eval.metrics import EYE_METRICS, eye, pmb
-from eval.metrics.eye import ReferenceSpace, VoiceActivity, common_body, voice
+from eval.metrics import EYE_METRICS, eye
+from eval.metrics.eye import ReferenceSpace
 from eval.metrics.eye.sample import CORPUS, POOLED, TO_CORPUS, EyeSample, heading
-from eval.metrics.fgd import frechet_distance
-from eval.metrics.mismatch import Mismatch, mismatch, wrapped
 from eval.renderings import TEST, AcceptanceVoice, Pair, RenderedSystem
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
@@ -30,9 +25,6 @@ OURS, REAL, WITHOUT_SOUND = "ours", "real take", "statistical"
 """`WITHOUT_SOUND`: the bundle with an interpreter that ignores the sound."""
 ON_TAKE, ON_TEST = "BEAT voice", "test split"
 """Sets of stimuli: the voice of the real take, and those of the store's test split."""
-PIECE, LEAST_PIECE = 20.0, 8.0
-"""Seconds of a piece of the mismatch test, and of the last one of a voice."""
-HALVINGS = 200
 SHOWN = ("eye_hand_height_correlation", "eye_hand_speed_correlation", "eye_one_handed", "eye_one_hanging", "eye_head",
          "eye_chest", *(f"eye_speed_{percent}" for percent in eye.hands.PERCENTILES), "eye_stroke_amplitude",
          "eye_stroke_amplitude_90", "eye_seam", TO_CORPUS, POOLED, "eye_frechet", "eye_above_1", "eye_rolled_1",
@@ -56,64 +48,10 @@ def own_motion(voices: Sequence[AcceptanceVoice], space: ReferenceSpace | None) 
     sample = EyeSample()
     for spoken in voices:
         if spoken.own is not None:
+            # Nothing was joined in a real take; a corpus is judged at the seams that a system would have made.
             edges = cut(spoken.speech).edges if spoken.place == TEST else None
             sample.add(spoken.own, spoken.heard, edges, space, group=spoken.group or spoken.name)
     return sample
-
-
-def halves(corpus: EyeSample, space: ReferenceSpace) -> Interval:
-    """How far one half of the corpus' recordings lies from the other, over `HALVINGS` ways to halve them.
-
-    It is what a distance between so few recordings is by chance; the interval holds 95 % of the ways.
-    """
-    windows, rng = [space.see(each) for each in corpus.windows], np.random.default_rng(0)
-    if len(windows) < 2:
-        return Interval.undefined(len(windows))
-    distances = []
-    for _ in range(HALVINGS):
-        order = rng.permutation(len(windows))
-        first, second = (eye.frechet.moments_of(np.concatenate([windows[k] for k in half]))
-                         for half in (order[:len(windows) // 2], order[len(windows) // 2:]))
-        if first is None or second is None:  # fewer windows than a covariance takes
-            return Interval.undefined(len(windows))
-        distances.append(frechet_distance(first, second))
-    # The spread of the halvings themselves, not of their mean: it is the range of distances that chance gives.
-    low, high = np.percentile(distances, [2.5, 97.5])
-    return Interval(float(np.mean(distances)), float(low), float(high), len(windows))
-
-
-def mismatches(pieces: Sequence[tuple[Motion, VoiceActivity]]) -> tuple[Mismatch, Mismatch]:
-    """Is the right sound preferred to another's, by PMB at 0.1 s of each detector? Motion and sound are cut into
-    pieces of `PIECE`; another's onsets go round and round until they are as long."""
-    beats: list[tuple[Array, Array]] = []
-    onsets: list[tuple[Array, Array]] = []
-    lengths: list[float] = []
-    for motion, activity in pieces:
-        hands = common_body(motion).hands
-        detected = voice.hand_beats(hands), voice.summed_beats(hands)
-        length = min(motion.duration, activity.duration)
-        for start in np.arange(0.0, max(length - LEAST_PIECE, 0.1), PIECE):
-            stop = min(start + PIECE, length)
-            first, second = (times[(times >= start) & (times < stop)] - start for times in detected)
-            beats.append((first, second))
-            first, second = (times[(times >= start) & (times < stop)] - start for times in activity.onsets)
-            onsets.append((first, second))
-            lengths.append(stop - start)
-
-    def table(detector: int) -> Array:
-        return np.array([[pmb.pmb(moved[detector], wrapped(said[detector], length, duration), voice.DELTA)
-                          for said, length in zip(onsets, lengths, strict=True)]
-                         for moved, duration in zip(beats, lengths, strict=True)])
-
-    return mismatch(table(0)), mismatch(table(1))
-
-
-def mismatch_figure(pieces: Sequence[tuple[Motion, VoiceActivity]]) -> Measured:
-    """p of the first detector; real people are at chance in it."""
-    first, second = mismatches(pieces)
-    remark = (f"right {first.right:.0f} %, wrong {first.wrong:.0f} %, {first.difference.n} pieces; second detector p "
-              f"{second.p_value:.4f}")
-    return Measured(Interval.exact(first.p_value, first.difference.n), first.reason or remark)
 
 
 def renderings_on(system: RenderedSystem, voices: Sequence[AcceptanceVoice], renderings: int
@@ -132,6 +70,7 @@ def comparison(on: str, figures: Mapping[str, Mapping[str, Interval]]) -> Table:
     cells: dict[str, dict[str, Cell]] = {}
     for row in rows:
         digits, limits = _digits(row), bounds.get(row)
+        # A limit that is relative to another set differs from column to column, so none is printed beside the row.
         plain = limits is not None and not (limits.over or limits.limit)
         cells[timing.TITLES.get(row) or heading(row)] = {
             "bound": limits.bound.text(digits) if limits is not None and plain else "",
@@ -151,48 +90,32 @@ def measure(systems: Sequence[RenderedSystem], voices: Sequence[AcceptanceVoice]
             space: ReferenceSpace | None) -> tuple[Results, list[Table]]:
     """The group `motion` of the first system, and tables of all beside each other."""
     takes, tests = ([voice for voice in voices if (voice.place == TEST) == test] for test in (False, True))
-    corpus = own_motion(tests, space) if tests else None
+    corpus, real = own_motion(tests, space) if tests else None, own_motion(takes, space)
     results: Results = {}
-    tables, pieces = [], []
+    tables = []
     for on, chosen in ((ON_TAKE, takes), (ON_TEST, tests)):
         if not chosen:
             continue
-        figures, paired, pairs = _measured(systems, chosen, renderings, space, corpus)
+        figures: dict[str, Intervals] = {}
+        timed: dict[str, list[Timed]] = {}
+        for system in systems:
+            pairs = renderings_on(system, chosen, renderings)
+            if pairs:
+                timed[system.name] = [Timed.of(rendering.motion, voice) for voice, (rendering, _) in pairs]
+                figures[system.name] = {**sample_of(pairs, space).figures(space, corpus),
+                                        **timing.figures(timed[system.name])}
         if corpus is not None:
             figures[CORPUS] = _own_figures(tests, corpus, space, corpus)
             results |= {(name, CORPUS): Measured(value) for name, value in figures[CORPUS].items()}
-        real = own_motion(takes, space)
         if real.windows:
             figures[REAL] = _own_figures(takes, real, space, corpus)
+        # Without a store or a space some figures are not there at all: their rows say why instead of vanishing.
+        results |= {(name, on): Measured() for name in (timing.PITCH_P, POOLED, TO_CORPUS)}
         results |= {(name, on): Measured(value) for name, value in figures[OURS].items()}
-        results |= {(name, on): Measured() for name in (timing.PITCH_P, POOLED, TO_CORPUS)
-                    if name not in figures[OURS]}
-        tables += [comparison(on, figures), *paired]
-        pieces += pairs
-    if corpus is not None:
-        results["halves", ON_TEST] = Measured(Interval.undefined() if space is None else halves(corpus, space),
-                                              f"halved at random in {HALVINGS} ways")
-    return results | {("mismatch_p", ""): mismatch_figure(pieces)}, tables
-
-
-def _measured(systems: Sequence[RenderedSystem], voices: Sequence[AcceptanceVoice], renderings: int,
-              space: ReferenceSpace | None, corpus: EyeSample | None
-              ) -> tuple[dict[str, Intervals], list[Table], list[tuple[Motion, VoiceActivity]]]:
-    """The figures of every system that has motion for these voices; the first system paired with the others; and its
-    motion with the sound, each voice once, as the same voice twice would be its own wrong sound."""
-    figures: dict[str, Intervals] = {}
-    timed: dict[str, list[Timed]] = {}
-    once: dict[str, tuple[Motion, VoiceActivity]] = {}
-    for system in systems:
-        pairs = renderings_on(system, voices, renderings)
-        if system.name == OURS:
-            once = {voice.name: (rendering.motion, voice.heard) for voice, (rendering, _) in reversed(pairs)}
-        if pairs:
-            timed[system.name] = [Timed.of(rendering.motion, voice) for voice, (rendering, _) in pairs]
-            figures[system.name] = {**sample_of(pairs, space).figures(space, corpus),
-                                    **timing.figures(timed[system.name])}
-    beside = [timing.paired_table(timed, OURS)] if len(voices) > 1 else []
-    return figures, beside, list(once.values())
+        tables.append(comparison(on, figures))
+        if len(chosen) > 1:
+            tables.append(timing.paired_table(timed, OURS))
+    return results, tables
 
 
 def _own_figures(voices: Sequence[AcceptanceVoice], sample: EyeSample, space: ReferenceSpace | None,

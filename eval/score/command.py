@@ -1,13 +1,13 @@
 """`gesticulator score`: real, generated and foreign motion side by side, on the same clips, with the controls.
 
     gesticulator score --truth DIR --system NAME=DIR ... [--speech DIR] [--fgd FOLDER] [--work DIR] [--bundle DIR]
-                       [--units STORE] [--split test] [--piece SECONDS] [--rate FPS] [--fps NAME=RATE]
+                       [--units STORE] [--split test] [--piece SECONDS] [--fps NAME=RATE]
                        [--out results/score.json]
 
 Every DIR holds motion by clip (see `eval.clip.foreign` for what can be read), or is a store, of which one split counts,
 or a bundle, which is played for the sounds of the truth; clips are matched by their names, only those that all have are
 read, and what does not match is named. All motion is brought onto the 16-joint character, to the lowest frame rate
-among them (or --rate) and, clip by clip, to the shortest length. Each figure is a mean over clips with its bootstrap 95
+among them and, clip by clip, to the shortest length. Each figure is a mean over clips with its bootstrap 95
 % interval, or of the set of clips, with the basic bootstrap's; systems are compared in pairs over the same clips.
 `eval.metrics.METRICS` lists the figures.
 
@@ -70,11 +70,12 @@ from eval.metrics.gesture_features import (
 )
 from eval.metrics.mismatch import Mismatch, matrix, mismatch
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
-from eval.score.groups import group_table, sounds_of
-from eval.score.played_rows import PlayedBundle, unit_selection_row
+from eval.score.played_rows import PlayedBundle, group_table, sounds_of, unit_selection_row
 from eval.score.tables import BOBBING, FLOOR, NO_FLOOR, STILL, Figures, Flag, Scores, tables
 from eval.stats import Indices, Interval
 from eval.table import Marked, Table, publish
+from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.files import bundle_folder
 
 RAW_FRAMES = (34, 60)
 """Windows of the raw directions, at 15 fps, where networks of two lengths are not to be had."""
@@ -150,6 +151,7 @@ class ScoredClips:
         first, second = (np.array([speed_histogram(hand_speeds(motion)) for motion in clips])
                         for clips in (motions, speakers))
         row.sets["speed_distance"] = lambda chosen: hellinger(first[chosen].sum(0), second[chosen].sum(0))
+        # Last, as it is the only part that may have no lexicon to measure with.
         self._lexemes(row)
         return row
 
@@ -196,6 +198,7 @@ def control_rows(clips: ClipSet, seed: int, voices: Sequence[eye.VoiceActivity |
     """Each control's motions, and why one could not be made. voices: of each clip, None where its speech is
     not known; without any nothing bobs."""
     truth, notes = clips.motions[TRUTH], []
+    # A control that cannot be made leaves a note and not a gap: its silence would look like a pass.
     controls = {STILL: baselines.mean_pose(truth)}
     groups: list[str] | None = clips.groups
     try:
@@ -247,6 +250,7 @@ def floor_figures(truth: ScoreRow, shared: ScoredClips) -> tuple[dict[str, Marke
     """Distances between two halves of the truth; what is no distance between sets has none."""
     context = shared.context
     out = {name: Marked(Interval.undefined(), reason=NO_FLOOR) for name in (*CLIP_METRICS, *EYE_METRICS, *SET_METRICS)}
+    # Halves come back as motions; their numbers are wanted, since features were computed once for all.
     place = {id(motion): k for k, motion in enumerate(truth.motions)}
     groups = shared.clips.groups if len(set(shared.clips.groups)) > 1 else None
     try:
@@ -284,6 +288,7 @@ def _less(first: Callable[[Indices], float], second: Callable[[Indices], float])
 def mismatches(rows: Sequence[ScoreRow], shared: ScoredClips) -> dict[str, dict[str, Mismatch]]:
     """The mismatch test of each row by each metric of synchrony."""
     known = [k for k, track in enumerate(shared.tracks) if track is not None]
+    # All pairs of n clips are n squared tests, so a large set is thinned evenly.
     few = [known[k] for k in np.unique(np.linspace(0, len(known) - 1, min(MOST, len(known))).round().astype(int))]
     tracks = [track for k in few if (track := shared.tracks[k]) is not None]
 
@@ -310,6 +315,7 @@ def flags(rows: Mapping[str, ScoreRow], figures: Figures, metrics: Mapping[str, 
         for control in (row for row in rows.values() if row.kind == "control"):
             says = _against_truth(name, metric, control, rows[TRUTH], figures, seed)
             badness = _badness(metric, figures, name, control.name)
+            # "Beats" and "as good as" apart from rounding: files hold six digits.
             theirs = {system: _badness(metric, figures, name, system) for system in systems}
             beaten = [system for system, value in theirs.items() if _below(badness, value)]
             alike = [system for system, value in theirs.items() if math.isfinite(badness) and math.isfinite(value)
@@ -357,21 +363,21 @@ def _against_truth(name: str, metric: Metric, control: ScoreRow, truth: ScoreRow
     return []
 
 
-def score(context: EvalContext, clips: ClipSet, *, with_controls: bool = True) -> Scores:
+def score(context: EvalContext, clips: ClipSet) -> Scores:
     """Measure all rows on the same clips."""
     shared, seed = ScoredClips.of(context, clips), context.seed
-    controls, notes = control_rows(clips, seed, shared.voices) if with_controls else ({}, [])
+    controls, notes = control_rows(clips, seed, shared.voices)
     rows = {name: shared.row(name, TRUTH if name == TRUTH else "system", motions)
             for name, motions in clips.motions.items()}
     rows |= {name: shared.row(name, "control", motions) for name, motions in controls.items()}
     both = {name: row_figures(row, rows[TRUTH], context) for name, row in rows.items()}
-    if with_controls:
-        both[FLOOR] = floor_figures(rows[TRUTH], shared)
+    both[FLOOR] = floor_figures(rows[TRUTH], shared)
     figures = {name: pair[0] for name, pair in both.items()}
     distances = {name: pair[1] for name, pair in both.items()}
     metrics = {**CLIP_METRICS, **EYE_METRICS, **SET_METRICS,
                **{key: replace(METRICS["fgd"], about=f"FGD, {key}") for key in context.networks}}
     systems = [row for row in rows.values() if row.kind == "system"]
+    # Differences are of systems alone: what a control differs by is said by its flags.
     return Scores(
         clips.names, round(clips.seconds, 2), clips.fps, metrics,
         {name: rows[name].kind if name in rows else "floor" for name in both}, figures,
@@ -387,6 +393,7 @@ def networks_of(fgd_folder: Path | None, work: Path | None, truth: Path) -> dict
     """The feature spaces of FGD, two window lengths at least: the papers' network (fgd_folder), our own in work
     (trained there on the truth's training split where it is a store), and raw directions for lengths that lack."""
     chosen: list[Features] = [published(fgd_folder)] if fgd_folder else []
+    # A network that was trained before is used again; another training would give distances of another scale.
     folders = sorted(file.parent for file in work.rglob("gesture_features.safetensors")) if work is not None else []
     if work is not None and not folders and (truth / "store.json").is_file():
         work.mkdir(parents=True, exist_ok=True)
@@ -459,12 +466,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "in --work measures the reward (a folder, default or paper)")
     add("--split", default="test", choices=(*SPLITS, "all"), help="split of the store to compare (default: test)")
     add("--piece", metavar="SECONDS", help="cut long clips into pieces of this length")
-    add("--rate", metavar="FPS", help="frame rate of the comparison (default: the lowest of all)")
     add("--fps", action="append", default=[], metavar="NAME=RATE",
         help="frame rate of a system's files, or truth=RATE, if they state none or a wrong one")
     add("--units", metavar="STORE",
         help="add unit selection from this store's training split, the baseline that a system has to beat")
-    add("--no-controls", action="store_true", help="leave out the negative controls")
     add("--seed", type=int, default=0)
     add("--out", type=Path, metavar="FILE.json", help="output file; a .md is written beside it")
 
@@ -473,25 +478,20 @@ def scored(arguments: argparse.Namespace) -> Scores:
     """All figures of the command; InputError for input that cannot be used."""
     if arguments.truth is None:
         raise InputError("--truth", "is missing", "name a folder of motion or a store, or compare by --group")
-    rate, piece = (None if value is None else _positive(name, value)
-                   for name, value in (("--rate", arguments.rate), ("--piece", arguments.piece)))
+    piece = None if arguments.piece is None else _positive("--piece", arguments.piece)
     bundle = None
     if arguments.bundle:
-        from gesticulator.bundle import bundle as bundles
-        from gesticulator.bundle.files import bundle_folder
-
-        bundle = with_judges(bundles.load(bundle_folder(arguments.bundle)),
-                             arguments.work)
+        bundle = with_judges(bundles.load(bundle_folder(arguments.bundle)), arguments.work)
         # A bundle of RACER's own codec has no lexicon of the kind that these figures are of.
         _ = bundle.block_lexicon
     folders, left_out = read_all(arguments)
     if arguments.units:
         folders[UNITS] = unit_selection_row(folders[TRUTH], Store.open(arguments.units), arguments.work, arguments.seed)
     networks = networks_of(arguments.fgd, arguments.work, arguments.truth)
-    clips = common_clips(folders, rate, piece)
+    clips = common_clips(folders, piece=piece)
     clips.notes[:0] = left_out
     context = EvalContext(models=bundle, networks=networks, seed=arguments.seed)
-    return score(context, clips, with_controls=not arguments.no_controls)
+    return score(context, clips)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -77,6 +77,7 @@ def tables(scores: Scores) -> list[Table]:
     out = [_about(scores)]
     for part, title in _PARTS.items():
         metrics = {name: metric for name, metric in scores.metrics.items() if metric.part == part}
+        # The floor is of distances between sets; in the other parts its row would be empty.
         rows = {name: row for name, row in scores.figures.items() if part in ("sets", "fgd") or name != FLOOR}
         if metrics:
             columns = {name: Column(f"{metric.about}{' (!)' if name in flagged else ''}",
@@ -93,8 +94,7 @@ def _about(scores: Scores) -> Table:
     few = f" Fewer than {FEW} clips: the intervals are too narrow." if clips < FEW else ""
     rows: dict[str, str] = {TRUTH: _ROWS[TRUTH]} | {name: "judged" for name, kind in kinds.items() if kind == "system"}
     rows |= {name: f"{_ROWS[name]} (control, known to be wrong)" for name, kind in kinds.items() if kind == "control"}
-    if FLOOR in kinds:
-        rows[FLOOR] = "as far apart as two sets of real motion of this size are"
+    rows[FLOOR] = "as far apart as two sets of real motion of this size are"
     if scores.differences:
         rows["A - B"] = "the difference of two systems, paired over clips"
     facts = {"clips": list(scores.clips), "seconds": scores.seconds, "fps": scores.fps, "notes": list(scores.notes),
@@ -146,9 +146,6 @@ def _fgd_table(scores: Scores) -> Table:
 def _flag_table(scores: Scores) -> Table:
     """Which metrics cannot be trusted."""
     title, column = "Metrics that a control beats", {"says": Column("by what")}
-    if "control" not in scores.kinds.values():
-        return Table(title, {}, {}, notes=["No controls were measured, so nothing here says which metric can be "
-                                           "trusted."])
     lines: dict[str, list[str]] = {}
     for flag in scores.flags:
         lines.setdefault(scores.metrics[flag.metric].heading, []).append(f"*{flag.control}* {flag.says}")
@@ -159,6 +156,7 @@ def _flag_table(scores: Scores) -> Table:
 
 def _reason_tables(scores: Scores) -> list[Table]:
     """Why figures are undefined, if any are; by reason."""
+    # By reason and rows first: one line for twenty metrics that lack the same speech.
     lacking: dict[tuple[str, str], list[str]] = {}
     for metric, column in scores.metrics.items():
         cells = {name: row[metric] for name, row in scores.figures.items() if metric in row and column.part != "fgd"}

@@ -18,8 +18,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
@@ -36,23 +37,25 @@ _CONSTANT = 5
 """So many answers or more, all alike, name a rater."""
 _LOWEST, _MOST_STEPS = 0, 100
 """The first step of a scale at least, and how many follow: each is a column of the tables."""
-_MOST_QUESTIONS = 1_000_000
-"""Clips x systems x aspects that one study may have at most."""
-_MOST_RATINGS = 50_000_000
-"""Questions x raters, 8 bytes each."""
 _SHARE = (LEVEL[1] - LEVEL[0]) / 100
 
 
-@dataclass(frozen=True)
-class Key:
-    """The secret of a study: items maps an opaque id to (clip, system), both as numbers."""
+class KeyItem(msgspec.Struct, frozen=True):
+    """What an opaque id stands for: the number of a clip and the name of a system."""
+
+    clip: int
+    system: str
+
+
+class Key(msgspec.Struct, frozen=True):
+    """The secret of a study, key.json. items: every clip by every system, under its opaque id."""
 
     study: str
-    systems: tuple[str, ...]
-    aspects: tuple[str, ...]
-    clips: int
+    systems: Annotated[tuple[str, ...], msgspec.Meta(min_length=2)]
+    aspects: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
+    clips: tuple[Any, ...]
     scale: tuple[int, int]
-    items: dict[str, tuple[int, int]]
+    items: dict[str, KeyItem]
 
 
 @dataclass(frozen=True)
@@ -78,38 +81,21 @@ class Ratings:
 
 def read_key(path: Path) -> Key:
     """The key that `study make` wrote; InputError for anything else."""
-    document = _json(path)
+    document = read_json(path, "give the file that was saved")
     try:
-        systems, aspects = _names(document["systems"]), _names(document["aspects"])
-        low, high = map(_whole, document["scale"])
-        items = {name: (_whole(item["clip"]), systems.index(item["system"]))
-                 for name, item in document["items"].items()}
-        clips = len(document["clips"])
-        if len(systems) < 2 or not aspects or not all(0 <= clip < clips for clip, _ in items.values()):
-            raise ValueError("an item belongs to no clip")
-        if not isinstance(document["study"], str) or clips * len(systems) * len(aspects) > _MOST_QUESTIONS:
-            raise ValueError("no study")
-    except (KeyError, TypeError, ValueError, AttributeError):
+        key = msgspec.convert(document, Key)
+        known = {(item.clip, key.systems.index(item.system)) for item in key.items.values()}
+        # Every clip by every system: what the tables need, and no more than the file itself names.
+        if known != {*itertools.product(range(min(len(key.clips), len(key.items))), range(len(key.systems)))} or any(
+                len(set(names)) < len(names) for names in (key.systems, key.aspects)):
+            raise ValueError("an item is missing, or a name is there twice")
+    except (msgspec.ValidationError, ValueError):
         raise InputError(path, "is not the key of a study", "give the key.json that `study make` wrote") from None
+    low, high = key.scale
     if not _LOWEST <= low < high <= _LOWEST + _MOST_STEPS:
         raise InputError(path, f"has a scale from {shown(low, 12)} to {shown(high, 12)}",
                          f"give whole numbers from {_LOWEST} to {_LOWEST + _MOST_STEPS}, the lesser first")
-    return Key(document["study"], systems, aspects, clips, (low, high), items)
-
-
-def _names(values: Any) -> tuple[str, ...]:
-    """Different names; TypeError or ValueError for anything else."""
-    if not isinstance(values, list) or not all(isinstance(value, str) for value in values):
-        raise TypeError("no names")
-    if len(set(values)) != len(values):
-        raise ValueError("a name is there twice")
-    return tuple(values)
-
-
-def _whole(value: Any) -> int:
-    if not isinstance(value, int) or isinstance(value, bool):
-        raise TypeError("no whole number")
-    return value
+    return key
 
 
 def read_answers(paths: Sequence[Path], key: Key) -> list[Answer]:
@@ -122,7 +108,7 @@ def _rows(path: Path) -> list[dict[str, Any]]:
         if path.suffix.lower() == ".csv":
             table = csv.DictReader(io.StringIO(read_text(path, "give the file that was saved")))
             return [{name: row[name] for name in COLUMNS} for row in table]
-        document = _json(path)
+        document = read_json(path, "give the file that was saved")
         return [{"study": document["study"], "rater": document["rater"], "item": str(answer["item"]), "aspect": aspect,
                  "rating": rating} for answer in document["answers"] for aspect, rating in answer["ratings"].items()]
     except (KeyError, TypeError, AttributeError, csv.Error):
@@ -149,16 +135,12 @@ def _answer(row: Mapping[str, Any], key: Key, path: Path) -> Answer:
     return Answer(rater, row["item"], row["aspect"], int(rating), str(path))
 
 
-def _json(path: Path) -> Any:
-    return read_json(path, "give the file that was saved")
-
-
 def gather(answers: Sequence[Answer], key: Key, without: Sequence[str] = ()) -> Ratings:
     """The answers as a table, checked.
 
-    A rating that is there twice, alike, counts once and is noted; twice and different is an InputError, for two raters
-    must have used one number. Missing answers and raters who say one thing throughout are noted; the latter stay in
-    unless `without` names them.
+    A rating that is there twice, alike, counts once; twice and different is an InputError, for two raters must have
+    used one number. Missing answers and raters who say one thing throughout are noted; the latter stay in unless
+    `without` names them.
     """
     unknown = sorted(set(without) - {answer.rater for answer in answers})
     if unknown:
@@ -166,13 +148,14 @@ def gather(answers: Sequence[Answer], key: Key, without: Sequence[str] = ()) -> 
     counted = [answer for answer in answers if answer.rater not in without]
     if not counted:
         raise InputError("ratings", "hold no answer", "give what the raters saved")
+    # By length first, so that rater 10 comes after rater 9.
     raters = tuple(sorted({answer.rater for answer in counted}, key=lambda name: (len(name), name)))
-    if len(raters) * key.clips * len(key.systems) * len(key.aspects) > _MOST_RATINGS:
-        raise InputError("ratings", f"name {len(raters)} raters", "give what the raters of this study saved")
-    values = np.full((len(raters), key.clips, len(key.systems), len(key.aspects)), np.nan)
+    values = np.full((len(raters), len(key.clips), len(key.systems), len(key.aspects)), np.nan)
     doubled: Counter[str] = Counter()
     for answer in counted:
-        place = raters.index(answer.rater), *key.items[answer.item], key.aspects.index(answer.aspect)
+        item = key.items[answer.item]
+        place = (raters.index(answer.rater), item.clip, key.systems.index(item.system),
+                 key.aspects.index(answer.aspect))
         known = bool(np.isfinite(values[place]))
         doubled[answer.rater] += known
         if known and values[place] != answer.rating:
@@ -216,6 +199,7 @@ def one_way(groups: Sequence[Array]) -> Anova:
     df = len(groups) - 1, sum(map(len, groups)) - len(groups)
     if min(map(len, groups)) < 2:
         return Anova(math.nan, math.nan, df, math.nan, "a system has fewer than two ratings")
+    # Without spread inside the systems F is infinite and says nothing.
     within = sum(float(((group - group.mean()) ** 2).sum()) for group in groups)
     if within == 0:
         return Anova(math.nan, math.nan, df, math.nan, "no system's ratings differ among themselves")
@@ -252,9 +236,9 @@ def _t_interval(ratings: Array) -> Interval:
 def tables(ratings: Ratings, seed: int = 0) -> list[Table]:
     """For each aspect its systems and their pairs."""
     key, out = ratings.key, list[Table]()
-    about = (f"Study {key.study}: {len(ratings.raters)} raters, {key.clips} clips, {len(key.systems)} systems, ratings "
-             f"from {key.scale[0]} (worst) to {key.scale[1]} (best). Intervals are of 95 %: t takes every rating as "
-             "independent, the bootstrap draws raters and clips anew.")
+    about = (f"Study {key.study}: {len(ratings.raters)} raters, {len(key.clips)} clips, {len(key.systems)} systems, "
+             f"ratings from {key.scale[0]} (worst) to {key.scale[1]} (best). Intervals are of 95 %: t takes every "
+             "rating as independent, the bootstrap draws raters and clips anew.")
     for number, aspect in enumerate(key.aspects):
         values = ratings.values[..., number]
         groups = [of_system[np.isfinite(of_system)] for of_system in np.moveaxis(values, 2, 0)]
@@ -284,6 +268,7 @@ def _systems(title: str, key: Key, values: Array, groups: Sequence[Array], means
 def _pairs(title: str, names: Sequence[str], groups: Sequence[Array], means: Array, raters: int) -> Table:
     """Tukey's test for each pair of systems, and the bootstrap interval of their difference from means [draws, K]."""
     columns = {"tukey": Column("difference, Tukey"), "p": Column("p"), "bootstrap": Column("difference, bootstrap")}
+    # Where the analysis of variance is undefined Tukey's test is too; the bootstrap is not.
     test = None if one_way(groups).reason else stats.tukey_hsd(*groups)
     rows: dict[str, dict[str, Cell]] = {}
     for a, b in itertools.combinations(range(len(groups)), 2):

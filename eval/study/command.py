@@ -22,11 +22,14 @@ import argparse
 import base64
 import hashlib
 import json
+import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +42,7 @@ from data_module.speech.silence import FRAME, pauses, silent_frames
 from data_module.types import Motion, Speech
 from eval.clip.foreign import find_sound, named
 from eval.study import anova
-from eval.study.page import FPS, STEPS_PER_METRE, encoded_points, page_of
-from eval.table import Provenance, Table, publish
+from eval.table import Provenance, publish
 from gesticulator.cli import PROGRAM
 from gesticulator.export import film, sound
 from gesticulator.export.figure import figure_points
@@ -59,7 +61,13 @@ SCALE = (1, 5)
 ENOUGH_SPEECH = 0.6
 """Share of a clip that must lie outside pauses."""
 _FADE = 0.03
+"""Seconds of the fades at the ends of a clip's sound."""
 _ALIKE = 0.9
+"""Correlation from which two sound files are of one recording."""
+FPS = 30
+STEPS_PER_METRE = 8192
+"""Places travel as int16: an eighth of a millimetre, up to 4 m away."""
+_SLOT = re.compile(r"\{\{([a-z_]+)\}\}")
 
 
 @dataclass(frozen=True)
@@ -126,6 +134,7 @@ def read_takes(systems: Mapping[str, Path]) -> list[StudyTake]:
                         if file.suffix.lower() == ".bvh" and (sound_file := find_sound(folder, file.stem))})
         if not folders[-1]:
             raise InputError(folder, "has no BVH file with a sound file of the same name", "put both there")
+    # Only recordings of all systems: raters compare versions of one clip.
     common = sorted(set.intersection(*map(set, folders)))
     if not common:
         raise InputError("--systems", "have no recording in common", "use the same file names in each folder")
@@ -155,6 +164,7 @@ def choose_clips(takes: Sequence[StudyTake], count: int, seconds: float, seed: i
     rng = np.random.default_rng(seed)
     offered: list[list[StudyClip]] = []
     for number, take in enumerate(takes):
+        # A random shift, so that the seed chooses stretches and not only their order.
         slots = int((take.seconds + 1e-6) // seconds)
         shift = rng.uniform(0.0, max(take.seconds - slots * seconds, 0.0))
         loud = ~pauses(silent_frames(take.speech.samples, take.speech.sample_rate))
@@ -177,6 +187,7 @@ def choose_clips(takes: Sequence[StudyTake], count: int, seconds: float, seed: i
 def williams(n: int) -> NDArray[np.int64]:
     """[n or 2 n, n] orders of n things: each comes in each place, and right after each other one, equally often."""
     first = np.array([k // 2 + 1 if k % 2 else -(k // 2) for k in range(n)]) % n
+    # For odd n neighbours balance only together with the rows read backwards.
     rows = (first + np.arange(n)[:, None]) % n
     return rows if n % 2 == 0 else np.concatenate([rows, rows[:, ::-1]])
 
@@ -200,18 +211,17 @@ def orders(systems: int, clips: int, raters: int, seed: int) -> list[list[tuple[
 
 def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
     """Write `out`/page/index.html and `out`/key.json; returns the page. The same input gives the same page and key."""
-    clips, seconds, seed, aspects, videos = (options.clips, options.seconds, options.seed, options.aspects,
-                                             options.videos)
+    clips, seconds, seed, videos = options.clips, options.seconds, options.seed, options.videos
     if videos is not None:
         # What cannot be written is said before minutes of drawing.
         film.format_of(f".{videos}")
-    takes = read_takes(systems)
+    takes, aspects = read_takes(systems), list(options.aspects)
     chosen = choose_clips(takes, clips, seconds, seed)
     # Ids are hashes of the whole sources, which no rater has: knowing the seed and the names would not undo them.
     source = _digest(takes, seed)
     ids = {(c, k): _opaque(source, f"item {c} {k}") for c in range(clips) for k in range(len(systems))}
-    study = _opaque(source, f"study {clips} {seconds:g} {list(aspects)}")
-    key = {"study": study, "seed": seed, "seconds": float(seconds), "scale": SCALE, "aspects": list(aspects),
+    study = _opaque(source, f"study {clips} {seconds:g} {aspects}")
+    key = {"study": study, "seed": seed, "seconds": float(seconds), "scale": SCALE, "aspects": aspects,
            "systems": list(systems),
            "clips": [{"recording": takes[clip.take].name, "start": clip.start, "speech": clip.speech}
                      for clip in chosen],
@@ -236,8 +246,23 @@ def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
     if videos is not None:
         _film({ids[c, k]: (shown[c, k], stretches[c]) for c, k in items}, out / "page", f".{videos}")
     # Videos lie beside the page, on a disk or a server; without them nothing but the page itself is ever read.
-    write_text(out / "page" / "index.html", page_of("study.html", data, "blob:" if videos is None else "'self' file:"))
+    write_text(out / "page" / "index.html", page_of(data, "blob:" if videos is None else "'self' file:"))
     return out / "page" / "index.html"
+
+
+def encoded_points(points: dict[str, NDArray[np.float64]]) -> str:
+    """Places [T, 3] of points, metres, as the page reads them: int16 in base64, frame by frame."""
+    steps = np.round(np.stack(list(points.values()), axis=1) * STEPS_PER_METRE)
+    return base64.b64encode(np.clip(steps, -32768, 32767).astype("<i2").tobytes()).decode()
+
+
+def page_of(data: dict[str, Any], media: str) -> str:
+    """The page with its data, the program that draws the figure, and where its media may come from."""
+    text_of_data = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("</", "<\\u002f")
+    text, figure = ((resources.files("eval") / "assets" / name).read_text(encoding="utf-8")
+                    for name in ("study.html", "figure.js"))
+    parts = {"data": text_of_data, "study": data["study"], "media": media, "figure": figure}
+    return _SLOT.sub(lambda match: parts[match.group(1)], text)
 
 
 def _film(items: dict[str, tuple[dict[str, NDArray[np.float64]], Speech]], folder: Path, suffix: str) -> None:
@@ -255,6 +280,7 @@ def _opaque(source: str, what: str) -> str:
 
 
 def _digest(takes: Sequence[StudyTake], seed: int) -> str:
+    # Names are not enough: the same files with other content must not keep their ids.
     digest = hashlib.sha256(str(seed).encode())
     for take in takes:
         digest.update(take.name.encode() + take.speech.samples.tobytes())
@@ -309,21 +335,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Make the page, or analyse what was saved; InputError for input that cannot be used."""
     if arguments.command == "analyse":
-        publish(_analysed(arguments), arguments.out, Provenance.now(shlex.join([PROGRAM, *sys.argv[1:]])))
+        key = anova.read_key(arguments.key)
+        ratings = anova.gather(anova.read_answers(arguments.ratings, key), key, without=arguments.without)
+        publish(anova.tables(ratings, arguments.seed), arguments.out,
+                Provenance.now(shlex.join([PROGRAM, *sys.argv[1:]])))
         return 0
-    page = _comparison_page(arguments)
+    page = make(parse_systems(arguments.systems), arguments.out, StudyOptions(
+        arguments.clips, arguments.seconds, arguments.seed, arguments.raters, list(dict.fromkeys(arguments.aspects)),
+        arguments.videos))
     print(f"{page} is for the raters (1 to {arguments.raters}: page?rater=7 fills in the number); "
           f"keep {arguments.out / 'key.json'} to yourself")
     return 0
-
-
-def _analysed(arguments: argparse.Namespace) -> list[Table]:
-    key = anova.read_key(arguments.key)
-    ratings = anova.gather(anova.read_answers(arguments.ratings, key), key, without=arguments.without)
-    return list(anova.tables(ratings, arguments.seed))
-
-
-def _comparison_page(arguments: argparse.Namespace) -> Path:
-    return make(parse_systems(arguments.systems), arguments.out, StudyOptions(
-        arguments.clips, arguments.seconds, arguments.seed, arguments.raters, list(dict.fromkeys(arguments.aspects)),
-        arguments.videos))

@@ -90,6 +90,7 @@ class TextSource:
 
         words = WordEncoder.open(self.encoder)
         if words.width + 1 != self.width:
+            # Vectors of another version would fit in shape and mean nothing to the models.
             raise InputError(self.encoder, "is not the word encoder that the bundle was trained with",
                              "install the same version")
         return words
@@ -201,6 +202,7 @@ class Bundle:
         if name not in self.interpreters:
             raise InputError(f"interpreter {name}", "is not in the bundle",
                              f"choose among {', '.join(self.interpreters)}")
+        # With words, the variant that reads them; without one, the audio-only model serves.
         entry = entries()[name]
         part = entry.text_part if text and entry.text_part in self.parts else entry.part
         system = opened(INTERPRETERS.load(name), InterpreterParts(
@@ -222,7 +224,7 @@ class Bundle:
         """The speech-independent interpreter over the same lexicon."""
         from interpreters.statistical import StatisticalInterpreter
 
-        return StatisticalInterpreter(self.frequencies, self.transitions, self.config.statistical)
+        return StatisticalInterpreter(self.frequencies, self.transitions)
 
     def rest_feature(self, speaker: int) -> Tensor:
         """[D_m] the speaker's resting pose, normalised."""
@@ -231,6 +233,7 @@ class Bundle:
     def rest_lexeme(self, speaker: int) -> int:
         """The silent lexeme nearest to standing still in the resting pose (a_0, s_0); any lexeme if none is silent, as
         in RACER's codec."""
+        # At rest in silence a lexeme of stillness is taken, though a moving one may lie nearer.
         allowed = self.silent if len(self.silent) else np.arange(len(self.vectors))
         return int(allowed[int(self.rest_distances[speaker][allowed].argmin())])
 
@@ -253,6 +256,7 @@ def rest_distances(tokens: Tokens, statistics: Statistics) -> NDArray[np.float32
 def statistics_tensors(bundle: Bundle) -> dict[str, Tensor]:
     """The contents of `statistics.safetensors`."""
     s = bundle.statistics
+    # Single precision: in half precision poses would shift by hundredths of a degree.
     arrays = {"mean_pose": s.mean_pose, "rest_pose": s.rest_pose, "deviation": s.deviation, "bounds": s.bounds,
               "frequencies": bundle.frequencies, "transitions": bundle.transitions,
               "rest_distances": bundle.rest_distances}
@@ -277,6 +281,7 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
         for name, module in bundle.parts.items():
             if name in JUDGES:
                 continue
+            # A tied part names its codebook, because lexeme 7 of another one is another gesture.
             part = part_table()[name]
             tied = {TIED: lexicon_hash(bundle.vectors)} if part.tied else None
             save_file(_half(module), folder / f"{part.file}{ENDING}", tied)
@@ -309,6 +314,7 @@ def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
     config = from_dict(Config, index["config"])
     weights = Weights(folder, index["files"])
     table = part_table()
+    # Which parts are optional depends on the settings; the others must be there.
     lacking = [name for name in required(config) if table[name].file not in weights]
     if lacking:
         raise InputError(folder, f"lacks {', '.join(lacking)}", "copy the bundle again")
@@ -331,6 +337,7 @@ def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
 def _usable(device: str | torch.device) -> torch.device:
     """The torch device; `InputError` if torch does not know it or cannot use it here."""
     try:
+        # A tensor is made, because torch accepts names of devices that are not there.
         usable = torch.device(device)
         torch.empty(1, device=usable)
     except (RuntimeError, AssertionError) as error:
@@ -371,6 +378,7 @@ def _statistics(folder: Path, weights: Weights, config: Config, speakers: tuple[
     for name, shape in wanted.items():
         if name not in tensors or tensors[name].shape != shape:
             raise InputError(folder / f"{_STATISTICS}{ENDING}", f"does not fit the settings ({name})", "train it again")
+    # Normalisers are stored flat, as low_mean, low_spread and so on.
     groups = {name: {key.partition("_")[2]: value for key, value in tensors.items() if key.startswith(f"{name}_")}
               for name in ("low", "high", "levels")}
     try:

@@ -44,6 +44,7 @@ def _inspected(given: str | None, settings: bool) -> str:
     from gesticulator.bundle.models import part_table
 
     folder = bundle_folder(given)
+    # Every part is opened for its size, which also checks its hash and its shapes.
     index, bundle = read_index(folder), load(folder)
     sizes = {name: parameter_count(bundle.parts[name]) for name in bundle.parts}
     lines = [f"{folder}: format {index['format']}, preset {bundle.config.name}, made by "
@@ -106,6 +107,7 @@ def _silent(given: str | None, numbers: str | None, out: Path | None) -> str:
             _rewrite(copy, silent)
 
         replace_folder(out, write)
+    # An installed bundle is shared, and an update would undo the edit.
     elif folder.resolve() in {shipped.resolve() for shipped in NAMED.values()}:
         raise InputError(folder, "is shipped with the package and is not changed",
                          "add --out DIR for an edited copy, and use that")
@@ -133,6 +135,7 @@ def _rewrite(folder: Path, silent: Sequence[int]) -> None:
     from gesticulator.bundle.files import INDEX, read_index
 
     index = read_index(folder)
+    # The list of training is kept once; later edits do not overwrite it.
     index["provenance"].setdefault(FOUND, index["silent_lexemes"])
     index["silent_lexemes"] = list(silent)
     write_text(folder / INDEX, json.dumps(index, indent=1, sort_keys=True) + "\n")

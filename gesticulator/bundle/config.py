@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, fields
 from typing import Annotated, Any
 
 from data_module.blocks import BlockSettings
-from data_module.controls import FEATURES
 from data_module.errors import InputError
 from data_module.settings import (
     Count,
@@ -40,7 +39,6 @@ from interpreters.settings import (
     PlannerConfig,
     QConfig,
     RewardConfig,
-    StatisticalConfig,
     StyleConfig,
 )
 from lexicon.settings import FRAMES, LexiconConfig, RacerConfig
@@ -48,7 +46,7 @@ from lexicon.settings import FRAMES, LexiconConfig, RacerConfig
 __all__ = ["BeatSettings", "BlockSettings", "Config", "ControlConfig", "CriticConfig", "EncoderConfig",
            "EpisodeConfig", "FitSettings", "FrontEndConfig", "GateConfig", "GeneratorConfig", "LexiconConfig",
            "LstmConfig", "MotionConfig", "QConfig", "RacerConfig", "RewardConfig", "Schedules", "SelectionConfig",
-           "SilenceConfig", "StatisticalConfig", "StyleConfig", "TextConfig", "digest", "from_dict", "section",
+           "SilenceConfig", "StyleConfig", "TextConfig", "digest", "from_dict", "section",
            "to_dict", "with_settings"]
 
 
@@ -96,22 +94,14 @@ class TextConfig:
 
     encoder: str = ""
     """Word encoder: "minilm", any BERT by name or folder, or empty for audio only."""
-    bridge: NotNegative = 0.15
-    """Gaps between words shorter than this, in seconds, belong to the nearer word."""
 
 
 @dataclass(frozen=True)
 class ControlConfig:
     """Style editing: one generator for all style features, trained with all or some of them omitted (RG 7.2.1)."""
 
-    window: Positive = 4.0
-    """Averaging window of a feature, seconds."""
     free: Share = 0.4
     """Share of training windows without any control."""
-    asked: Share = 0.5
-    """Probability that each feature is controlled in the other windows."""
-    features: Annotated[tuple[str, ...], SettingChoice(FEATURES)] = ("height", "speed", "radius")
-    """Features that can be controlled; the paper uses one at a time."""
 
 
 @dataclass(frozen=True)
@@ -200,8 +190,6 @@ class SelectionConfig:
     standard deviation above the behaviour policy's mean is e^beta times as likely; 0 is the behaviour policy itself.
     Chosen on the validation split with the judging reward, not the one trained on (`gesticulator probe racer --split
     val`)."""
-    top: Natural = 0
-    """Sample among the best `top` only; 0 for all."""
     activity: Share = 1.0
     """How readily the gate lets a block gesture: 1 always, 0 never. With rest by phrases, the share of speech time that
     is gestured."""
@@ -214,24 +202,12 @@ class SelectionConfig:
     words_so_far: bool = False
     """Whether each word is read after those before it alone, without the rest of its sentence: a word that is changed
     then changes nothing before it. Models are trained on whole sentences (RG 4.1.2)."""
-    audio_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.7
-    """Movement: guidance on the audio, extrapolating from the prediction without audio; 0 adds none."""
-    lexeme_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.4
-    """Movement: guidance on the lexeme; 0 adds none."""
-    unit_guidance: Annotated[float, SettingRange(0.0, 20.0)] = 0.5
-    """Movement: guidance on the planner's decision, for heads that take it (`generator.units`); 0 adds none."""
     contrast: Annotated[float, SettingRange(0.0, 4.0)] = 2.0
-    """Movement: how much of the style in the voice is taken from the style code of the prediction that `unit_guidance`
-    leads away from: 0 nothing, so that styles are not guided; 1 all of it; 2 gives it the opposite style."""
+    """Movement: how much of the style in the voice is taken from the style code of the prediction that the guidance
+    on units leads away from: 0 nothing, so that styles are not guided; 1 all of it; 2 gives it the opposite style."""
     reach: Annotated[float, SettingRange(-2.5, 2.5)] = 1.6
     """Movement: added to the style codes' reach, deviations of the training data: above 0 the hands are farther from
     the body, and from each other. Style controls take its place."""
-    noise: Annotated[float, SettingRange(0.0, 2.0)] = 0.76
-    """Movement: standard deviation of the initial noise; below 1 is calmer."""
-    flow_steps: Annotated[int, SettingRange(1, 100)] = 3
-    """Movement: steps of the Adams method from noise to a block."""
-    candidates: Annotated[int, SettingRange(1, 64)] = 4
-    """Movement: candidates sampled for a block, of which the best is kept (`gesticulator.sampling.candidates`)."""
 
 
 @dataclass(frozen=True)
@@ -252,7 +228,6 @@ class Config:
     lexicon: LexiconConfig = field(default_factory=LexiconConfig)
     generator: GeneratorConfig = field(default_factory=GeneratorConfig)
     interpreter: LstmConfig = field(default_factory=LstmConfig)
-    statistical: StatisticalConfig = field(default_factory=StatisticalConfig)
     style: StyleConfig = field(default_factory=StyleConfig)
     gate: GateConfig = field(default_factory=GateConfig)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
@@ -280,6 +255,7 @@ class Config:
     """Each stage derives its seed from this one and its name, so adding a stage changes no other."""
 
     def __post_init__(self) -> None:
+        # Read here, because their classes belong to packages that may not be installed.
         object.__setattr__(self, "others", {name: _other(name, value) for name, value in self.others.items()})
         check(self)
         if not self.lexicon.widths:
@@ -304,6 +280,7 @@ def section(config: Config, name: str) -> Any:
 
 def _other(name: str, value: Any) -> Any:
     """The settings of an interpreter in `Config.others` as an instance of its class; InputError if it is unknown."""
+    # Sections of our own interpreters are fields, and checked like all others.
     kinds = {entry.settings: entry for entry in entries().values()
              if entry.part and entry.settings not in {known.name for known in fields(Config)}}
     if name not in kinds:

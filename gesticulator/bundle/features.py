@@ -52,6 +52,7 @@ class Normaliser:
     @classmethod
     def fit(cls, values: NDArray[np.floating], mask: NDArray[np.bool_] | None = None) -> Normaliser:
         """From values [..., D]; `mask` [...] selects rows."""
+        # Double precision: sums of millions of rows lose digits in single.
         rows = values[mask] if mask is not None else values.reshape(-1, values.shape[-1])
         if len(rows) == 0:
             raise ValueError("a normaliser needs a row at least")
@@ -123,6 +124,7 @@ class Statistics:
 def control_rows(levels: controls.Levels, values: Array, given: NDArray[np.bool_]) -> NDArray[np.float32]:
     """[..., 2 F] control inputs from targets in their units [..., F] and which are given [..., F]: standardised, 0 if
     not given."""
+    # Zero stands for the mean, so a free feature needs a flag to differ from an average one.
     scaled = (values - levels.mean) / levels.spread * given
     return np.concatenate([scaled, np.broadcast_to(given, scaled.shape)], axis=-1).astype(np.float32)
 
@@ -211,6 +213,7 @@ class SpeechFeatures:
     def block(self, i: int) -> SpeechBlock:
         """Everything known when block i is generated."""
         blocks, count = self.blocks, len(self.blocks)
+        # At the ends a block is its own neighbour in durations; its features there are zeros.
         three = (max(i - 1, 0), i, min(i + 1, count - 1))
         before, during, after = (float(blocks.edges[n + 1] - blocks.edges[n]) for n in three)
         was, now, then = (bool(blocks.silent[n]) for n in three)
@@ -294,6 +297,7 @@ def front_end_for(config: Config, encoder: SpeechEncoder | None = None) -> Front
 
 def tempo_column(durations: Array, longest: float, frames: int) -> Features:
     """[N, 3K, 1]: log(duration / longest) of the block before, the block and the block after, on their rows."""
+    # Stretching blocks to one length hides how long they were; this column tells the models.
     logs = np.log(durations / longest)
     padded = np.concatenate([logs[:1], logs, logs[-1:]])
     three = np.stack([padded[:-2], padded[1:-1], padded[2:]], axis=1)
@@ -311,6 +315,7 @@ def encode(stretched: Samples, reference: Array, durations: Array, config: Confi
            ) -> tuple[Features, Features]:
     """Low and high level [N, 3K, d + 1] of blocks stretched to one length [N, L]; one array for both if they are
     equal."""
+    # In chunks: the windows of an hour overlap threefold and would take gigabytes.
     windows = block_module.windows_of(stretched)
     levels = [front.encode(windows[at:at + _CHUNK], reference[at:at + _CHUNK]) for at in range(0, len(windows), _CHUNK)]
     tempo = tempo_column(durations, config.rhythm.beats.d_max, config.rhythm.frames)

@@ -76,6 +76,7 @@ def lexicon_hash(vectors: Tensor) -> str:
 
 def write_index(folder: Path, index: dict[str, Any]) -> None:
     """Write `bundle.json` with the hashes of all files in the folder."""
+    # Stored to be compared when the bundle is read: joints in another order would move the wrong limbs.
     skeleton = _skeleton_of(index["config"])
     index = {"format": FORMAT,
              "made_by": {"gesticulator": __version__, "torch": torch.__version__.split("+")[0],
@@ -92,6 +93,7 @@ def replace_folder(target: Path, write: Callable[[Path], Any]) -> None:
     if not (target / INDEX).is_file() and not is_free(target):
         raise InputError(target, "exists and is not a bundle", "choose another path")
     target.parent.mkdir(parents=True, exist_ok=True)
+    # In the same folder: a rename between file systems is not atomic.
     temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
     try:
         write(temporary)
@@ -101,6 +103,7 @@ def replace_folder(target: Path, write: Callable[[Path], Any]) -> None:
             _sync(file)
         _sync(temporary)
         if target.exists():
+            # A folder cannot be replaced in one step; the old one is moved away for an instant.
             old = temporary.with_name(temporary.name + ".old")
             target.rename(old)
             temporary.rename(target)
@@ -138,6 +141,7 @@ def read_index(path: str | Path) -> dict[str, Any]:
     if not file.is_file():
         raise InputError(folder, f"is not a bundle (no {INDEX})", "give a folder that gesticulator train made")
     index = read_object(file, "copy the bundle again", _LARGEST_INDEX)
+    # Checked first: with another format all other messages would mislead.
     version = index.get("format")
     if version != FORMAT or isinstance(version, bool):
         raise InputError(file, f"has format {str(version)[:20]}, and this version reads format {FORMAT}",
@@ -180,6 +184,7 @@ class Weights:
         for name in listed:
             if Path(name).name != name or not (folder / name).is_file():
                 raise InputError(folder / name[:200], "is missing from the bundle", "copy the bundle again")
+        # A stray file of weights is most likely left over from a broken copy.
         for file in sorted(folder.glob(f"*{ENDING}")):
             if file.name not in listed:
                 raise InputError(file, f"is not in the list of {INDEX}", "delete it, or copy the bundle again")
@@ -226,6 +231,7 @@ _BROKEN = (SafetensorError, ValueError, KeyError, RuntimeError, OverflowError)
 
 def _finite(file: Path, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     """Tensors in single precision; InputError for NaN or infinity."""
+    # NaN in weights gives NaN poses, which show only at the end, in the file that is written.
     broken = next((key for key, value in tensors.items() if not bool(torch.isfinite(value).all())), None)
     if broken is not None:
         raise InputError(file, f"holds values that are no numbers ({broken})", "train it again")

@@ -36,7 +36,7 @@ def encoder(sizes: Sizes) -> SpeechEncoder:
     """The speech encoder (RG 4.1.3)."""
     from data_module.speech.speech_encoder import SpeechEncoder
 
-    return SpeechEncoder(sizes.config.encoder)
+    return SpeechEncoder(sizes.config.encoder.width)
 
 
 def gate(sizes: Sizes) -> ActivityGate:
@@ -98,6 +98,7 @@ def part_table() -> dict[str, BundlePart]:
 
 def _interpreter(entry: InterpreterEntry, part: str, sizes: Sizes) -> nn.Module:
     """The model of a lexeme interpreter, with or without text."""
+    # The audio-only twin has the same settings, but no layer for words.
     settings = section(sizes.config, entry.settings)
     if entry.text_part and part != entry.text_part:
         settings = settings.without_text()
@@ -113,6 +114,7 @@ def build(part: str, sizes: Sizes) -> Any:
 
 def shapes(name: str, sizes: Sizes) -> dict[str, tuple[int, ...]]:
     """The shape of every tensor of a part, computed without allocating memory; InputError for inconsistent settings."""
+    # Tensors on the meta device have shapes and no memory, so any size in a broken file is safe.
     on_meta = replace(sizes, present=sizes.present.to("meta"),
                       vectors=None if sizes.vectors is None else sizes.vectors.to("meta"))
     try:
@@ -166,6 +168,7 @@ def changed_parts(parts: Mapping[str, nn.Module], changes: Mapping[str, nn.Modul
     unknown = sorted(set(changes) - {*part_table(), *JUDGES})
     if unknown:
         raise ValueError(f"no parts of a bundle: {', '.join(unknown)}")
+    # The old mapping goes on loading, so a part is never in memory twice.
     loaders = {name: partial(parts.__getitem__, name) for name in parts if name not in changes}
     return LazyParts({**loaders, **{name: partial(_same, module) for name, module in changes.items() if module}})
 

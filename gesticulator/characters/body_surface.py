@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,16 +11,8 @@ from numpy.typing import NDArray
 from data_module.motion.skeletons import SIDES
 from data_module.types import Array
 from gesticulator.characters.shape import bind_matrices
-from gesticulator.contacts.limbs import OURS, Pose, bend
-from gesticulator.contacts.other_bodies import (
-    HandLimit,
-    HandPoint,
-    Obstacle,
-    displacement,
-    spread,
-    thigh_limits,
-    thigh_margins,
-)
+from gesticulator.contacts.limbs import OURS, Pose, bend, trunk_axes
+from gesticulator.contacts.other_bodies import THICK, HandLimit, HandPoint, Obstacle, displacement, near, spread
 from gesticulator.contacts.surfaces import (
     ANGLES,
     FINGERTIPS,
@@ -31,16 +23,15 @@ from gesticulator.contacts.surfaces import (
     is_level,
     our_thighs,
     tapering,
-    trunk_axes,
 )
 
 if TYPE_CHECKING:
     from gesticulator.characters.frames import Body
     from gesticulator.characters.rig import Skin
 
-_STEPS = (np.arange(-6, 12) + 0.5) / 12.0
+_STEPS = np.asarray((np.arange(-6, 12) + 0.5) / 12.0)
 """Heights of the slices, 0 at the hips and 1 at the neck: pelvis and thighs are below the hips."""
-_THIGH_STEPS = (np.arange(-1, 9) + 0.5) / 8.0
+_THIGH_STEPS = np.asarray((np.arange(-1, 9) + 0.5) / 8.0)
 """Slices of a thigh that is measured, 0 at the hip and 1 at the knee."""
 _STANDS = 0.85
 """Cosine between thighs and straight down above which they are part of the column."""
@@ -85,6 +76,8 @@ class _Bodies:
         self._body, self._pose = body, default
         joints, chest, self._origin = body.mapping.joints, default.turns["Spine3"], default.places["Hips"]
         neck = body.place(turns, body.mapping.neck[0] if body.mapping.neck else joints["Head"])
+        # A trunk that does not move has one place for all frames.
+        neck = np.broadcast_to(neck, default.places["Neck"].shape)
         self._outline = outline_of(body)
         self._theirs, self._default = (trunk_axes(neck, chest),
                                        trunk_axes(default.places["Neck"] - self._origin, chest))
@@ -110,23 +103,20 @@ class _Bodies:
                 limits.append(HandLimit.of(self._default.local(our), self._theirs.local(place),
                                            (self._theirs, self._outline), size))
                 margins = limits[-1].margin
-            above = thigh_margins(self._thighs, self._our_thighs, our, size)
-            limits.extend(thigh_limits(self._thighs, place, above))
+            # As far above the thighs as ours is, but no farther than `MARGIN`; half a hand where ours does not sit.
+            above = [size * np.maximum(near(-thigh.depth(our)[0]), THICK) for thigh in self._our_thighs] or [
+                np.full(len(place), size * THICK) for _ in self._thighs]
+            for thigh, margin in zip(self._thighs, above, strict=True):
+                depth, up = thigh.depth(place)
+                limits.append(HandLimit(up, depth + margin, margin))
             points.append(HandPoint(place, margins, above))
         return limits, points
 
 
 def outline_of(body: Body) -> Outline:
-    """The trunk of a character: given by the user, else measured on its mesh, else scaled by its skeleton."""
-    if body.mapping.torso is not None:
-        return ellipse(*body.mapping.torso)
-    return _measured_trunk(body) or _scaled(body)
-
-
-def _scaled(body: Body) -> Outline:
-    """The default trunk scaled to the skeleton."""
+    """The trunk of a character: measured on its mesh, else the default one scaled to its skeleton."""
     scale = scale_of(body)
-    return ellipse(OURS[0] * scale, OURS[1] * scale)
+    return _measured_trunk(body) or ellipse(OURS[0] * scale, OURS[1] * scale)
 
 
 def scale_of(body: Body) -> float:
@@ -139,53 +129,54 @@ def scale_of(body: Body) -> float:
 
 
 def _measured_trunk(body: Body) -> Outline | None:
-    """The outline of the vertices moved by hips, spine and chest; None if there are too few."""
-    points = _flesh(body)
-    if len(points) < FEWEST:
-        return None
-    hips, neck = (places @ body.bind_axes.T * body.unit for places in _bind_ends(body))
-    length = float(np.linalg.norm(neck - hips))
-    up = (neck - hips) / length
-    left = np.array([1.0, 0.0, 0.0]) - up[0] * up
-    left = left / np.linalg.norm(left)
-    share = (points - hips) @ up / length
-    flat = np.stack([(points - hips) @ left, (points - hips) @ np.cross(left, up)])
-    outline = _sliced(share, flat, np.asarray(_STEPS), 1.0 / 12.0)
+    """The outline of the vertices that move most with hips, spine and chest, with what hangs on them, or with thighs
+    that hang down; None if there are too few."""
+    mapping, standing = body.mapping, _stands(body)
+    limbs = {node for name, node in mapping.joints.items()
+             if name != "Hips" and not (standing and name.endswith("UpLeg"))}
+    moving = _moving(body, [mapping.joints["Hips"], *mapping.spine], limbs | set(mapping.neck))
+    ends = mapping.joints["Hips"], mapping.neck[0] if mapping.neck else mapping.joints["Head"]
+    outline, length = _measured(body, moving, ends, np.asarray(_STEPS), 1.0 / 12.0, 1.0)
     if outline is None:
         return None
-    ahead = np.maximum(np.sin(ANGLES), 0.0) * (FLEXED * length if _stands(body) else 0.0)
+    ahead = np.maximum(np.sin(ANGLES), 0.0) * (FLEXED * length if standing else 0.0)
     return Outline(outline.steps, outline.reach + np.maximum(-outline.steps, 0.0)[:, None] * ahead)
 
 
-def _sliced(share: Array, flat: Array, steps: Array, half: float) -> Outline | None:
-    """The outline of vertices at heights [V] and places [2, V] across; None if no slice has enough of them. steps: the
-    middles of the slices; half: how far a slice reaches from its middle."""
+def _moving(body: Body, tops: Sequence[int], others: Collection[int]) -> NDArray[np.bool_]:
+    """[N] the nodes `tops` and those below them that are not `others` or below these."""
+    moving = np.zeros(len(body.character), dtype=bool)
+    moving[list(tops)] = True
+    for node, parent in enumerate(body.character.parents):
+        moving[node] |= parent >= 0 and bool(moving[parent]) and node not in others
+    return moving
+
+
+def _measured(body: Body, moving: NDArray[np.bool_], ends: tuple[int, int], steps: Array, half: float, sign: float
+              ) -> tuple[Outline | None, float]:
+    """The outline of the vertices that move with nodes [N], None if there are too few, and its length in metres.
+
+    ends: the nodes at heights 0 and 1; steps: the middles of the slices; half: how far a slice reaches from its middle;
+    sign: 1 if the second direction of a slice, after left, is that of left x along, -1 if it is the opposite.
+    """
+    character = body.character
+    points = character.flesh[moving[character.flesh_nodes]]
+    if len(points) < SPARSE and len(character.flesh):  # the corners of a figure of blocks leave its middle out
+        points = np.concatenate([points, surface_of(character.skin, moving)])
+    low, high = (bind_matrices(character)[node, :3, 3] @ body.bind_axes.T * body.unit for node in ends)
+    length = float(np.linalg.norm(high - low))
+    if len(points) < FEWEST:
+        return None, length
+    along = (high - low) / length
+    left = np.array([1.0, 0.0, 0.0]) - along[0] * along
+    left = left / np.linalg.norm(left)
+    places = points @ body.bind_axes.T * body.unit - low
+    flat = np.stack([places @ left, places @ (sign * np.cross(left, along))])
     out = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1) @ flat  # [36, V]
-    near = np.abs(share - steps[:, None]) < half
-    full = near.sum(axis=1) >= FEWEST_IN_SLICE
-    rows = [np.percentile(out[:, inside], OUTER, axis=1) for inside in near[full]]
-    return Outline(steps[full], np.array(rows)) if rows else None
-
-
-def _flesh(body: Body) -> Array:
-    """[V, 3] metres in the bind pose, in our axes: the vertices that move most with the trunk, with what hangs on it,
-    or with thighs that hang down."""
-    character, mapping = body.character, body.mapping
-    if not len(character.flesh):
-        return np.zeros((0, 3))
-    trunk = np.zeros(len(character), dtype=bool)
-    trunk[[mapping.joints["Hips"], *mapping.spine]] = True
-    standing = _stands(body)
-    limbs = np.zeros(len(character), dtype=bool)
-    limbs[[node for name, node in mapping.joints.items()
-           if name != "Hips" and not (standing and name.endswith("UpLeg"))]] = True
-    limbs[list(mapping.neck)] = True
-    for node, parent in enumerate(character.parents):  # children of the trunk other than limbs move with it
-        trunk[node] |= parent >= 0 and trunk[parent] and not limbs[node]
-    points = character.flesh[trunk[character.flesh_nodes]]
-    if len(points) < SPARSE:  # the corners of a figure of blocks leave its middle out
-        points = np.concatenate([points, surface_of(character.skin, trunk)])
-    return np.asarray(points @ body.bind_axes.T * body.unit)
+    inside = np.abs(places @ along / length - steps[:, None]) < half
+    full = inside.sum(axis=1) >= FEWEST_IN_SLICE
+    rows = [np.percentile(out[:, some], OUTER, axis=1) for some in inside[full]]
+    return Outline(steps[full], np.array(rows)) if rows else None, length
 
 
 def surface_of(skin: Skin, trunk: NDArray[np.bool_]) -> Array:
@@ -207,13 +198,6 @@ def _stands(body: Body) -> bool:
     return all(-thigh[1] > _STANDS * np.linalg.norm(thigh) for thigh in thighs)
 
 
-def _bind_ends(body: Body) -> tuple[Array, Array]:
-    """[3] hips and neck in the bind pose, in the file's units and axes."""
-    places = bind_matrices(body.character)[:, :3, 3]
-    top = body.mapping.neck[0] if body.mapping.neck else body.mapping.joints["Head"]
-    return places[body.mapping.joints["Hips"]], places[top]
-
-
 def seated_thighs(body: Body, turns: Mapping[int, Array]) -> tuple[Thigh, ...]:
     """The thighs of a character with these turns of its nodes; none where it does not sit."""
     joints = body.mapping.joints
@@ -223,29 +207,10 @@ def seated_thighs(body: Body, turns: Mapping[int, Array]) -> tuple[Thigh, ...]:
     if not is_level(hips, knees):
         return ()
     radii = [radius * scale_of(body) for radius in OUR_RADII]
-    return tuple(Thigh(hip, knee, _measured_thigh(body, side) or tapering(*radii))
-                 for side, hip, knee in zip(SIDES, hips, knees, strict=True))
-
-
-def _measured_thigh(body: Body, side: str) -> Outline | None:
-    """The outline of the vertices moved by a thigh; None if there are too few."""
-    character, joints = body.character, body.mapping.joints
-    thigh = np.zeros(len(character), dtype=bool)
-    thigh[joints[side + "UpLeg"]] = True
-    mapped = set(joints.values())
-    for node, parent in enumerate(character.parents):  # twist bones move with it
-        thigh[node] |= parent >= 0 and bool(thigh[parent]) and node not in mapped
-    points = character.flesh[thigh[character.flesh_nodes]] if len(character.flesh) else np.zeros((0, 3))
-    if len(points) < SPARSE and len(character.flesh):
-        points = np.concatenate([points, surface_of(character.skin, thigh)])
-    if len(points) < FEWEST:
-        return None
-    hip, knee = (bind_matrices(character)[joints[side + part], :3, 3] @ body.bind_axes.T * body.unit
-                 for part in ("UpLeg", "Leg"))
-    length = float(np.linalg.norm(knee - hip))
-    along = (knee - hip) / length
-    left = np.array([1.0, 0.0, 0.0]) - along[0] * along
-    left = left / np.linalg.norm(left)
-    places = points @ body.bind_axes.T * body.unit - hip
-    flat = np.stack([places @ left, places @ np.cross(along, left)])
-    return _sliced(places @ along / length, flat, np.asarray(_THIGH_STEPS), 1.0 / 8.0)
+    measured = []
+    for side in SIDES:
+        ends = joints[side + "UpLeg"], joints[side + "Leg"]
+        # Twist bones move with a thigh, other joints do not.
+        moving = _moving(body, ends[:1], set(joints.values()))
+        measured.append(_measured(body, moving, ends, np.asarray(_THIGH_STEPS), 1.0 / 8.0, -1.0)[0] or tapering(*radii))
+    return tuple(map(Thigh, hips, knees, measured))

@@ -1,9 +1,8 @@
 """Run inside Blender: write the largest armature of an FBX file, and a sample of its meshes, as JSON.
 
-    python fbx_child.py IN.fbx OUT.json [KEPT.blend]
+    python fbx_child.py IN.fbx OUT.json
 
-KEPT.blend is where the imported scene is kept for the jobs that write it. The script imports nothing from this package:
-Blender has its own Python.
+The script imports nothing from this package: Blender has its own Python.
 """
 
 from __future__ import annotations
@@ -17,15 +16,13 @@ MOST_TRIANGLES = 6000
 """Most triangles written, evenly over each mesh."""
 
 
-def export_armature(source: str, target: str, scene: str = "") -> None:
+def export_armature(source: str, target: str) -> None:
     """Import the file into an empty scene and write its armature object and bones, parents first, and the meshes that
     the bones move: {"bones": [...], "points": [[x, y, z]], "joints": [[4 bones]], "weights", "triangles"}."""
     import bpy  # type: ignore[import-not-found, unused-ignore]
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.import_scene.fbx(filepath=source, use_anim=False)
-    if scene:
-        bpy.ops.wm.save_as_mainfile(filepath=scene, copy=True, compress=False)
     armatures: list[Any] = [thing for thing in bpy.data.objects if thing.type == "ARMATURE"]
     nodes: list[dict[str, Any]] = []
     if armatures:

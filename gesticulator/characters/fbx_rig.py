@@ -5,8 +5,8 @@ The armature is used as Blender imports it: metres, Z up, a rest matrix for each
 
 from __future__ import annotations
 
-import hashlib
 import os
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,22 +15,13 @@ import numpy as np
 
 from data_module.errors import InputError, shown
 from data_module.files import read_json
-from gesticulator.characters.blender import blender_folder, job_in_blender
+from gesticulator.characters.blender import run_in_blender
 from gesticulator.characters.bvh_rig import turns_of
 from gesticulator.characters.rig import Character, Skin, decomposed
 
 SCRIPT = Path(__file__).with_name("fbx_child.py")
 _LARGEST = 1 << 28
 """Largest JSON description of a rig, bytes (256 MiB): 100,000 bones take half of it."""
-
-
-def kept_scene(file: Path) -> Path:
-    """The .blend file of the scene into which Blender imported a file; valid while Blender runs and the file is
-    unchanged. `InputError` without Blender."""
-    status = file.stat()
-    # Path, time and size: an edited file must not use the scene of its earlier version.
-    name = hashlib.sha256(repr((str(file.resolve()), status.st_mtime_ns, status.st_size)).encode()).hexdigest()[:16]
-    return blender_folder(file) / f"{name}.blend"
 
 
 def read_fbx_character(path: str | os.PathLike[str]) -> Character:
@@ -41,11 +32,10 @@ def read_fbx_character(path: str | os.PathLike[str]) -> Character:
     source = Path(path)
     if not source.is_file():
         raise InputError(path, "does not exist" if not source.exists() else "is not a regular file", "check the path")
-    scene = kept_scene(source)
-    target = scene.with_suffix(".rig.json")
-    job_in_blender(source, SCRIPT, str(source.resolve()), str(target), str(scene))
-    document: dict[str, Any] = read_json(target, "export it again", _LARGEST)
-    target.unlink()
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "rig.json"
+        run_in_blender(source, SCRIPT, str(source.resolve()), str(target))
+        document: dict[str, Any] = read_json(target, "export it again", _LARGEST)
     bones = document["bones"]
     if len(bones) < 2:
         raise InputError(path, "holds no armature", "export the armature, too")

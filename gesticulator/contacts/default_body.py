@@ -37,9 +37,11 @@ from gesticulator.contacts.limbs import (
     bent,
     length,
     pose_of,
+    receding,
     soft,
     swing,
     swivelled,
+    trunk_axes,
     write_turns,
 )
 
@@ -48,8 +50,6 @@ STEEPEST = 1.2
 OTHER_SIDE = (0.115, 0.07, 0.35)
 """Where the front leaves the trunk on the side of the other hand: metres across, metres ahead, and slope from there on.
 A hand there is beside the other arm, not behind the back."""
-CAP, RECEDES = 0.20, 0.5
-"""Metres above the neck and below the hips over which the front of the trunk recedes, and by how many."""
 HEM, HIPS, HIPS_UNDER = 0.08, 0.17, 0.12
 """Metres below the hips down to which a shirt hangs; share by which the hips under it are wider than the trunk; metres
 above the hips from which it widens."""
@@ -106,16 +106,8 @@ def _off_trunk(motion: Motion) -> Motion:
     for side, sign, frames in zip(SIDES, (1.0, -1.0), moved[..., 0], strict=True):
         if frames.any():
             rotations = motion.rotations.copy() if rotations is None else rotations
-            _bend_arm(rotations, motion.skeleton, _at(pose, frames), (side, sign), np.flatnonzero(frames))
+            _bend_arm(rotations, motion.skeleton, pose.at(frames), (side, sign), np.flatnonzero(frames))
     return motion if rotations is None else replace(motion, rotations=rotations)
-
-
-def _at(pose: Pose, frames: NDArray[np.bool_]) -> Pose:
-    """The pose at some of its frames [T]."""
-    if frames.all():
-        return pose
-    return Pose({joint: turn[frames] for joint, turn in pose.turns.items()},
-                {joint: place[frames] for joint, place in pose.places.items()})
 
 
 def _bend_arm(rotations: Array, skeleton: Skeleton, pose: Pose, side: tuple[str, float], at: NDArray[np.int64]) -> None:
@@ -186,12 +178,8 @@ class _Body:
     """Trunk and head over T frames, relative to the hips."""
 
     def __init__(self, pose: Pose) -> None:
-        neck, chest = pose.places["Neck"], pose.turns["Spine3"]
-        self._length = np.linalg.norm(neck, axis=-1)
-        up = neck / self._length[:, None]
-        left = chest[..., 0] - np.sum(chest[..., 0] * up, axis=-1, keepdims=True) * up
-        left = left / np.linalg.norm(left, axis=-1, keepdims=True)
-        self._axes = np.stack([left, up, rotation.cross(left, up)], axis=-2)  # rows: left, up, ahead
+        trunk = trunk_axes(pose.places["Neck"], pose.turns["Spine3"])
+        self._axes, self._length = trunk.axes, trunk.length
         self._head = pose.turns["Head"]
         self._face = pose.places["Head"] + self._head @ HEAD_MIDDLE
 
@@ -246,24 +234,20 @@ def trunk_front(across: Array) -> Array:
 def front_at(across: Array, along: Array, length: Array) -> Array:
     """`trunk_front` at metres across the trunk and `along` it from the hips, which recedes beyond the ends of its
     `length`."""
-    return np.asarray(trunk_front(across) - _receding(along, length))
+    return np.asarray(trunk_front(across) - receding(along, 0.0, length))
 
 
 def shirt_at(across: Array, along: Array, length: Array) -> Array:
     """As `front_at`, over hips that are wider than the trunk."""
     wide = 1.0 + HIPS * (1.0 - _ramp(along, (0.0, HIPS_UNDER)))
     hem = np.maximum(along, np.minimum(along + HEM, 0.0))
-    return np.asarray(wide * trunk_front(across / wide) - _receding(hem, length))
+    return np.asarray(wide * trunk_front(across / wide) - receding(hem, 0.0, length))
 
 
 def back_at(across: Array, along: Array, length: Array) -> Array:
     """Metres by which the plane that hides an elbow is ahead of the middle of the trunk, as a rule negative; see
     `front_at`."""
-    return np.asarray(-BACK - BACK_FALLS * np.maximum(across - BACK_ENDS, 0.0) - _receding(along, length))
-
-
-def _receding(along: Array, length: Array) -> Array:
-    return np.asarray(RECEDES * (np.maximum(np.maximum(-along, along - length), 0.0) / CAP) ** 2)
+    return np.asarray(-BACK - BACK_FALLS * np.maximum(across - BACK_ENDS, 0.0) - receding(along, 0.0, length))
 
 
 def face_front(radius: Array) -> Array:

@@ -56,8 +56,8 @@ def kept_off_thighs(motion: Motion) -> Motion:
     lap, rotations = _Lap(pose), None
     for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
         hand = _Hand(pose, side, sign)
-        lacks = lap.push(hand.points(pose.places[side + "Hand"], pose.turns[side + "Hand"]), hand.margins, TIP_SOFT)
-        slowed = lap.push(hand.points(pose.places[side + "Hand"], pose.turns[side + "Hand"])[:2], hand.margins, SOFT)
+        points = hand.points(pose.places[side + "Hand"], pose.turns[side + "Hand"])
+        lacks, slowed = lap.push(points, hand.margins, TIP_SOFT), lap.push(points[:2], hand.margins, SOFT)
         at = np.flatnonzero((np.linalg.norm(lacks, axis=-1) > LEAST) | (np.linalg.norm(slowed, axis=-1) > LEAST))
         if len(at):
             rotations = motion.rotations.copy() if rotations is None else rotations
@@ -76,8 +76,7 @@ def is_seated(motion: Motion) -> bool:
 def _lift(rotations: Array, motion: Motion, pose: Pose, side: str, sign: float, at: NDArray[np.intp]) -> None:
     """Bend an arm in `rotations` [T, J, 4] at the frames `at`, where its hand is in the thighs."""
     skeleton = motion.skeleton
-    pose = Pose({joint: turn[at] for joint, turn in pose.turns.items()},
-                {joint: place[at] for joint, place in pose.places.items()})
+    pose = pose.at(at)
     turns = {skeleton.index(joint): turn for joint, turn in pose.turns.items()}
     shoulder, elbow, wrist = (skeleton.index(side + part) for part in ("Arm", "ForeArm", "Hand"))
     limbs, lap, hand = BelowShoulder(skeleton, shoulder, pose.places[side + "Arm"]), _Lap(pose), _Hand(pose, side, sign)

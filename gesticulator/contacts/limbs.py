@@ -36,6 +36,11 @@ class Pose:
     turns: Mapping[str, Array]
     places: Mapping[str, Array]
 
+    def at(self, frames: NDArray[np.bool_] | NDArray[np.intp]) -> Pose:
+        """The pose at some of its frames."""
+        return Pose({joint: turn[frames] for joint, turn in self.turns.items()},
+                    {joint: place[frames] for joint, place in self.places.items()})
+
 
 def pose_of(motion: Motion, names: Sequence[str] | None = None) -> Pose:
     """World rotations and positions of a motion's joints; of these and those above them, if names are given."""
@@ -54,6 +59,37 @@ def pose_of(motion: Motion, names: Sequence[str] | None = None) -> Pose:
             turns[name] = turns[above] @ local[:, place]
             places[name] = places[above] + turns[above] @ skeleton.offsets[joint]
     return Pose(turns, places)
+
+
+@dataclass(frozen=True)
+class TrunkAxes:
+    """The line from hips to neck over T frames: axes [T, 3, 3], rows left, up and ahead; length [T], metres."""
+
+    axes: Array
+    length: Array
+
+    def local(self, points: Array) -> Array:
+        """[3, T] metres left, up and ahead of the hips of points [T, 3] relative to the hips."""
+        return np.einsum("tij,tj->it", self.axes, points)
+
+
+def trunk_axes(neck: Array, chest: Array) -> TrunkAxes:
+    """neck: [T, 3] relative to the hips; chest: [T, 3, 3] the character's axes there (columns left, up, ahead)."""
+    length = np.maximum(np.linalg.norm(neck, axis=-1), 1e-9)
+    up = neck / length[:, None]
+    left = chest[..., 0] - np.sum(chest[..., 0] * up, axis=-1, keepdims=True) * up
+    left = left / np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
+    return TrunkAxes(np.stack([left, up, rotation.cross(left, up)], axis=-2), length)
+
+
+CAP, RECEDES = 0.20, 0.5
+"""Metres above the neck and below the hips over which the surface of a trunk recedes, and by how many."""
+
+
+def receding(along: Array, low: Array | float, high: Array, size: Array | float = 1.0) -> Array:
+    """Metres by which the surface of a trunk that reaches from `low` to `high` recedes at metres `along` it. size:
+    relative to the default character's."""
+    return np.asarray(size * RECEDES * (np.maximum(np.maximum(low - along, along - high), 0.0) / (CAP * size)) ** 2)
 
 
 class Limbs(Protocol):
@@ -165,6 +201,6 @@ def write_turns(rotations: Array, skeleton: Skeleton, turns: Mapping[int, Array]
     rotations[where] = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
 
 
-def soft(depth: Array, over: float = SOFT) -> Array:
+def soft(depth: Array, over: Array | float = SOFT) -> Array:
     """max(depth, 0) without a kink, metres. over: metres on both sides in which it is rounded."""
     return np.where(depth > over, depth, np.clip(depth + over, 0.0, 2.0 * over) ** 2 / (4.0 * over))

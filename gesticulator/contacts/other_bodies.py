@@ -38,8 +38,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from data_module.types import Array
-from gesticulator.contacts.limbs import MARGIN, OURS
-from gesticulator.contacts.surfaces import ANGLES, Outline, Thigh, TrunkAxes, receding
+from gesticulator.contacts.limbs import MARGIN, OURS, TrunkAxes, receding, soft
+from gesticulator.contacts.surfaces import ANGLES, Outline, Thigh
 
 THICK = 0.015
 """Metres that the joints of a hand are above a thigh at least: half the thickness of a hand."""
@@ -81,9 +81,9 @@ class HandLimit:
         gap = x * our[0] + z * our[2] - slim
         reach = outline.support(their[1] / column.length, np.arctan2(z, x))
         margin = size * near(gap)
-        lack = reach - receding(outline, column, their[1], size) + margin - (x * their[0] + z * their[2])
-        soft = np.clip(reach - size * slim, 1e-6, _SOFT * size)
-        lack = np.where(lack > soft, lack, np.clip(lack + soft, 0.0, 2.0 * soft) ** 2 / (4.0 * soft))
+        receded = receding(their[1], outline.steps[0] * column.length, column.length, size)
+        lack = reach - receded + margin - (x * their[0] + z * their[2])
+        lack = soft(lack, np.clip(reach - size * slim, 1e-6, _SOFT * size))
         return HandLimit(x[:, None] * column.axes[:, 0] + z[:, None] * column.axes[:, 2], lack, margin)
 
     def lacking(self, push: Array) -> Array:
@@ -115,24 +115,6 @@ def within_reach(moved: Array, reached: Array, arm: float) -> Array:
     return np.asarray(moved * np.minimum(longest / far, 1.0)[:, None])
 
 
-def thigh_margins(theirs: Sequence[Thigh], ours: Sequence[Thigh], places: Array, size: float) -> tuple[Array, ...]:
-    """For each thigh of a character [T] metres that a point of its hand belongs above it: as far as that of the default
-    character, at `places` [T, 3], but no farther than `MARGIN`, and half a hand where that does not sit (`ours` is
-    empty). size: the length of its arm relative to ours."""
-    if not ours:
-        return tuple(np.full(len(places), size * THICK) for _ in theirs)
-    return tuple(size * np.maximum(near(-thigh.depth(places)[0]), THICK) for thigh in ours)
-
-
-def thigh_limits(theirs: Sequence[Thigh], places: Array, margins: Sequence[Array]) -> list[HandLimit]:
-    """The half-spaces in which a point of a character's hand belongs that is at `places` [T, 3]."""
-    out = []
-    for thigh, margin in zip(theirs, margins, strict=True):
-        depth, up = thigh.depth(places)
-        out.append(HandLimit(up, depth + margin, margin))
-    return out
-
-
 @dataclass(frozen=True)
 class HandPoint:
     """A wrist, knuckle or fingertip over T frames: places [T, 3] metres from the hips, without correction; margins [T]
@@ -159,7 +141,8 @@ class Obstacle:
         gaps = np.stack([np.cos(angle) * x + np.sin(angle) * z - self.outline.support(share, np.full(len(x), angle))
                          for angle in ANGLES])
         nearest = gaps.argmax(axis=0)
-        gap = gaps[nearest, np.arange(len(x))] + receding(self.outline, self.column, y, self.size)
+        receded = receding(y, self.outline.steps[0] * self.column.length, self.column.length, self.size)
+        gap = gaps[nearest, np.arange(len(x))] + receded
         lack = np.maximum(point.margins - gap, 0.0)
         normal = (np.cos(ANGLES[nearest])[:, None] * self.column.axes[:, 0]
                   + np.sin(ANGLES[nearest])[:, None] * self.column.axes[:, 2])

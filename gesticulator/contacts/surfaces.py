@@ -21,8 +21,6 @@ from data_module.types import Array
 
 ANGLES = np.arange(36) * (2.0 * np.pi / 36)
 """Directions in which a slice is measured: between them the surface of a round one is at most 0.4 % farther out."""
-_CAP, _RECEDES = 0.20, 0.5
-"""Metres above and below the trunk over which its surface recedes, and by how many."""
 OUR_RADII = (0.076, 0.056)
 """Metres around the line from hip to knee of the default character, at its ends: as pages draw them."""
 FINGERTIPS = ("HandThumb3", "HandIndex3", "HandMiddle3", "HandRing3", "HandPinky3")
@@ -58,34 +56,6 @@ class Outline:
 def ellipse(width: float, depth: float) -> Outline:
     """The outline of a column of constant half width and half depth, metres."""
     return Outline(np.array([0.0, 1.0]), np.tile(np.hypot(width * np.cos(ANGLES), depth * np.sin(ANGLES)), (2, 1)))
-
-
-@dataclass(frozen=True)
-class TrunkAxes:
-    """The line from hips to neck over T frames: axes [T, 3, 3], rows left, up and ahead; length [T], metres."""
-
-    axes: Array
-    length: Array
-
-    def local(self, points: Array) -> Array:
-        """[3, T] metres left, up and ahead of the hips of points [T, 3] relative to the hips."""
-        return np.einsum("tij,tj->it", self.axes, points)
-
-
-def trunk_axes(neck: Array, chest: Array) -> TrunkAxes:
-    """neck: [T, 3] relative to the hips; chest: [T, 3, 3] the character's axes there (columns left, up, ahead)."""
-    length = np.maximum(np.linalg.norm(neck, axis=-1), 1e-9)
-    up = neck / length[:, None]
-    left = chest[..., 0] - np.sum(chest[..., 0] * up, axis=-1, keepdims=True) * up
-    left = left / np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
-    return TrunkAxes(np.stack([left, up, np.cross(left, up)], axis=-2), length)
-
-
-def receding(outline: Outline, column: TrunkAxes, height: Array, size: float) -> Array:
-    """[T] metres by which the surface recedes at heights [T] above or below the trunk, metres along it."""
-    low, high = outline.steps[0] * column.length, column.length
-    beyond = np.maximum(np.maximum(low - height, height - high), 0.0) / (_CAP * size)
-    return np.asarray(size * _RECEDES * beyond ** 2)
 
 
 @dataclass(frozen=True)

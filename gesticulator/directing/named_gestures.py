@@ -17,7 +17,7 @@ from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, FINGERS, SIDES
 from data_module.types import Array, Motion
 from gesticulator.body.clips import exchanged_joints
-from gesticulator.contacts.columns import head_distances, kept_off_our_head, kept_out_of_us, trunk_distances
+from gesticulator.contacts.columns import HEAD, TRUNK
 from gesticulator.contacts.limbs import MARGIN, pose_of
 from gesticulator.directing.gesture_parts import GestureScript
 from gesticulator.directing.gesture_phases import GestureDraw, drawn_gesture, hand_turns, longest
@@ -127,11 +127,10 @@ def _led_around(poses: Array, before: Array, weight: Array, moved: Sequence[str]
     motion, first = _motion_of(poses), pose_of(_motion_of(before))
     freed = motion
     touches = any(part.touches for part in script.hands)
-    for distances, clear, gap in ((trunk_distances, kept_out_of_us, _TOUCH if touches else MARGIN),
-                                  (head_distances, kept_off_our_head, 0.0 if script.faces else MARGIN)):
-        now = distances(first)
-        freed = clear(freed, {side: (1.0 - weight) * np.minimum(now[side], MARGIN) + weight * gap
-                              if side in moved else np.full(len(poses), -np.inf) for side in SIDES})
+    for part, gap in ((TRUNK, _TOUCH if touches else MARGIN), (HEAD, 0.0 if script.faces else MARGIN)):
+        now = part.distances(first)
+        freed = part.kept_out(freed, {side: (1.0 - weight) * np.minimum(now[side], MARGIN) + weight * gap
+                                      if side in moved else np.full(len(poses), -np.inf) for side in SIDES})
     # Joints that did not have to move keep their bits: exponential maps of the same rotation may differ.
     changed = (freed.rotations != motion.rotations).any(axis=-1, keepdims=True)
     reference = poses.reshape(len(poses), -1, 3)

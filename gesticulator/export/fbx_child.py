@@ -4,14 +4,15 @@
     python fbx_child.py IN.fbx OUT.fbx FRAMES_PER_SECOND KEYS NAME MOTION.npz
     python fbx_child.py IN.fbx OUT.glb
 
-IN.fbx may be IN.blend, the scene into which Blender imported it. KEYS is the bound on the error of reduced keys in
-degrees, 0 for every frame; NAME that of the take. MOTION.npz holds bone poses, and values of shape keys, as from
-`gesticulator.export.own_fbx`. The script imports nothing from this package: Blender has its own Python.
+KEYS is the bound on the error of reduced keys in degrees, 0 for every frame; NAME that of the take. MOTION.npz holds
+bone poses, and values of shape keys, as from `gesticulator.export.fbx`. The script imports nothing from this
+package: Blender has its own Python.
 """
 
 from __future__ import annotations
 
 import datetime
+import os
 import sys
 import types
 import zlib
@@ -33,16 +34,11 @@ def convert(source: str, target: str, fps: float = 30.0, keys: float = 0.0, name
     """Import a file into an empty scene at `fps` frames per second, animate it, and export the scene."""
     import bpy  # type: ignore[import-not-found, unused-ignore]
 
-    is_blend = source.lower().endswith(".blend")
-    if is_blend:  # as the scene to start with, so that it has no path of its own that textures would be relative to
-        bpy.ops.wm.read_homefile(filepath=source, load_ui=False)
-    else:
-        bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
     scene: Any = bpy.context.scene
     whole = max(1, round(fps))
-    if is_blend or source.lower().endswith(".fbx"):
-        if not is_blend:
-            bpy.ops.import_scene.fbx(filepath=source, use_anim=False)
+    if source.lower().endswith(".fbx"):
+        bpy.ops.import_scene.fbx(filepath=source, use_anim=False)
         to_bind_pose()
     else:
         # The importer of glTF takes the product of the two numbers for the frame rate, where it is their quotient.
@@ -232,3 +228,6 @@ if __name__ == "__main__":
     # Omitted arguments take the defaults of `convert`.
     numbers = [float(number) for number in given[2:4]] + [30.0, 0.0][len(given[2:4]):]
     convert(given[0], given[1], numbers[0], numbers[1], *given[4:])
+    # The file is complete; Blender as a Python module may crash while it is torn down.
+    sys.stdout.flush()
+    os._exit(0)

@@ -19,7 +19,6 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, cast, get_args
 
-import numpy as np
 from msgspec import Meta
 
 from data_module.errors import InputError, shown
@@ -344,6 +343,8 @@ class KnobCurve:
 
 def _share_at(curve: KnobCurve, time: float) -> float:
     """The factor on activity at a time, seconds, of a curve of activity or of energy."""
+    import numpy as np  # here, because options are checked before anything heavy is imported
+
     value = np.interp(time, curve.times, curve.values)
     return float(np.interp(value, range(len(ENERGIES)), ENERGY_SHARES) if curve.knob == "energy" else value)
 

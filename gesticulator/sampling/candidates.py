@@ -125,6 +125,7 @@ class CandidateChooser:
         self._weights, self._statistics, self._speaker = weights, bundle.statistics, speaker
         self._representation = representation_of(bundle.config)
         skeleton = self._representation.motion(self._statistics.rest_pose[speaker][None], 1.0).skeleton
+        # The joint above the shoulders, by whatever name the skeleton has for it.
         chest = skeleton.parents[skeleton.index("RightShoulder")]
         # The chest stands on the way to a hand: it costs nothing more. The head is at the end of three joints.
         self._joints = [skeleton.index(side + part) for part in ("Hand", "ForeArm", "Arm")
@@ -150,6 +151,7 @@ class CandidateChooser:
         nearest lexeme; control: rows [K, 2 F], or None. Only the speed limit is about what is shown: a shift depends
         on how the hands came here, so two takes that parted would go on choosing differently while it fades.
         """
+        # A stream in a hurry samples one candidate; there is nothing to weigh.
         if len(motion) == 1:
             return 0
         weights, poses, places = self._weights, motion.poses, motion.places
@@ -163,6 +165,7 @@ class CandidateChooser:
         score -= weights.together * apart_from_hands(poses[allowed][..., self._head], hands, times)
         if speech.pitch is not None:
             score += weights.pitch * with_pitch(poses[allowed][..., self._trunk], times, speech.pitch)
+        # Bounded, because a block that begins at rest has a large ratio and nothing wrong.
         score -= weights.seam * jolt(hands, times)
         if control is not None:
             score -= weights.controls * self._control_error(hands, times, control)
@@ -190,6 +193,7 @@ class CandidateChooser:
 
     def _poses(self, past: Array, blocks: Array, shift: Array | None = None) -> Array:
         """[C, T, D_m] as of `CandidateMotion`; see `motion` for the arguments."""
+        # Frames before the block give the speeds at its start.
         frames = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
         if shift is not None:
             frames = frames + shift[-frames.shape[1]:]
@@ -219,6 +223,7 @@ class CandidateChooser:
     def _measured(self, hands: Array, times: Array) -> Array:
         """[C, 3] the controlled features of each candidate's hands [C, T, 2, 3]: mean over the block."""
         inside = hands[:, _BEFORE:]
+        # The same definition as of the training data (`data_module.controls`).
         steps = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1).mean(-1)
         return np.stack([inside[:, :, 0, 1].mean(1), steps.sum(1) / (times[-1] - times[_BEFORE - 1]),
                          np.linalg.norm(inside[..., [0, 2]], axis=-1).mean((1, 2))], axis=-1)
@@ -258,6 +263,7 @@ def depth(places: Array) -> Array:
     share = np.clip((places[:, :, :4] * chest).sum(-1) / np.maximum((chest * chest).sum(-1), 1e-9), 0.0, 1.0)
     away = np.linalg.norm(places[:, :, :4] - share[..., None] * chest, axis=-1)
     radii = np.repeat(_RADII, 2)
+    # A wrist at its own shoulder is a pose that people hardly take.
     folded = 1.0 - np.linalg.norm(places[:, :, :2] - places[:, :, 4:6], axis=-1) / _FOLDED
     near_face = 1.0 - _to_face(places) / _FACE
     shares = [1.0 - away / radii, folded, near_face, behind_trunk(places) / _RADII[0]]

@@ -134,7 +134,7 @@ class BlockCutter:
         self._config, self._front, self.latency = config, front or front_end_for(config), latency
         self._length = config.rhythm.frames * samples_per_frame(SAMPLE_RATE, config.rhythm.fps)
         self._context = round(CONTEXT * SAMPLE_RATE)
-        self._words = None if words is None else WordTrack(words, config.text.bridge, config.selection.words_so_far)
+        self._words = None if words is None else WordTrack(words, config.selection.words_so_far)
         self._loudness, self._voice, self._start = LoudnessTracker(), VoiceLevel(), SteadyStart()
         self._pauses, self._quiet = _PauseFlags(), _PauseFlags()
         self._onsets, self._beats = OnsetTracker(SAMPLE_RATE), BeatTracker(config.rhythm.beats, start)
@@ -167,6 +167,7 @@ class BlockCutter:
 
     def fork(self) -> BlockCutter:
         """An independent copy, which shares what never changes."""
+        # Deep, but for what is never changed: a copy is taken every few seconds of sound.
         shared: list[object] = [self._config, self._front]
         memo = {id(one): one for one in shared}
         if self._words is not None:
@@ -217,6 +218,7 @@ class BlockCutter:
             sound = np.concatenate(self._pending)
             whole = len(sound) - len(sound) % TICK
             # Only what is returned before the next block is known depends on when that is.
+            # Larger steps are faster; the blocks are the same with any size.
             size = TICK if self._low else _AT_ONCE
             for start in range(0, whole, size):
                 out += self._tick(sound[start:min(start + size, whole)])
@@ -247,6 +249,7 @@ class BlockCutter:
 
     def _analyse(self, samples: Samples) -> tuple[LoudnessStep, list[tuple[float, float]]]:
         """Loudness and onsets that became known by these samples."""
+        # Only the sound since the last returned block is held, so this copy is short.
         self._sound = np.concatenate([self._sound, samples])
         self._processed += len(samples)
         loudness = self._loudness.step(frame_levels(samples, SAMPLE_RATE), self._ended)
@@ -289,6 +292,7 @@ class BlockCutter:
         ended = self._ended
         frames = Blocks(np.array([start, end]), np.zeros(1, np.int8), np.zeros(1, bool), self._config.rhythm.frames,
                         self._config.rhythm.fps).knot_times
+        # Pauses are known per frame of 10 ms; a block takes those that begin within it.
         first, last = frame_after(np.array([start, end])).tolist()
         silent = in_pause(self._pauses.between(first, min(last, self._frames) if ended else last))
         return _CutBlock(start, end, flag, self._stretched(start, end), silent,
@@ -317,6 +321,7 @@ class BlockCutter:
         if self._ended:
             first, last = min(first, self._processed), min(last, self._processed)
         last = max(last, first + 1) + self._context
+        # With context on both sides, which time-scaling needs for its overlapping windows.
         piece = self._sound[first - self._context - self._from:last - self._from]
         missing = last - first + self._context - len(piece)
         if missing:  # silence after the end of the recording, or the mirror image of the sound so far
@@ -357,9 +362,9 @@ class BlockCutter:
 class WordTrack:
     """The words that were added so far, and their vectors."""
 
-    def __init__(self, encoder: WordEncoder, bridge: float, so_far: bool = False) -> None:
-        """bridge: see `word_frames`; so_far: see `WordEncoder.encode`."""
-        self._encoder, self._bridge, self._so_far = encoder, bridge, so_far
+    def __init__(self, encoder: WordEncoder, so_far: bool = False) -> None:
+        """so_far: see `WordEncoder.encode`."""
+        self._encoder, self._so_far = encoder, so_far
         self._words: list[tuple[float, int, Word]] = []  # by their start
         self._vectors: dict[int, Features] = {}
         self._next = 0
@@ -387,15 +392,17 @@ class WordTrack:
             return out
         first, last = (bisect_left(self._words, (edge, -1)) for edge in (
             block.start - _WORDS_NEAR, block.end + _WORDS_NEAR))
+        # A word may begin before the block and sound into it.
         near = self._words[first:last]
         blocks = Blocks(np.array([block.start, block.end]), np.zeros(1, np.int8), np.zeros(1, bool), frames, fps)
-        words = word_frames([word for *_, word in near], blocks, self._bridge)[0]
+        words = word_frames([word for *_, word in near], blocks)[0]
         for row in np.flatnonzero(words >= 0):
             out[row] = self._vectors[near[words[row]][1]]
         return out
 
     def forget(self, before: float) -> None:
         """Free the memory of the words that no block after `before` seconds can need."""
+        # Twice the reach: `rows` of a block that was cut earlier may still look for words.
         old = bisect_left(self._words, (before - 2 * _WORDS_NEAR, -1))
         for _, number, _ in self._words[:old]:
             del self._vectors[number]

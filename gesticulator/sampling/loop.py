@@ -53,16 +53,14 @@ _CONTIGUOUS = 1e-3
 class Setup:
     """Everything about a performance that was resolved and checked once, before its first block.
 
-    speaker: index. temperature: of the choice of lexemes, 0 takes the best; top: number of best lexemes to sample from,
-    0 for all (`interpreters.base.select`). seed: of the random numbers; variation: selects other motion for the same
-    lexemes. activity: share of the speaking time with gestures, 0 to 1. beta: of the interpreter, or None. text: words
-    are read.
+    speaker: index. temperature: of the choice of lexemes, 0 takes the best. seed: of the random numbers; variation:
+    selects other motion for the same lexemes. activity: share of the speaking time with gestures, 0 to 1. beta: of the
+    interpreter, or None. text: words are read.
     """
 
     interpreter: Interpreter
     speaker: int
     temperature: float
-    top: int
     seed: int
     activity: float = 1.0
     controls: Controls = field(default_factory=Controls.free)
@@ -175,6 +173,7 @@ def begin(bundle: Bundle, setup: Setup, text: bool = False, keys: Keys | None = 
     text: the blocks come with words. keys: of the noise, if not those of the setup. A setup with a variation chooses
     its lexemes as without one, and shows the motion of a second state.
     """
+    # A variation runs beside the plain performance, whose lexemes it shows.
     start = sampler_of(bundle).begin
     if setup.variation:
         varied = start(bundle, setup, text, Keys(setup.seed, setup.variation))
@@ -189,6 +188,7 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     block, after = take(bundle, setup, state, request)
     if state.varied is None:
         return block, after
+    # The lexeme is given, so both states hear the same decisions and move otherwise.
     varied, varied_after = take(bundle, setup, state.varied, replace(request, lexeme=block.lexeme))
     return varied, replace(after, varied=varied_after)
 
@@ -203,21 +203,13 @@ def motion_of(bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> ND
     return sampler_of(bundle).motion_of(bundle, setup, blocks)
 
 
-def run(bundle: Bundle, setup: Setup, requests: Sequence[Request], text: bool = False) -> list[BlockMotion]:
-    """All blocks of a performance; arguments as of `begin` and `step`."""
-    state, blocks = begin(bundle, setup, text), []
-    for request in requests:
-        block, state = step(bundle, setup, state, request)
-        blocks.append(block)
-    return blocks
-
-
 @torch.inference_mode()
 def idle(bundle: Bundle, state: State, start: float, seconds: float, knots: int) -> tuple[NDArray[np.float32], State]:
     """[knots, D_m] frames of rest at intervals of `seconds`, the first one interval after `start`, and the state after
     them; of a bundle that rests by phrases."""
     assert state.rest is not None
     rest = state.rest.fork()
+    # All frames are silent: the same rules of rest as in a pause of speech.
     rest.rest(Span(start, seconds * knots, np.ones(knots, bool)))
     past, motion = shown(bundle, rest, state.past[:, -1:].expand(1, knots, -1))
     past = torch.cat([state.past, past], 1)[:, -state.past.shape[1]:]
@@ -231,6 +223,7 @@ def break_off(state: State, knots: RestKnots, time: float) -> State:
     """Back at these knots (K or more), going to rest from there at once; time: of the interruption, seconds."""
     assert state.rest is not None
     frames = state.past.shape[1]
+    # The generator needs a whole block of past; before the first knot the pose stands still.
     before = np.repeat(knots.poses[:1], max(frames - len(knots.poses), 0), axis=0)
     past = torch.as_tensor(np.concatenate([before, knots.poses[-frames:]]), dtype=torch.float32,
                            device=state.past.device)[None]
@@ -251,6 +244,7 @@ def controls_at(levels: Levels | None, controls: Controls, times: Array) -> Cont
     """[K, 2 F] rows of the controls at `times` [K] seconds; None without controls."""
     if levels is None or controls == Controls.free():
         return None
+    # Controls are read at the frames, so a curve changes within a block.
     values, given = controls.at(times)
     return control_rows(levels, values, np.broadcast_to(given, values.shape))
 
@@ -260,6 +254,7 @@ def controls_at(levels: Levels | None, controls: Controls, times: Array) -> Cont
 def at_rest(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
     """The state before the first block, without those of generator and planner."""
     speaker, config = setup.speaker, bundle.config
+    # The first choice is conditioned on rest (a_0, s_0), as in the papers.
     lexeme = bundle.rest_lexeme(speaker)
     past = bundle.rest_feature(speaker).expand(1, bundle.frames, -1)
     interpreter = setup.interpreter.start(speaker, lexeme)
@@ -307,6 +302,7 @@ class Resting:
 def resting(bundle: Bundle, setup: Setup, state: State, request: Request, features: BlockFeatures, still: Flags | None
             ) -> Resting:
     """Decide whether the hands rest: by the gate, by pauses and phrases, and in the frames `still` [K]."""
+    # A plan may hold a curve of activity; then each block has its own.
     activity = setup.activity if request.activity is None else request.activity
     closed, probability, gate = activity == 0, math.nan, state.gate
     if gate is not None and bundle.gate is not None:
@@ -327,6 +323,7 @@ def scores_of(bundle: Bundle, setup: Setup, state: State, features: BlockFeature
     scores, after = interpreter.step(state.interpreter, features, state.lexeme)
     if features.control is None or "control" not in interpreter.needs:
         return scores, after, state.unguided
+    # A second state without the control, because guidance needs both predictions at each step.
     free, unguided = interpreter.step(state.unguided, replace(features, control=None), state.lexeme)
     return free + bundle.config.selection.guidance * (scores - free), after, unguided
 
@@ -338,7 +335,7 @@ def choose(setup: Setup, request: Request, scores: Scores, allowed: NDArray[np.i
     # A variation has the lexemes of the first performance, unless the block was edited.
     keys = request.keys or Keys(setup.seed)
     return select(scores if request.bias is None else scores + request.bias, allowed=allowed,
-                  temperature=setup.temperature, top=setup.top or None,
+                  temperature=setup.temperature,
                   noise=keys.gumbel(request.speech.keyed_at, len(scores)))
 
 
@@ -364,6 +361,7 @@ def decided(speech: SpeechBlock, lexeme: int, scores: Scores, explanation: Expla
     scores: [S] of the interpreter; alternatives are ordered by score, equal ones by number. explanation: of the scores,
     by interpreters that have one. gate: the gate's probability, NaN without a gate.
     """
+    # Stable, so equal scores come in the order of their numbers on every machine.
     best = np.argsort(-scores, kind="stable")[:BEST].tolist()
     draw = BlockDraw(keys.seed, keys.variation, speech.number)
     block = Block(speech.start, speech.end, lexeme, speech.silent[1], draw, cast(Flag, speech.flag.name.lower()),

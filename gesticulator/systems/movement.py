@@ -295,6 +295,14 @@ def set_out(bundle: Bundle, setup: Setup, state: State, speech: SpeechBlock) -> 
 
 # --------------------------------------------------------------------------------------------------- the flow generator
 
+AUDIO_GUIDANCE, LEXEME_GUIDANCE, UNIT_GUIDANCE = 0.7, 0.4, 0.5
+"""Guidance on the audio, the lexeme and the planner's decision: extrapolation from the prediction without each."""
+NOISE = 0.76
+"""Standard deviation of the initial noise; below 1 is calmer."""
+FLOW_STEPS = 3
+"""Steps of the Adams method from noise to a block."""
+CANDIDATES = 4
+"""Candidates sampled for a block, of which the best is kept (`gesticulator.sampling.candidates`)."""
 TRUNK_GUIDANCE = 0.3
 """Share of all guidance that torso and head get: full guidance makes their large turns larger than people's."""
 TRUNK_NOISE, FINGER_NOISE = 0.94, 1.75
@@ -383,7 +391,7 @@ class FlowSampler:
                                                    len(bundle.speakers)).float()
         self.share = self._by_part(TRUNK_GUIDANCE)
         self.trunk = self._by_part(0.0, 1.0) == 0.0
-        self.deviation = self.settings.noise * self._by_part(TRUNK_NOISE, FINGER_NOISE)
+        self.deviation = NOISE * self._by_part(TRUNK_NOISE, FINGER_NOISE)
 
     def _by_part(self, trunk: float, fingers: float = 1.0) -> Tensor:
         """[n] factors on the coefficients: `trunk` for torso and head, `fingers` for fingers, 1 for the arms."""
@@ -416,19 +424,18 @@ class FlowSampler:
     def _sampled(self, block: BlockToSample, past: Tensor, base: Tensor, context: Tensor, gains: list[float],
                  code: Tensor) -> Tensor:
         """[1, K, D_m] the best of several candidates, moved in time to the onsets of the sound."""
-        speech, settings = block.speech, self.settings
-        draw = _Draw(self, base, context, torch.tensor(gains, device=self.device)[:, None] * self.share,
-                     settings.flow_steps)
+        speech = block.speech
+        draw = _Draw(self, base, context, torch.tensor(gains, device=self.device)[:, None] * self.share, FLOW_STEPS)
         if block.fast:
             # One candidate, few steps, no guidance.
-            draw = _Draw(self, base, context[:1], draw.pull[:0], min(settings.flow_steps, FAST_STEPS))
+            draw = _Draw(self, base, context[:1], draw.pull[:0], FAST_STEPS)
             _, only = draw(self._noise(block, 1, code))
             if not self.chooser.too_fast(speech, self._motion(past, only, block.shift)):
                 return only
         # What is requested of the hands can only be followed by a choice among different arms; otherwise all candidates
         # share the arms of the first. A choice of arms would turn every small change of sound into another gesture.
         same = block.features.control is None and not block.biased
-        noise = self._noise(block, settings.candidates, code)
+        noise = self._noise(block, CANDIDATES, code)
         coefficients, blocks = draw(noise, same)
         motion = self._motion(past, blocks, block.shift)
         if self.chooser.too_fast(speech, motion) or self.chooser.before_face(motion):
@@ -477,14 +484,14 @@ class FlowSampler:
                 ) -> tuple[FlowInputs, list[float]]:
         """[1 + G] inputs of the flow head: the full ones, and one without each of the G guiding conditions; and the
         guidance weights [G]. where: [8] the block's place in speech."""
-        settings, features, none = self.settings, block.features, self.generator.lexemes
+        features, none = block.features, self.generator.lexemes
         control = features.control
-        gains = {"audio": settings.audio_guidance, "lexeme": settings.lexeme_guidance}
+        gains = {"audio": AUDIO_GUIDANCE, "lexeme": LEXEME_GUIDANCE}
         row = None if block.unit is None or not self.generator.unit_width else block.unit.row.to(self.device)
         if row is not None:
-            gains["unit"] = settings.unit_guidance
+            gains["unit"] = UNIT_GUIDANCE
         if control is not None:
-            gains["control"] = settings.guidance - 1.0
+            gains["control"] = self.settings.guidance - 1.0
         gains = {condition: gain for condition, gain in gains.items() if gain}
         left_out = ["", *gains]
         if control is not None:

@@ -31,8 +31,6 @@ def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--data", required=True, metavar="STORE", help="a store made by gesticulator build")
     p.add_argument("--out", required=True, metavar="BUNDLE", help="output folder for the bundle")
     p.add_argument("--preset", default="default", help="a set of settings (--list shows them)")
-    p.add_argument("--speech", action="append", default=[], metavar="DIR",
-                   help="folder of additional audio (no motion, no text) for the first stage of the speech encoder")
     p.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", dest="settings",
                    help="change a setting of the preset, for example generator.lstm_width=320")
     p.add_argument("--work", metavar="DIR",
@@ -63,8 +61,8 @@ def run(args: argparse.Namespace) -> int:
     from gesticulator.bundle.config import with_settings
     from gesticulator.training.distributed import joined, rank
     from gesticulator.training.presets import preset
-    from gesticulator.training.stages import every_stage
-    from gesticulator.training.stages.training import TrainOptions, train
+    from gesticulator.training.stages import Run, every_stage
+    from gesticulator.training.stages.training import train
 
     for flag, names in (("--stage", [args.stage] if args.stage else []), ("--redo", args.redo)):
         for name in names:
@@ -85,10 +83,9 @@ def run(args: argparse.Namespace) -> int:
     for line in () if args.quiet else doubts(store):
         complain(f"{PROGRAM}: warning: {args.data}: {line}")
     with joined(args.device) as device:
-        bundle = train(config, store, out, work, TrainOptions(
-            device, threads * machine, not args.quiet, tuple(map(Path, args.speech)), tuple(args.redo), args.stage,
-            args.precision))
         silent = rank() > 0
+        run = Run(config, store, work, device, not args.quiet and not silent, threads * machine, args.precision)
+        bundle = train(run, out, args.redo, args.stage)
     if bundle is not None and not silent:
         hours = float(bundle.provenance["hours"]["train"])
         print(f"{out}: trained on {hours * 60:.0f} minutes of motion; use it with --bundle {out}")

@@ -52,6 +52,10 @@ def rate_factor(settings: FitSettings, step: int) -> float:
     return _LAST_RATE + (1 - _LAST_RATE) * 0.5 * (1 + math.cos(math.pi * share))
 
 
+def moved(batch: Batch, device: str) -> Batch:
+    return {key: value.to(device) for key, value in batch.items()}
+
+
 def generator_for(seed: int, step: int, process: int = 0) -> np.random.Generator:
     """The random generator of one step, independent of earlier steps."""
     return np.random.default_rng([seed, step, process])
@@ -285,7 +289,7 @@ class _Learner:
             optimiser.zero_grad(set_to_none=True)
         # The batch of the settings is that of all processes together.
         size = max(1, self.settings.batch // distributed.processes())
-        batch = {key: value.to(self.options.device) for key, value in self.task.make_batch(rng, size).items()}
+        batch = moved(self.task.make_batch(rng, size), self.options.device)
         # Dropout and Gumbel noise follow from (seed, step), so a resumed run repeats them.
         torch.manual_seed(int(rng.integers(2**62)))
         total, terms = self.objective(batch, step / max(1, self.settings.steps))

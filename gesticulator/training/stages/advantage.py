@@ -20,16 +20,15 @@ from data_module.files import write_bytes
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
 from gesticulator.training import fit as fitting
-from gesticulator.training.presets import LITERAL
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.corpus import Corpus
 from gesticulator.training.stages.interpreter import INTERPRETER, teacher_logits
 from gesticulator.training.stages.lexicon import LABELS, TOKENS, model_sizes
-from gesticulator.training.stages.q_network import EPISODES, silent_of, takes_of
+from gesticulator.training.stages.q_network import EPISODES, recorded_episodes
 from gesticulator.training.stages.reward import REWARD, TAUGHT_REWARD
 from gesticulator.training.stages.speech import CORPUS
-from interpreters.advantage import Critics, advantages
-from interpreters.episodes import Episode, build
+from interpreters.advantage import CRITICS, GAMMA, Critics
+from interpreters.episodes import Episode
 from interpreters.lstm import LstmInterpreter
 from interpreters.reward_table import Centred, EnsembleReward
 from interpreters.settings import CriticConfig
@@ -158,7 +157,7 @@ def counterfactual(episodes: Sequence[Episode], table: EnsembleReward | Centred,
         swap[:, :half] = (log_prior[:, None] + noise).argmax(-1)
         gained = np.full(swap.shape, np.nan, np.float32)
         tried = np.flatnonzero(rng.random(len(swap)) < TRIED)
-        gained[tried] = gains(table, actions, blocks, tried + 1, swap[tried], config.gamma)
+        gained[tried] = gains(table, actions, blocks, tried + 1, swap[tried], GAMMA)
         every = table.sequence_every(actions, blocks)[1:].float().numpy()
         # Rewards of the lexemes that were performed.
         earned = every[np.arange(len(every)), episode.actions[1:]]
@@ -166,7 +165,7 @@ def counterfactual(episodes: Sequence[Episode], table: EnsembleReward | Centred,
                             ("block", episode.blocks[1:]), ("action", episode.actions[1:]),
                             ("previous", episode.actions[:-1]), ("silent", episode.silent[1:]), ("every", every),
                             ("log_prior", log_prior), ("swap", swap), ("gained", gained),
-                            ("total", discounted(earned, config.gamma))):
+                            ("total", discounted(earned, GAMMA))):
             columns[name].append(value)
     return CounterfactualRewards(**{name: np.concatenate(values) for name, values in columns.items()})
 
@@ -189,8 +188,8 @@ def _needs(config: Config) -> Sequence[Node[Any]]:
 
 
 COUNTERFACTUALS: Node[CounterfactualRewards] = Node(
-    "counterfactuals", settings=("episodes.baseline", "reward", *(f"advantage.{name}" for name in (
-        "gamma", "states", "swaps"))), needs=_needs, make=_make)
+    "counterfactuals", settings=("episodes.baseline", "reward", "advantage.states", "advantage.swaps"), needs=_needs,
+    make=_make)
 """The rewards of all lexemes on the training split, cached under the hash of their inputs."""
 
 
@@ -206,53 +205,27 @@ def critic_batch(corpus: Corpus, data: CounterfactualRewards, windows: dict[str,
 
 def _train(run: Run, model: Critics, folder: Path) -> Figures:
     config, corpus, data = run.config.advantage, run.get(CORPUS), run.get(COUNTERFACTUALS)
-    labelled, unit = run.get(LABELS), data.unit
+    unit = data.unit
     rng = np.random.default_rng(run.seed(ADVANTAGE))
-    trained_on = (rng.random((len(data.lengths), config.critics)) < LEARNED_FROM).astype(np.float32)
+    trained_on = (rng.random((len(data.lengths), CRITICS)) < LEARNED_FROM).astype(np.float32)
     # No episode is left to no critic.
     trained_on[trained_on.sum(1) == 0] = 1.0
-    takes = takes_of(corpus, labelled.hinted, "val" if corpus.recordings("val") else "train")
-    literal = build(takes, LITERAL, lambda lexemes, blocks: torch.zeros(len(lexemes)),
-                    silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy())
+    literal = recorded_episodes(run, "val", lambda lexemes, blocks: torch.zeros(len(lexemes)))
     held = counterfactual(literal.episodes, run.get(TAUGHT_REWARD), run.get(INTERPRETER), corpus,
-                          CriticConfig(states=min(_CHECKED, config.states), swaps=config.swaps, gamma=config.gamma),
-                          1)
-    everything = np.ones((len(held.lengths), config.critics), np.float32)
+                          CriticConfig(states=min(_CHECKED, config.states), swaps=config.swaps), 1)
+    everything = np.ones((len(held.lengths), CRITICS), np.float32)
     checks = [critic_batch(corpus, held, held.windows(fitting.generator_for(4, i), _WINDOWS, config.decisions), unit,
                            everything) for i in range(_CHECKS)]
     model.scale_to(unit, torch.as_tensor(data.gained) / unit, torch.as_tensor(data.total) / unit)
 
     @torch.no_grad()
     def validate() -> Figures:
-        rows = [critic_figures(model, {key: value.to(run.device) for key, value in b.items()}) for b in checks]
-        return {key: float(np.nanmean([row[key] for row in rows])) for key in rows[0]}
+        rows = [model.losses(fitting.moved(b, run.device)) for b in checks]
+        return {key: float(torch.stack([row[key] for row in rows]).mean()) for key in rows[0]}
 
     task = fitting.Task(lambda rng, size: critic_batch(corpus, data, data.windows(rng, size, config.decisions), unit,
                                                        trained_on), validate=validate)
     return run.fit(ADVANTAGE, model, task, folder)
-
-
-def critic_figures(model: Critics, batch: dict[str, Tensor]) -> dict[str, float]:
-    """On the performers' own decisions, Pearson's r: over lexemes between predicted and enumerated advantage
-    (`advantage`, of the block's own reward), over swaps between predicted and computed change of the future (`future`),
-    and between value and return (`value`); also `spread`, the standard deviation of A."""
-    values = model.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
-    valid = batch["valid"] > 0
-    learned = advantages(values.reward, batch["log_prior"])[valid]
-    true = advantages(batch["every"].unsqueeze(-2), batch["log_prior"])[valid]
-    tried = ~torch.isnan(batch["gained"])
-    mean = values.future.mean(-2)
-    moved = mean.gather(-1, batch["swap"]) - mean.gather(-1, batch["action"].unsqueeze(-1))
-    return {"advantage": float(_pearson(learned, true).mean()),
-            "future": float(_pearson(moved[tried], batch["gained"][tried])),
-            "value": float(_pearson(values.value.mean(-1)[valid], batch["return"][valid])),
-            "spread": float(model.spread)}
-
-
-def _pearson(first: Tensor, second: Tensor) -> Tensor:
-    """[...] Pearson's r over the last axis."""
-    a, b = (value - value.mean(-1, keepdim=True) for value in (first, second))
-    return functional.cosine_similarity(a, b, dim=-1)
 
 
 ADVANTAGE: Stage[Critics] = Stage(

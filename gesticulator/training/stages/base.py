@@ -50,14 +50,13 @@ class Node(Generic[T]):
 
     settings: the settings that affect it: paths ("rhythm", "silence.hint"), or functions of the settings. Settings that
     matter only to some users of a value (the words of a corpus) belong to those users. needs: the nodes that `make`
-    gets from the run under these settings. of_data: further data besides the store (folders of additional audio).
+    gets from the run under these settings.
     """
 
     name: str
     settings: tuple[str | Callable[[Config], Any], ...]
     needs: Callable[[Config], Sequence[Node[Any]]] = no_needs
     make: Callable[[Run], T] | None = None
-    of_data: Callable[[Run], Sequence[Any]] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +96,6 @@ class Run:
     work: Path
     device: str = "cpu"
     progress: bool = True
-    speech: tuple[Path, ...] = ()
-    """Folders of additional audio for predictive coding."""
     workers: int = 1
     """Processes that cut and encode recordings."""
     precision: str = "float32"
@@ -145,8 +142,6 @@ class Run:
         parts += [setting(self.config, path) if isinstance(path, str) else path(self.config) for path in node.settings]
         if isinstance(node, Stage):
             parts += [self.config.seed, self.schedule(node)]
-        if node.of_data is not None:
-            parts.append(list(node.of_data(self)))
         return digest(*parts, [self.key(need) for need in node.needs(self.config)])
 
     def seed(self, node: Node[Any]) -> int:

@@ -24,7 +24,7 @@ from data_module.errors import InputError
 from data_module.files import new_file
 from data_module.speech.silence import reference_level
 from data_module.store import Store
-from data_module.text.word_vectors import WordEncoder, word_frames
+from data_module.text.word_vectors import BRIDGE, WordEncoder, word_frames
 from gesticulator.bundle.config import Config, digest
 from gesticulator.bundle.features import encode, front_end_for, representation_of
 
@@ -63,7 +63,7 @@ def cached_blocks(store: Store, config: Config, folder: Path, encoder: SpeechEnc
     end needs there are no features."""
     # Only what changes the blocks: other settings reuse the folder.
     key = digest(store.fingerprint, config.rhythm, config.motion.representation, config.motion.joints,
-                 config.control.window, config.text.bridge)
+                 controls.WINDOW, BRIDGE)
     blocks = folder / f"blocks-{key}"
     files = tuple(blocks / f"{name}.npz" for name in store.names)
     _all(_cut_one, [(str(store.path), name, config, file) for name, file in zip(store.names, files, strict=True)],
@@ -85,7 +85,7 @@ def _cut_one(store_path: str, name: str, config: Config, target: Path) -> None:
     speech, motion = recording.speech, recording.motion
     representation = representation_of(config)
     blocks = block_module.cut(speech, config.rhythm)
-    control = controls.at_knots(controls.measure(motion, config.control.window), motion.fps, blocks)
+    control = controls.at_knots(controls.measure(motion), motion.fps, blocks)
     arrays: dict[str, NDArray[Any]] = {
         "motion": normalise_motion(motion, blocks, representation).astype(np.float32),
         "first": first_pose(motion, representation).astype(np.float32),
@@ -94,7 +94,7 @@ def _cut_one(store_path: str, name: str, config: Config, target: Path) -> None:
         "control": control.astype(np.float32),
     }
     if speech.words is not None and any(word.text for word in speech.words):
-        arrays["word_at"] = word_frames(speech.words, blocks, config.text.bridge).astype(np.int32)
+        arrays["word_at"] = word_frames(speech.words, blocks).astype(np.int32)
     # A file of its own, from which training maps single blocks; written before the one that marks both complete.
     with new_file(target.with_suffix(".npy")) as stream:
         np.save(stream, block_module.stretch_speech(speech, blocks).astype(np.float16))

@@ -20,11 +20,13 @@ from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.heads import UNIT_CODES, UNITS
 from gesticulator.training.stages.lexicon import LABELS, LEXICON, model_sizes
 from gesticulator.training.stages.speech import CORPUS
-from gesticulator.training.stages.windows import Windows, sequences, validation, with_silence
+from gesticulator.training.stages.windows import Windows, sequences, task_of, validation, with_silence
 from interpreters.planner import one_hot
 from lexicon.autoencoder import Lexicon
 from lexicon.movement import MovementLexicon
 
+_NOTHING = (0.0, 0.0, 0.0, 0.0)
+"""No input is left out, as in use."""
 LONGEST_INSERT = 10
 """Longest inserted run of silence, in blocks (5 s at most)."""
 
@@ -39,27 +41,16 @@ def _train_flow(run: Run, model: FlowGenerator, folder: Path) -> Figures:
         tables["unit"] = one_hot(torch.as_tensor(run.get(UNITS)))
     if config.generator.styled:
         tables["code"] = torch.as_tensor(run.get(UNIT_CODES))
-
-    def with_units(batch: fitting.Batch) -> fitting.Batch:
-        return {**batch, **{key: table[batch["block"]] for key, table in tables.items()}}
-
     lexicon = copy.deepcopy(_movements(run)).to(run.device)
-    checks = [with_units(batch) for batch in validation(corpus, labelled.labels, config.generator.blocks, moving=True)]
 
-    @torch.no_grad()
-    def validate() -> Figures:
-        batches = [{key: value.to(run.device) for key, value in b.items()} for b in checks]
-        figures = {}
-        for name, left_out in (("flow", (0.0, 0.0, 0.0, 0.0)), ("without_audio", (1.0, 0.0, 0.0, 0.0)),
-                               ("without_lexeme", (0.0, 1.0, 0.0, 0.0)), ("without_history", (0.0, 0.0, 1.0, 0.0)),
-                               ("without_history_and_audio", (1.0, 0.0, 1.0, 0.0))):
-            torch.manual_seed(run.seed(GENERATOR))  # the same times and noise for comparable figures
-            terms = [model.losses(b, 1.0, lexicon.nearest, left_out)["flow"] for b in batches]
-            figures[name] = float(sum(terms)) / len(terms)
-        return figures
+    def validate(batches: list[fitting.Batch]) -> Figures:
+        torch.manual_seed(run.seed(GENERATOR))  # the same times and noise for comparable figures
+        return {"flow": sum(float(model.losses(b, 1.0, lexicon.nearest, _NOTHING)["flow"]) for b in batches)
+                / len(batches)}
 
-    task = fitting.Task(lambda rng, size: with_units(windows.sample(rng, size)),
-                        lambda batch, progress: model.losses(batch, progress, lexicon.nearest), validate, watch="flow")
+    checks = validation(corpus, labelled.labels, config.generator.blocks, moving=True)
+    task = task_of(run, windows, checks, validate, tables, "flow",
+                   lambda batch, progress: model.losses(batch, progress, lexicon.nearest))
     return run.fit(GENERATOR, model, task, folder)
 
 
@@ -89,26 +80,24 @@ def _train_regression(run: Run, model: Generator, folder: Path) -> Figures:
     windows = Windows(corpus, parts, config.window, control=config.control if config.generator.use_control else None)
     lexicon = copy.deepcopy(cast(Lexicon, run.get(LEXICON))).to(run.device)
     freeze(lexicon)
-    checks = validation(corpus, labelled.labels, config.window)
 
-    def with_vectors(batch: fitting.Batch) -> fitting.Batch:
-        return {**batch, "lexeme": lexicon.vectors[batch["lexeme_index"].to(run.device)]}
+    def vectors(batch: fitting.Batch) -> torch.Tensor:
+        return lexicon.vectors[batch["lexeme"]]
 
-    @torch.no_grad()
-    def validate() -> Figures:
+    def validate(batches: list[fitting.Batch]) -> Figures:
         totals = []
-        for batch in checks:
-            b = {key: value.to(run.device) for key, value in with_vectors(batch).items()}
+        for b in batches:
             zero = torch.zeros(*b["style"][:, 1:].shape, config.generator.style_width, device=run.device)
-            generated, _ = model.roll_out(b["motion"][:, 0], BlockInputs(b["audio"][:, 1:], b["lexeme"][:, 1:], zero))
+            generated, _ = model.roll_out(b["motion"][:, 0], BlockInputs(b["audio"][:, 1:], vectors(b)[:, 1:], zero))
             true = b["motion"][:, 1:]
             totals.append(((generated - true).pow(2).mean(), (lexicon.encode(generated.flatten(0, 1))
-                                                         - lexicon.encode(true.flatten(0, 1))).pow(2).mean()))
+                                                              - lexicon.encode(true.flatten(0, 1))).pow(2).mean()))
         return {"reconstruction": float(sum(t[0] for t in totals)) / len(totals),
                 "perceptual": float(sum(t[1] for t in totals)) / len(totals)}
 
-    task = fitting.Task(lambda rng, size: with_vectors(windows.sample(rng, size)),
-                        lambda batch, progress: model.losses(batch, progress, lexicon.encode), validate)
+    task = task_of(run, windows, validation(corpus, labelled.labels, config.window), validate,
+                   losses=lambda batch, progress: model.losses({**batch, "lexeme": vectors(batch)}, progress,
+                                                               lexicon.encode))
     return run.fit(GENERATOR, model, task, folder)
 
 

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from data_module.motion.phases import HandPhases, Phase, hand_places, phases_of
 from data_module.types import Array
@@ -26,7 +25,7 @@ from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.corpus import BLOCKS, Corpus
 from gesticulator.training.stages.lexicon import LABELS, model_sizes
 from gesticulator.training.stages.speech import CORPUS
-from gesticulator.training.stages.windows import Windows, sequences, validation
+from gesticulator.training.stages.windows import Windows, sequences, task_of, validation
 from interpreters.gate import ActivityGate
 from interpreters.planner import APEXES, CODE, HANDS, PHASES, SIZES, UnitPlanner, UnitStyleInterpreter
 
@@ -115,26 +114,24 @@ UNITS: Node[NDArray[np.int64]] = Node(
 """[N, 4] the decisions measured on the blocks."""
 
 
+def _plain_windows(run: Run) -> tuple[Windows, list[fitting.Batch]]:
+    """Windows of the training and of the validation split, without words and controls."""
+    corpus, labelled, length = run.get(CORPUS), run.get(LABELS), run.config.window
+    return (Windows(corpus, sequences(corpus, labelled.labels, "train", labelled.style_numbers), length),
+            validation(corpus, labelled.labels, length))
+
+
 def _train(run: Run, model: UnitPlanner, folder: Path) -> Figures:
-    config, corpus, labelled, units = run.config, run.get(CORPUS), run.get(LABELS), run.get(UNITS)
+    corpus, labelled, units = run.get(CORPUS), run.get(LABELS), run.get(UNITS)
     train = corpus.select("train")
     model.count(labelled.hinted[train], units[train])
-    windows = Windows(corpus, sequences(corpus, labelled.labels, "train", labelled.style_numbers), config.window)
-    rows = torch.as_tensor(units)
 
-    def with_units(batch: fitting.Batch) -> fitting.Batch:
-        return {**batch, "units": rows[batch["block"]]}
-
-    checks = [with_units(batch) for batch in validation(corpus, labelled.labels, config.window)]
-
-    @torch.no_grad()
-    def validate() -> Figures:
-        batches = [{key: value.to(run.device) for key, value in batch.items()} for batch in checks]
+    def validate(batches: list[fitting.Batch]) -> Figures:
         each = [model.losses(batch) for batch in batches]
         means = {name: sum(float(losses[name]) for losses in each) / len(each) for name in each[0]}
         return {"nll": sum(means.values()), **means}
 
-    task = fitting.Task(lambda rng, size: with_units(windows.sample(rng, size)), validate=validate, watch="nll")
+    task = task_of(run, *_plain_windows(run), validate, {"units": torch.as_tensor(units)}, "nll")
     return run.fit(PLANNER, model, task, folder)
 
 
@@ -145,22 +142,12 @@ PLANNER: Stage[UnitPlanner] = Stage(
 
 
 def _train_gate(run: Run, model: ActivityGate, folder: Path) -> Figures:
-    config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
-    windows = Windows(corpus, sequences(corpus, labelled.labels, "train", labelled.style_numbers), config.window)
-    active = torch.as_tensor(labelled.active.astype(np.float32))
+    active = torch.as_tensor(run.get(LABELS).active.astype(np.float32))
 
-    def with_activity(batch: fitting.Batch) -> fitting.Batch:
-        return {**batch, "active": active[batch["block"]]}
+    def validate(batches: list[fitting.Batch]) -> Figures:
+        return {"nll": sum(float(model.losses(b)["activity"]) for b in batches) / len(batches)}
 
-    checks = [with_activity(b) for b in validation(corpus, labelled.labels, config.window)]
-
-    @torch.no_grad()
-    def validate() -> Figures:
-        batches = [{key: value.to(run.device) for key, value in b.items()} for b in checks]
-        return {"nll": sum(float(model.losses(b)["activity"]) for b in batches) / len(batches),
-                "active": float(active[torch.as_tensor(corpus.select("train"))].mean())}
-
-    task = fitting.Task(lambda rng, size: with_activity(windows.sample(rng, size)), validate=validate, watch="nll")
+    task = task_of(run, *_plain_windows(run), validate, {"active": active}, "nll")
     return run.fit(GATE, model, task, folder)
 
 
@@ -242,34 +229,18 @@ UNIT_CODES: Node[NDArray[np.float32]] = Node(
 
 def train_interpreter(run: Run, model: UnitStyleInterpreter, folder: Path, stage: Stage[Any]) -> Figures:
     """Train on the codes of the training split, then set the gain on those of the validation split."""
-    config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
-    codes = torch.as_tensor(run.get(UNIT_CODES))
     acting = torch.as_tensor(run.get(UNITS)[:, 0] != PHASES.index("rest")).float()
-    windows = Windows(corpus, sequences(corpus, labelled.labels, "train", labelled.style_numbers), config.window)
 
-    def with_codes(batch: fitting.Batch) -> fitting.Batch:
-        return {**batch, "code": codes[batch["block"]], "acting": acting[batch["block"]]}
-
-    checks = [with_codes(batch) for batch in validation(corpus, labelled.labels, config.window)]
-
-    @torch.no_grad()
-    def compared() -> tuple[Tensor, Tensor]:
-        """Predictions and measured codes [n, d_z] of the blocks of units in the validation split."""
+    def validate(batches: list[fitting.Batch]) -> Figures:
         rows = []
-        for batch in checks:
-            predicted, _ = model.predict(batch["audio_low"].to(run.device), batch["speaker"].to(run.device))
+        for batch in batches:
             there = (batch["valid"] * batch["acting"]) > 0
-            rows.append((predicted.cpu()[there], batch["code"][there]))
-        return torch.cat([row[0] for row in rows]), torch.cat([row[1] for row in rows])
-
-    def validate() -> Figures:
-        predicted, measured = compared()
+            rows.append((model.predict(batch["audio_low"], batch["speaker"])[0][there].cpu(),
+                         batch["code"][there].cpu()))
+        predicted, measured = (torch.cat(column) for column in zip(*rows, strict=True))
         model.calibrate(predicted, measured)
-        # 1 - residual / total variance: the share of each code that speech explains (R^2).
-        left = (predicted - measured).pow(2).mean(0) / measured.var(0).clamp_min(1e-6)
-        return {"code_error": float((predicted - measured).pow(2).mean()),
-                **{f"explained_{name}": float(1 - share) for name, share in zip(CODE, left, strict=True)}}
+        return {"code_error": float((predicted - measured).pow(2).mean())}
 
-    task = fitting.Task(lambda rng, size: with_codes(windows.sample(rng, size)), validate=validate,
-                        watch="code_error")
+    codes = {"code": torch.as_tensor(run.get(UNIT_CODES)), "acting": acting}
+    task = task_of(run, *_plain_windows(run), validate, codes, "code_error")
     return run.fit(stage, model, task, folder)

@@ -27,7 +27,7 @@ from gesticulator.training.stages.generator import GENERATOR
 from gesticulator.training.stages.heads import UNIT_CODES, UNITS, train_interpreter
 from gesticulator.training.stages.lexicon import LABELS, LEXICON, model_sizes
 from gesticulator.training.stages.speech import CORPUS
-from gesticulator.training.stages.windows import AT_ONCE, VALIDATED, Windows, sequences, validation
+from gesticulator.training.stages.windows import AT_ONCE, VALIDATED, Windows, sequences, task_of, validation
 from interpreters.base import pose_of
 from interpreters.lstm import LstmInterpreter, StyleInterpreter
 from interpreters.planner import UnitStyleInterpreter
@@ -38,16 +38,10 @@ def _train(run: Run, model: LstmInterpreter, folder: Path, stage: Stage[LstmInte
     parts = sequences(corpus, labelled.hinted, "train", labelled.style_numbers, text)
     windows = Windows(corpus, parts, config.window, text=text,
                       control=config.control if config.interpreter.use_control else None)
-    checks = validation(corpus, labelled.hinted, config.window, text)
 
-    def as_labels(batch: fitting.Batch) -> fitting.Batch:
-        return {**batch, "lexeme": batch["lexeme_index"]}
-
-    @torch.no_grad()
-    def validate() -> Figures:
+    def validate(batches: list[fitting.Batch]) -> Figures:
         right, nll, count = 0.0, 0.0, 0.0
-        for batch in checks:
-            b = {key: value.to(run.device) for key, value in as_labels(batch).items()}
+        for b in batches:
             logits, _ = model.scores(b["lexeme"][:, :-1], b["audio_high"][:, 1:], b["speaker"], None,
                                      b["text"][:, 1:] if text else None, None, model.poses(b))
             valid, wanted = b["valid"][:, 1:], b["lexeme"][:, 1:]
@@ -57,7 +51,7 @@ def _train(run: Run, model: LstmInterpreter, folder: Path, stage: Stage[LstmInte
             count += float(valid.sum())
         return {"accuracy": right / count, "nll": nll / count}
 
-    task = fitting.Task(lambda rng, size: as_labels(windows.sample(rng, size)), validate=validate, watch="nll")
+    task = task_of(run, windows, validation(corpus, labelled.hinted, config.window, text), validate, watch="nll")
     return run.fit(stage, model, task, folder)
 
 
@@ -127,17 +121,12 @@ def _train_style(run: Run, model: StyleInterpreter | UnitStyleInterpreter, folde
     windows = Windows(corpus, [p for i, p in enumerate(parts) if not held or i % _HELD_OUT], config.window, text=text)
     checks = list(islice(Windows(corpus, held or parts, config.window, text=text).tiled(AT_ONCE), VALIDATED))
 
-    def with_codes(batch: fitting.Batch) -> fitting.Batch:
-        return {**batch, "lexeme": batch["lexeme_index"], "code": table[batch["style"]]}
+    def validate(batches: list[fitting.Batch]) -> Figures:
+        return {"code_error": sum(float(model.losses(b)["code"]) for b in batches) / len(batches)}
 
-    @torch.no_grad()
-    def validate() -> Figures:
-        batches = [{key: value.to(run.device) for key, value in with_codes(b).items()} for b in checks]
-        error = sum(float(model.losses(b)["code"]) for b in batches) / len(batches)
-        return {"code_error": error, "code_variance": float(table[1:].var(0).mean())}
-
-    task = fitting.Task(lambda rng, size: with_codes(windows.sample(rng, size)), validate=validate,
-                        watch="code_error")
+    # Codes by block: they are numbered by the training blocks, and all others have the code 0.
+    of_blocks = {"code": table[torch.as_tensor(labelled.style_numbers)]}
+    task = task_of(run, windows, checks, validate, of_blocks, "code_error")
     return run.fit(stage, model, task, folder)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -56,29 +57,26 @@ def silent_of(labelled: Labelled) -> SilentLexemes:
     return SilentLexemes(labelled.silent, labelled.nearest)
 
 
+def recorded_episodes(run: Run, split: str, reward: Reward) -> Episodes:
+    """RACER's own data set: the lexemes of the performers and nothing else, of a split (of the training split if it is
+    empty)."""
+    corpus, labelled = run.get(CORPUS), run.get(LABELS)
+    takes = takes_of(corpus, labelled.hinted, split if corpus.recordings(split) else "train")
+    return build(takes, LITERAL, reward, silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy())
+
+
 def _make_episodes(run: Run) -> Episodes:
-    def make() -> Episodes:
-        corpus, config, labelled = run.get(CORPUS), run.config, run.get(LABELS)
-        frequencies = np.stack([labelled.inventory.frequencies[name] for name in corpus.statistics.speakers])
-        others: dict[str, Any] = {"statistical": StatisticalInterpreter(frequencies, labelled.inventory.transitions,
-                                                                        config.statistical)}
-        if INTERPRETER.name in system_of(config).STAGES:
-            others["sampled"] = run.get(INTERPRETER)
-        return build(takes_of(corpus, labelled.hinted, "train"), config.episodes, step_reward(run),
+    file = run.work / f"{EPISODES.name}-{run.key(EPISODES)}.npz"
+    with contextlib.suppress(InputError):  # missing, truncated by a crash, or changed: compute
+        return Episodes.load(file)
+    corpus, config, labelled = run.get(CORPUS), run.config, run.get(LABELS)
+    frequencies = np.stack([labelled.inventory.frequencies[name] for name in corpus.statistics.speakers])
+    others: dict[str, Any] = {"statistical": StatisticalInterpreter(frequencies, labelled.inventory.transitions)}
+    if INTERPRETER.name in system_of(config).STAGES:
+        others["sampled"] = run.get(INTERPRETER)
+    episodes = build(takes_of(corpus, labelled.hinted, "train"), config.episodes, step_reward(run),
                      silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy(),
                      policies=BehaviourPolicies(others, features_of(corpus)), seed=run.seed(EPISODES))
-
-    return _cached(run, EPISODES, make)
-
-
-def _cached(run: Run, node: Node[Episodes], make: Callable[[], Episodes]) -> Episodes:
-    file = run.work / f"{node.name}-{run.key(node)}.npz"
-    if file.exists():
-        try:
-            return Episodes.load(file)
-        except InputError:
-            pass  # truncated by a crash, or changed: compute again
-    episodes = make()
     episodes.save(file)
     return episodes
 
@@ -87,7 +85,7 @@ def _episode_needs(config: Config) -> Sequence[Node[Any]]:
     return CORPUS, TOKENS, LABELS, REWARD, *((INTERPRETER,) if INTERPRETER.name in system_of(config).STAGES else ())
 
 
-EPISODES: Node[Episodes] = Node("episodes", settings=("episodes", "statistical", "silence.hint"), needs=_episode_needs,
+EPISODES: Node[Episodes] = Node("episodes", settings=("episodes", "silence.hint"), needs=_episode_needs,
                                 make=_make_episodes)
 """The offline data set of the training split, cached under the hash of its inputs (RACER 4.3)."""
 
@@ -97,28 +95,14 @@ def literal_reward(run: Run) -> Reward:
     return reward_table(run.get(REWARD), run.get(TOKENS), run.get(CORPUS), literal=True).sequence
 
 
-def _make_literal(run: Run) -> Episodes:
-    def make() -> Episodes:
-        corpus, labelled = run.get(CORPUS), run.get(LABELS)
-        return build(takes_of(corpus, labelled.hinted, "train"), LITERAL, literal_reward(run),
-                     silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy(),
-                     seed=run.seed(LITERAL_EPISODES))
-
-    return _cached(run, LITERAL_EPISODES, make)
-
-
 LITERAL_EPISODES: Node[Episodes] = Node(
     "episodes_literal", settings=("silence.hint",), needs=lambda config: (CORPUS, TOKENS, LABELS, REWARD),
-    make=_make_literal)
-"""RACER's own data set: the lexemes of the performers and nothing else."""
+    make=lambda run: recorded_episodes(run, "train", literal_reward(run)))
 
 
-def q_batch(corpus: Corpus, windows: dict[str, Tensor], lookahead: int = 1) -> dict[str, Tensor]:
-    """Windows of episodes with the Q-network's inputs: audio [B, T + 1, 3K, d] and speaker one-hot [B, P].
-
-    Without look-ahead the audio is that around the block before. Decisions begin with a recording's second block.
-    """
-    return {**windows, "audio": corpus.high[windows["block"] - (1 - lookahead)].float(),
+def q_batch(corpus: Corpus, windows: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Windows of episodes with the Q-network's inputs: audio [B, T + 1, 3K, d] and speaker one-hot [B, P]."""
+    return {**windows, "audio": corpus.high[windows["block"]].float(),
             "speaker": functional.one_hot(windows["speaker"], len(corpus.statistics.speakers)).float()}
 
 
@@ -131,28 +115,23 @@ def new_q_network(config: Config, corpus: Corpus, vectors: Tensor, silent: NDArr
 def _train(run: Run, learner: ConservativeQ, folder: Path, stage: Stage[QNetwork], episodes: Episodes,
            reward: Reward) -> Figures:
     """Fit a Q-network to episodes; `reward` is that of a step of the validation recordings."""
-    corpus, labelled, config = run.get(CORPUS), run.get(LABELS), learner.config
-    held = build(takes_of(corpus, labelled.hinted, "val" if corpus.recordings("val") else "train"), LITERAL,
-                 reward, silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy())
-    # Windows of the plain recordings; precomputed window rewards belong to the training episodes.
-    plain = Episodes(held.episodes)
-    checks = [q_batch(corpus, plain.windows(fitting.generator_for(3, i), _WINDOWS, config.decisions), config.lookahead)
+    corpus, config, held = run.get(CORPUS), learner.config, recorded_episodes(run, "val", reward)
+    checks = [q_batch(corpus, held.windows(fitting.generator_for(3, i), _WINDOWS, config.decisions))
               for i in range(_CHECKS)]
 
     @torch.no_grad()
     def validate() -> Figures:
-        return q_figures(learner, [{key: value.to(run.device) for key, value in b.items()} for b in checks])
+        return q_figures(learner, [fitting.moved(b, run.device) for b in checks])
 
-    task = fitting.Task(lambda rng, size: q_batch(corpus, episodes.windows(rng, size, config.decisions),
-                                                  config.lookahead), validate=validate,
-                        before_step=learner.before_step)
+    task = fitting.Task(lambda rng, size: q_batch(corpus, episodes.windows(rng, size, config.decisions)),
+                        validate=validate, before_step=learner.before_step)
     return run.fit(stage, learner, task, folder)
 
 
 @torch.no_grad()
 def q_figures(learner: ConservativeQ, batches: Sequence[dict[str, Tensor]]) -> dict[str, float]:
-    """On the performers' own decisions: NLL of softmax(Q), accuracy of arg max, squared Bellman error, mean Q."""
-    totals = np.zeros(4)
+    """On the performers' own decisions: NLL of softmax(Q), accuracy of arg max, squared Bellman error."""
+    totals = np.zeros(3)
     for batch in batches:
         q = learner.online.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
         allowed = learner.online.allowed(batch["silent"])
@@ -161,29 +140,26 @@ def q_figures(learner: ConservativeQ, batches: Sequence[dict[str, Tensor]]) -> d
         nll = data_nll(q, batch["action"], allowed)
         right = (masked.argmax(-1, keepdim=True) == action)[..., 0].float()
         count = valid.sum()
-        # Q of the performers' lexemes, the values that conservative learning raises.
-        taken = q.gather(-1, action)[..., 0]
         error = learner.losses({**batch, "cloned": valid}).get("temporal_difference", torch.nan)
-        totals += [float((nll * valid).sum() / count), float((right * valid).sum() / count), float(error),
-                   float((taken * valid).sum() / count)]
-    names = ("nll", "accuracy", "temporal_difference", "mean_q")
+        totals += [float((nll * valid).sum() / count), float((right * valid).sum() / count), float(error)]
+    names = ("nll", "accuracy", "temporal_difference")
     return {name: float(value) for name, value in zip(names, totals / len(batches), strict=True)}
 
 
-Q_NETWORK: Stage[QNetwork] = Stage(
-    "q_network", settings=("cql", "silence.hint"), schedule="cql",
-    needs=lambda config: (CORPUS, TOKENS, LABELS, REWARD, EPISODES),
-    wanted=lambda config: config.schedules.cql.steps > 0, part="q_network",
-    train=lambda run, learner, folder: _train(run, learner, folder, Q_NETWORK, run.get(EPISODES), step_reward(run)),
-    finish=lambda learner: cast("ConservativeQ", learner).online,
-    build=lambda run: ConservativeQ(models.build("q_network", model_sizes(run))))
-Q_LITERAL: Stage[QNetwork] = Stage(
-    "q_network_literal", settings=("cql_literal", "silence.hint"), schedule="cql_literal",
-    needs=lambda config: (CORPUS, TOKENS, LABELS, REWARD, LITERAL_EPISODES),
-    wanted=lambda config: min(config.schedules.cql.steps, config.schedules.cql_literal.steps) > 0,
-    part="q_network_literal",
-    train=lambda run, learner, folder: _train(run, learner, folder, Q_LITERAL, run.get(LITERAL_EPISODES),
-                                              literal_reward(run)),
-    finish=lambda learner: cast("ConservativeQ", learner).online,
-    build=lambda run: ConservativeQ(models.build("q_network_literal", model_sizes(run))))
-"""The Q-network as published, trained on `LITERAL_EPISODES`."""
+def _q_stage(name: str, settings: str, episodes: Node[Episodes], reward: Callable[[Run], Reward]) -> Stage[QNetwork]:
+    """A Q-network trained on `episodes`; settings: the names of its settings and of its schedule."""
+    def train(run: Run, learner: ConservativeQ, folder: Path) -> Figures:
+        return _train(run, learner, folder, Q_NETWORK if name == Q_NETWORK.name else Q_LITERAL, run.get(episodes),
+                      reward(run))
+
+    return Stage(
+        name, settings=(settings, "silence.hint"), schedule=settings, part=name, train=train,
+        needs=lambda config: (CORPUS, TOKENS, LABELS, REWARD, episodes),
+        wanted=lambda config: min(config.schedules.cql.steps, getattr(config.schedules, settings).steps) > 0,
+        build=lambda run: ConservativeQ(models.build(name, model_sizes(run))),
+        finish=lambda learner: cast("ConservativeQ", learner).online)
+
+
+Q_NETWORK = _q_stage("q_network", "cql", EPISODES, step_reward)
+Q_LITERAL = _q_stage("q_network_literal", "cql_literal", LITERAL_EPISODES, literal_reward)
+"""The Q-network as published, trained on recorded lexemes only."""

@@ -33,8 +33,13 @@ _TOGETHER = 8
 and not the speaker."""
 _CHECKS, _WINDOWS = 4, 128
 """Validation batches, and windows in each."""
-_DECODED = 4096
+_AT_ONCE = 4096
 """Blocks decoded at a time, to bound memory."""
+_SHORTEST = 2
+"""Blocks of the shortest training window, for the first blocks of a recording."""
+_DECODED = 0.5
+"""Share of the motion blocks in training that are decoded from the lexicon instead of captured. The policy's motion is
+always decoded; without decoded motion in training the reward would detect decoding artefacts."""
 _LEAST_ODDS = 1e-3
 """Added to the odds of every lexeme, so that pairs absent from the training split remain possible."""
 
@@ -71,7 +76,7 @@ class MovementContext:
         if labels is None:
             return
         with torch.no_grad():
-            parts = torch.arange(len(labels)).split(_DECODED)
+            parts = torch.arange(len(labels)).split(_AT_ONCE)
             self.manner = torch.cat([(corpus.motion[part] - lexicon.basis.base(self.pasts[part])
                                       - self.added[torch.as_tensor(labels)[part]]).half() for part in parts])
             """[N, K, D_m] the residuals, in half precision to save memory."""
@@ -109,7 +114,7 @@ def reward_table(model: RewardModel | RewardEnsemble, tokens: Tokens, corpus: Co
 
     literal: the paper's cosine, averaged over members, without caution. context: a precomputed `context_of`.
     """
-    audio, durations = block_audio(corpus).float(), torch.as_tensor(np.log(corpus.durations)).float()
+    audio = block_audio(corpus).float()
     # The three kinds of lexicon differ in how lexemes become motion.
     how: dict[str, Any] = {"centred": model.config.centred and not literal}
     context = context or context_of(tokens, corpus)
@@ -119,7 +124,7 @@ def reward_table(model: RewardModel | RewardEnsemble, tokens: Tokens, corpus: Co
         how |= {"decoded": context.added, "bases": context}
     else:
         how |= {"decoded": tokens.shown()}
-    return EnsembleReward([RewardTable(member, audio, durations, **how) for member in model.models],
+    return EnsembleReward([RewardTable(member, audio, **how) for member in model.models],
                           0.0 if literal else model.config.caution)
 
 
@@ -144,12 +149,11 @@ class RewardWindows:
     after: NDArray[np.float64] | None = None
     added: Tensor | None = None
 
-    def sample(self, rng: np.random.Generator, count: int, decoded: float | None = None) -> fitting.Batch:
+    def sample(self, rng: np.random.Generator, count: int, decoded: float = _DECODED) -> fitting.Batch:
         """A batch of `count` windows for `RewardModel.losses`, a share `decoded` of them decoded from lexemes."""
         config = self.config
         blocks, valid = drawn_windows(self.corpus, self.recordings, config, rng, count)
-        share = config.decoded if decoded is None else decoded
-        batch = self.batch(blocks, valid, rng.random(count) < share)
+        batch = self.batch(blocks, valid, rng.random(count) < decoded)
         if self.lexemes is not None and config.rivals:
             batch["rival"] = self.lexemes[torch.as_tensor(self.rivals(blocks, valid, rng))]
         if config.choice:
@@ -171,7 +175,6 @@ class RewardWindows:
         at, shows = torch.as_tensor(blocks), torch.as_tensor(decoded)
         motion = torch.where(shows[:, None, None, None], self.shown[at], self.corpus.motion[at])
         return {"motion": motion, "audio": self.audio[at].float(), "valid": torch.as_tensor(valid),
-                "log_duration": torch.as_tensor(np.log(self.corpus.durations[blocks])).float(),
                 "group": torch.as_tensor(groups(blocks, valid, self.corpus.silent[blocks])), "rivalled": shows}
 
     def rivals(self, blocks: NDArray[np.int64], valid: NDArray[np.float32], rng: np.random.Generator
@@ -206,7 +209,7 @@ def drawn_windows(corpus: Corpus, recordings: Sequence[int], config: RewardConfi
     blocks, valid = np.zeros((count, config.longest), np.int64), np.zeros((count, config.longest), np.float32)
     for row, recording in enumerate(owners):
         blocks_of = corpus.blocks_of(int(recording))
-        length = min(int(rng.integers(config.shortest, config.longest + 1)), len(blocks_of))
+        length = min(int(rng.integers(_SHORTEST, config.longest + 1)), len(blocks_of))
         start = int(rng.integers(len(blocks_of) - length + 1))
         blocks[row] = blocks_of[start]
         blocks[row, -length:] = blocks_of[start:start + length]
@@ -253,7 +256,7 @@ def _train(run: Run, model: RewardEnsemble, folder: Path, stage: Stage[RewardEns
 
     @torch.no_grad()
     def validate() -> Figures:
-        figures = [model.figures({key: value.to(run.device) for key, value in b.items()}) for b in checks]
+        figures = [model.figures(fitting.moved(b, run.device)) for b in checks]
         return {key: float(np.mean([f[key] for f in figures])) for key in figures[0]}
 
     task = fitting.Task(windows.sample, validate=validate, before_step=model.before_step)

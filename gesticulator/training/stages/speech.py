@@ -1,17 +1,13 @@
 """The speech encoder: predictive coding on audio, then the contrastive loss with text (RG 4.1.3, Eq. 1).
-
-Predictive coding may also use crops of any folder of sound files. The last node is the corpus with the features of the
-trained encoder.
+The last node is the corpus with the features of the trained encoder.
 """
 
 from __future__ import annotations
 
 import copy
-import hashlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -19,9 +15,8 @@ from numpy.typing import NDArray
 from torch import nn
 
 from data_module.blocks import samples_per_frame
-from data_module.errors import InputError
 from data_module.layers import freeze
-from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
+from data_module.speech.audio import SAMPLE_RATE, resample
 from data_module.speech.speech_encoder import PredictiveCoding, SpeechEncoder, TextContrast
 from data_module.store import Store
 from gesticulator.bundle import models
@@ -29,26 +24,6 @@ from gesticulator.bundle.config import Config
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.corpus import BLOCKS, Corpus, prepare, sizes
-
-SOUND_SUFFIXES = (".flac", ".wav", ".ogg", ".mp3")
-
-
-def sound_files(folder: Path) -> list[Path]:
-    """All sound files in a folder and below, sorted; InputError if there are none."""
-    if not folder.is_dir():
-        raise InputError(folder, "is not a folder", "name a folder of sound files")
-    files = sorted(file for file in folder.rglob("*") if file.suffix.lower() in SOUND_SUFFIXES and file.is_file())
-    if not files:
-        raise InputError(folder, "holds no sound file", f"put {', '.join(SOUND_SUFFIXES)} files there")
-    return files
-
-
-def folder_digest(folder: Path) -> str:
-    """A hash of the names and contents of a folder's sound files."""
-    digest = hashlib.sha256()
-    for file in sound_files(folder):
-        digest.update(file.relative_to(folder).as_posix().encode() + hashlib.sha256(file.read_bytes()).digest())
-    return digest.hexdigest()[:16]
 
 
 @dataclass(frozen=True)
@@ -64,12 +39,11 @@ class Crops:
     length: int
 
     @classmethod
-    def of_store(cls, store: Store, names: Sequence[str], folders: Sequence[Path], length: int) -> Crops:
-        """Crops of `length` samples from recordings of a store and from folders of audio."""
-        files = [file for folder in folders for file in sound_files(folder)]
+    def of_store(cls, store: Store, names: Sequence[str], length: int) -> Crops:
+        """Crops of `length` samples from recordings of a store."""
         parts = []
-        for sound in [store.load(name).speech for name in names] + [load_speech(file) for file in files]:
-            samples = resample(sound, SAMPLE_RATE).samples
+        for name in names:
+            samples = resample(store.load(name).speech, SAMPLE_RATE).samples
             # A recording shorter than a crop is padded, so that it has one possible start.
             parts.append(np.pad(samples, (0, max(0, length - len(samples)))).astype(np.float16))
         sizes = np.array([len(part) for part in parts])
@@ -87,27 +61,17 @@ class Crops:
 
 _CHECKS, _CROPS = 4, 32
 """Validation batches, and crops in each."""
-Names = Callable[[Run], Sequence[str]]
 
 
 def _learned(config: Config) -> bool:
     return config.front_end.name == "vqwav2vec"
 
 
-def _names(split: str) -> Names:
-    return lambda run: [info.name for info in run.store.recordings if info.split == split]
-
-
-def _held(run: Run) -> Sequence[str]:
-    return _names("val")(run) or _names("train")(run)[:1]
-
-
-def _train_predictive(run: Run, model: PredictiveCoding, folder: Path, stage: Stage[Any], known: Sequence[str],
-                      held: Sequence[str]) -> Figures:
-    config = run.config
+def _train_predictive(run: Run, model: PredictiveCoding, folder: Path) -> Figures:
+    store, config = run.store, run.config
+    known, held = ([info.name for info in store.of_split(split)] for split in ("train", "val"))
     length = 3 * config.rhythm.frames * samples_per_frame(SAMPLE_RATE, config.rhythm.fps)
-    crops = Crops.of_store(run.store, known, run.speech, length)
-    check = Crops.of_store(run.store, held, (), length)
+    crops, check = (Crops.of_store(store, names, length) for names in (known, held or known[:1]))
     checks = [torch.as_tensor(check.sample(fitting.generator_for(0, i), _CROPS)) for i in range(_CHECKS)]
 
     @torch.no_grad()
@@ -118,21 +82,12 @@ def _train_predictive(run: Run, model: PredictiveCoding, folder: Path, stage: St
                                   for b in checks) / len(checks)}
 
     task = fitting.Task(lambda rng, size: {"samples": torch.as_tensor(crops.sample(rng, size))}, validate=validate)
-    return run.fit(stage, model, task, folder)
+    return run.fit(SPEECH, model, task, folder)
 
 
-def speech_stage(known: Names, held: Names, more: Sequence[Any] = ()) -> Stage[PredictiveCoding]:
-    """Predictive coding on recordings `known` and the run's folders of audio, validated on `held`. more: data that
-    identify this choice of recordings, for the key."""
-    stage: Stage[PredictiveCoding] = Stage(
-        "speech", settings=("encoder", "rhythm"), schedule="speech", wanted=_learned,
-        of_data=lambda run: [*map(folder_digest, run.speech), *more],
-        build=lambda run: PredictiveCoding(SpeechEncoder(run.config.encoder), run.config.encoder))
-    return replace(stage, train=lambda run, model, folder: _train_predictive(
-        run, model, folder, stage, known(run), held(run)))
-
-
-SPEECH = speech_stage(_names("train"), _held)
+SPEECH: Stage[PredictiveCoding] = Stage(
+    "speech", settings=("encoder", "rhythm"), schedule="speech", wanted=_learned, train=_train_predictive,
+    build=lambda run: PredictiveCoding(SpeechEncoder(run.config.encoder.width)))
 
 
 @dataclass(frozen=True)
@@ -185,7 +140,7 @@ def _around(sound: NDArray[np.float16], block: int) -> NDArray[np.float16]:
 def _build_contrast(run: Run) -> nn.Module:
     encoder = copy.deepcopy(run.get(SPEECH).encoder)
     encoder.requires_grad_(True)
-    return TextContrast(encoder, run.config.encoder, run.get(BLOCKS).text_width - 1, run.config.rhythm.frames)
+    return TextContrast(encoder, run.get(BLOCKS).text_width - 1, run.config.rhythm.frames)
 
 
 def _train_contrast(run: Run, model: TextContrast, folder: Path) -> Figures:
@@ -197,7 +152,7 @@ def _train_contrast(run: Run, model: TextContrast, folder: Path) -> Figures:
 
     @torch.no_grad()
     def validate() -> Figures:
-        on = [{key: value.to(run.device) for key, value in b.items()} for b in checks]
+        on = [fitting.moved(b, run.device) for b in checks]
         retrieval = torch.stack([model.retrieval(b) for b in on]).nanmean(0)
         return {"contrast": sum(float(model.losses(b)["contrast"]) for b in on) / len(on),
                 **{f"retrieval_{level + 1}": float(value) for level, value in enumerate(retrieval)}}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,46 +14,28 @@ from data_module.files import lock, read_object, write_text
 from data_module.store import Store
 from gesticulator.bundle.bundle import Bundle, save
 from gesticulator.bundle.card import model_card
-from gesticulator.bundle.config import Config
 from gesticulator.training import distributed
 from gesticulator.training.stages import BLOCKS, CORPUS, Run, assemble, closure, every_stage, wanted
 
 
-@dataclass(frozen=True)
-class TrainOptions:
-    """Options of a training. speech: folders of additional audio for pre-training the speech encoder. redo: stages to
-    train again. only: stop after this stage and those that it needs. precision: see
-    `gesticulator.training.fit.FitOptions`."""
-
-    device: str = "cpu"
-    workers: int = 1
-    progress: bool = True
-    speech: tuple[Path, ...] = ()
-    redo: tuple[str, ...] = ()
-    only: str | None = None
-    precision: str = "float32"
-
-
-def train(config: Config, store: Store, out: Path, work: Path, options: TrainOptions | None = None) -> Bundle | None:
-    """Run all unfinished stages and write the bundle; None if `only` is given. Several processes run it together
-    (`gesticulator.training.distributed.joined`).
+def train(run: Run, out: Path, redo: Sequence[str] = (), only: str | None = None) -> Bundle | None:
+    """Run all unfinished stages and write the bundle; None if `only` is given: stop after this stage and those that it
+    needs. redo: stages to train again. Several processes run it together (`gesticulator.training.distributed.joined`).
 
     InputError if settings and store do not match, or another training has locked the work folder.
     """
-    options, every, stages = options or TrainOptions(), every_stage(), wanted(config)
-    if options.only is not None:
-        if every[options.only] not in stages:
-            raise InputError(f"--stage {options.only}", "is not part of these settings",
+    every, stages, config = every_stage(), wanted(run.config), run.config
+    if only is not None:
+        if every[only] not in stages:
+            raise InputError(f"--stage {only}", "is not part of these settings",
                              "see text, gate and front_end in --set")
-        stages = [every[options.only]]
-    run = Run(config, store, work, options.device, options.progress and not distributed.rank(), options.speech,
-              options.workers, options.precision)
+        stages = [every[only]]
     with contextlib.ExitStack() as held:
         with distributed.first():
             if not distributed.rank():
-                held.enter_context(lock(work, "a training"))
-                claim(work, store)
-                for name in options.redo:
+                held.enter_context(lock(run.work, "a training"))
+                claim(run.work, run.store)
+                for name in redo:
                     run.redo(every[name])
         run.get(BLOCKS)  # report problems of the store before hours of training
         plan = list(closure(stages, config))
@@ -62,7 +44,7 @@ def train(config: Config, store: Store, out: Path, work: Path, options: TrainOpt
                 state = "finished before" if run.finished(stage) else f"{run.schedule(stage).steps} steps"
                 print(f"stage {place + 1} of {len(plan)}: {stage.name}, {state}", file=sys.stderr)
             run.get(stage)
-        if options.only is not None:
+        if only is not None:
             return None
         trained = assemble(run, provenance(run))
         if not distributed.rank():
@@ -89,4 +71,4 @@ def provenance(run: Run) -> dict[str, Any]:
     hours = {split: round(float(corpus.durations[corpus.select(split)].sum()) / 3600, 3)
              for split in ("train", "val", "test")}
     return {"store": store.corpus, "fingerprint": store.fingerprint, "licence": store.licence, "seed": store.seed,
-            "hours": hours, "blocks": len(corpus.silent), "more_speech": [folder.name for folder in run.speech]}
+            "hours": hours, "blocks": len(corpus.silent)}

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from data_module import controls
 from data_module.errors import InputError
 from gesticulator.bundle.config import ControlConfig
 from gesticulator.bundle.features import control_rows
+from gesticulator.training import fit as fitting
 from gesticulator.training.fit import Batch
+from gesticulator.training.stages.base import Figures, Run
 from gesticulator.training.stages.corpus import Corpus
 from gesticulator.training.stages.measured import settled
+
+_CONTROLLED = 0.5
+"""Probability that each style feature is controlled, in windows that are not free."""
 
 
 @dataclass(frozen=True)
@@ -104,10 +110,9 @@ class Windows:
         starts = self.starts[rng.integers(len(self.starts), size=count)]
         given = None
         if self.control is not None:
-            given = rng.random((count, len(controls.FEATURES))) < self.control.asked
+            given = rng.random((count, len(controls.FEATURES))) < _CONTROLLED
             # Some windows are left free of all controls, so that the model also learns without.
             given &= rng.random((count, 1)) >= self.control.free
-            given &= np.isin(controls.FEATURES, self.control.features)
         return self.batch(starts, given)
 
     def tiled(self, size: int) -> Iterable[Batch]:
@@ -145,7 +150,7 @@ class Windows:
         batch = {
             "motion": motion, "audio": low, "audio_low": low, "block": stacked["motion"],
             "audio_high": low if corpus.high is corpus.low else corpus.high[stacked["audio"]].float(),
-            "lexeme_index": stacked["lexeme"], "style": stacked["style"], "valid": stacked["valid"],
+            "lexeme": stacked["lexeme"], "style": stacked["style"], "valid": stacked["valid"],
             "duration": torch.as_tensor(corpus.durations[stacked["audio"].numpy()], dtype=torch.float32),
             "mask": corpus.mask[recordings],
             "speaker": torch.nn.functional.one_hot(speaker, len(corpus.statistics.speakers)).float(),
@@ -176,3 +181,20 @@ def validation(corpus: Corpus, labels: NDArray[np.int64], blocks: int, text: boo
     windows = Windows(corpus, sequences(corpus, labels, split, np.zeros(len(labels), np.int64), text), blocks,
                       text=text, moving=moving)
     return [batch for batch, _ in zip(windows.tiled(AT_ONCE), range(VALIDATED), strict=False)]
+
+
+def task_of(run: Run, windows: Windows, checks: list[Batch], validate: Callable[[list[Batch]], Figures],
+            more: Mapping[str, Tensor] | None = None, watch: str = "", losses: fitting.Losses | None = None
+            ) -> fitting.Task:
+    """Training on windows, and validation on the windows `checks`, which are given on the run's device. more: [N, ...]
+    further values of every block, by their names in a batch. watch, losses: see `fitting.Task`."""
+    def complete(batch: Batch) -> Batch:
+        return {**batch, **{name: table[batch["block"]] for name, table in (more or {}).items()}}
+
+    completed = [complete(batch) for batch in checks]
+
+    @torch.no_grad()
+    def validated() -> Figures:
+        return validate([fitting.moved(batch, run.device) for batch in completed])
+
+    return fitting.Task(lambda rng, size: complete(windows.sample(rng, size)), losses, validated, watch=watch)

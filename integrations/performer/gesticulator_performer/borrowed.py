@@ -12,6 +12,7 @@ from gesticulator_performer.lending import lent
 from gesticulator_performer.strokes import PerformerBody, Stroke, StrokeSet, held_out_keys, speaker_strokes
 
 LENDER = "pn"
+# Part of a clip's name between "pn_" and its version -> names of lexemes, the best first.
 _LEXEMES: dict[str, tuple[str, ...]] = {
     "bigger": ("EmptyLarge", "BeatHigh"), "inclusivity": ("InclusivityPos", "BeatMid"), "me": ("Me",),
     "negation": ("Negate", "NegateForwardMid"), "pointcenter": ("Point", "BeatForward"),
@@ -19,7 +20,6 @@ _LEXEMES: dict[str, tuple[str, ...]] = {
     "question": ("Shrug", "BeatFlip"), "stop": ("StopForward", "Stop"), "us": ("We", "BeatMid"), "we": ("We",),
     "you": ("YouForward", "You"),
 }
-"""Part of a clip's name between "pn_" and its version -> names of lexemes, the best first."""
 
 
 def lexemes_of_clip(stem: str) -> tuple[str, ...]:

@@ -13,10 +13,10 @@ from data_module.text.language import LANGUAGES
 from gesticulator.directing.meaning_cues import meaning_cues
 from gesticulator_performer.cues import Asked, Cues
 
+# Least score of a call: the texts are our own, and talk of meanings on purpose.
 _LEAST = 0.55
-"""Least score of a call: the texts are our own, and talk of meanings on purpose."""
+# What the score of a call adds to the weight of its word: detected phrases are played in about four of five cases.
 _SURER = 0.3
-"""What the score of a call adds to the weight of its word: detected phrases are played in about four of five cases."""
 
 
 @dataclass(frozen=True)

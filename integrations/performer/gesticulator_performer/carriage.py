@@ -18,19 +18,19 @@ from data_module.truth import Phrase, Syllable
 from data_module.types import Array
 from gesticulator_performer.strokes import SIDES, PerformerBody
 
+# Metres by which a hand is carried higher and farther out at full drive. Over phrases a drive has a deviation of about
+# a half. Reach is averaged over both hands and the whole unit, and so needs as much as height.
 _HIGHER, _FARTHER = 0.11, 0.11
-"""Metres by which a hand is carried higher and farther out at full drive. Over phrases a drive has a deviation of about
-a half. Reach is averaged over both hands and the whole unit, and so needs as much as height."""
+# Shares of effort and of pitch range in the drives of height and reach.
 _DRIVES = np.array([[0.55, 0.45], [0.8, 0.2]])
-"""Shares of effort and of pitch range in the drives of height and reach."""
+# Semitones by which the deviation of a phrase's pitch may exceed the recording's until its drive is saturated.
 _RANGE = 1.2
-"""Semitones by which the deviation of a phrase's pitch may exceed the recording's until its drive is saturated."""
+# Voiced syllables that tell a phrase's pitch range.
 _FEWEST = 3
-"""Voiced syllables that tell a phrase's pitch range."""
+# Standard deviation of the low pass, seconds: the hands change their place between strokes, not with each one.
 _SETTLES = 0.45
-"""Standard deviation of the low pass, seconds: the hands change their place between strokes, not with each one."""
+# Joints of an arm that are turned: upper arm and forearm.
 _TURNED = (1, 2)
-"""Joints of an arm that are turned: upper arm and forearm."""
 _STEP = 1e-4
 
 

@@ -12,20 +12,20 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array
 from gesticulator_performer.takes import FPS
 
+# Seconds: a difference in velocity costs as much as the difference in pose that it makes in this time.
 _VELOCITY = 0.12
-"""Seconds: a difference in velocity costs as much as the difference in pose that it makes in this time."""
+# Frames between the candidate places at which a stretch may be left or entered.
 _STEP = 3
-"""Frames between the candidate places at which a stretch may be left or entered."""
+# A stretch is left in the last 35 % and entered in the first 40 % of its length.
 _LEAVE, _ENTER = 0.35, 0.4
-"""A stretch is left in the last 35 % and entered in the first 40 % of its length."""
+# Least seconds of a stretch that are played.
 _LEAST = 2.0
-"""Least seconds of a stretch that are played."""
+# The next stretch is drawn at random from this many with the lowest cost.
 _BEST = 3
-"""The next stretch is drawn at random from this many with the lowest cost."""
+# Seconds over which the offset at a seam fades, for close poses and for distant ones.
 _FADE, _LONGEST_FADE = 0.45, 0.9
-"""Seconds over which the offset at a seam fades, for close poses and for distant ones."""
+# Square root of the cost at which the longest fade is used (weighted radians).
 _FAR = 3.0
-"""Square root of the cost at which the longest fade is used (weighted radians)."""
 
 
 def _weights() -> Array:

@@ -9,8 +9,8 @@ from data_module.errors import InputError, shown
 from data_module.files import read_table
 
 _ADVICE = "take the manifest that came with the clips"
+# Longest plausible clip, seconds; the published clips last 20 s at most.
 _LONGEST = 600.0
-"""Longest plausible clip, seconds; the published clips last 20 s at most."""
 
 
 def read_clips(folder: str | Path, columns: Set[str]) -> list[tuple[str, dict[str, str]]]:
@@ -44,8 +44,8 @@ def complete_rows(file: Path, columns: Set[str]) -> list[tuple[str, dict[str, st
     return checked
 
 
+# Bytes of a name in the file systems of today.
 _LONGEST_NAME = 255
-"""Bytes of a name in the file systems of today."""
 
 
 def check_file(where: str, name: str) -> None:

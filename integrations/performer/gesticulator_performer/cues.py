@@ -21,11 +21,11 @@ _PHASES = ("ready", "strokeStart", "emphasis", "stroke", "relax")
 _COLUMNS = frozenset({"label", "category", "offensive", "talk"} | {f"cues_{language}" for language in LANGUAGES})
 _CLIP_COLUMNS = frozenset({"file", "person", "label", *_PHASES})
 _ADVICE = "take the tables that came with the clips"
+# Weight of a cue that is one very common word.
 _COMMON = 0.35
-"""Weight of a cue that is one very common word."""
+# Chance of a label of emotion against one of another category that has the same cue: a plain "yes" is a nod, seldom a
+# cheer.
 _EMOTIONAL = 0.25
-"""Chance of a label of emotion against one of another category that has the same cue: a plain "yes" is a nod, seldom
-a cheer."""
 _COMMON_WORDS = {
     "en": "i me my you your we us no not all here there but also another really need must now yes",
     "de": "ich mich mein du sie ihr dein wir uns nein nicht alles hier dort ja aber auch",

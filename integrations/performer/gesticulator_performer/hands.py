@@ -14,16 +14,16 @@ from gesticulator_performer.strokes import LEFT, RIGHT
 HANG, LOW, STAY = "hang", "low", "stay"
 HANGING_LEVEL = 0.04
 """Level, as a share of the home pose, of a hand that hangs while the other one acts."""
+# Probability that a raised hand keeps its level when the next phrase begins.
 _STAY_UP = 0.4
-"""Probability that a raised hand keeps its level when the next phrase begins."""
+# Seconds before a phrase at which a hand starts to move, and their standard deviation.
 _EARLY, _JITTER = 0.3, 0.13
-"""Seconds before a phrase at which a hand starts to move, and their standard deviation."""
+# Length in seconds of the pauses in which the hands may sink before the next phrase.
 _FALL_GAP = (0.45, 1.7)
-"""Length in seconds of the pauses in which the hands may sink before the next phrase."""
 # Weights of strokes of the left hand, the right hand and both, by the acting hands.
 _WEIGHTS = {(LEFT,): (1.0, 0.03, 0.10), (RIGHT,): (0.03, 1.0, 0.10), (LEFT, RIGHT): (0.12, 0.12, 1.0)}
+# Lag of one hand in a two-handed stroke, seconds, and the standard deviation of the log ratio of the two gains.
 _LAG, _UNEVEN = (0.03, 0.08), 0.13
-"""Lag of one hand in a two-handed stroke, seconds, and the standard deviation of the log ratio of the two gains."""
 
 
 @dataclass(frozen=True)

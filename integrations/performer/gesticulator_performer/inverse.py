@@ -27,38 +27,38 @@ from gesticulator_performer.types import Spoken
 
 SLOWEST, FASTEST = 0.80, 1.25
 """Bounds of the playing rate of a phrase, relative to the voice's own rate."""
+# Delay of the vowel after the motion beat, seconds: mean, standard deviation, and the largest deviation.
 _LEAD, _LOOSENESS, _LOOSEST = 0.038, 0.055, 0.13
-"""Delay of the vowel after the motion beat, seconds: mean, standard deviation, and the largest deviation."""
+# Costs: of log rate squared per second, of a second between the edges of phrase and window, of a strong beat without a
+# vowel, and of a prominent vowel without a beat.
 _RATE_COST, _EDGE_COST, _SKIPPED_BEAT, _SKIPPED_STRESS = 6.0, 1.0, 1.3, 0.12
-"""Costs: of log rate squared per second, of a second between the edges of phrase and window, of a strong beat without
-a vowel, and of a prominent vowel without a beat."""
 _STRESS_REWARD, _MEANING_REWARD = 0.4, 0.7
+# Seconds by which a phrase may begin before and after the window's start, and end before and after its end.
 _START_SLACK, _END_SLACK = (0.2, 0.35), (0.55, 0.15)
-"""Seconds by which a phrase may begin before and after the window's start, and end before and after its end."""
+# Vowels of less prominence are not put on a beat.
 _UNSTRESSED = -1.2
-"""Vowels of less prominence are not put on a beat."""
 _RATES = np.exp(np.linspace(np.log(SLOWEST), np.log(FASTEST), 7))
+# Phrases of suitable length that are tried on each window.
 _CANDIDATES = 200
-"""Phrases of suitable length that are tried on each window."""
+# Length of motion phrases, seconds: mean, standard deviation, least and greatest.
 _PHRASE, _PHRASE_SPREAD, _SHORTEST, _LONGEST = 2.6, 1.0, 0.9, 6.0
-"""Length of motion phrases, seconds: mean, standard deviation, least and greatest."""
+# Least seconds between two beats that carry vowels.
 _BEATS_APART = 0.12
-"""Least seconds between two beats that carry vowels."""
 _MINIMA_APART, _SPEED_WEIGHT, _LENGTH_WEIGHT = 0.2, 1.5, 0.35
+# A pause extends from its cut while speed stays under this share of the median; greatest and least seconds to either
+# side.
 _REST_SHARE, _LONGEST_REST, _LEAST_REST = 0.45, 1.2, 0.08
-"""A pause extends from its cut while speed stays under this share of the median; greatest and least seconds to either
-side."""
 _LEAST_WINDOW = 0.6
+# Share of the pauses that are moved off their rest, because real speakers pause while moving too, and the seconds by
+# which they are moved.
 _MOVED_SHARE, _MOVED = 0.4, (0.35, 0.9)
-"""Share of the pauses that are moved off their rest, because real speakers pause while moving too, and the seconds by
-which they are moved."""
+# Effort = .3 tanh(.55 (local + global energy)) + .6 noise; energy is the z-score of the phrase's mean log speed. Size
+# goes with effort mildly: two of three real speakers show no correlation of loudness with hand speed.
 _EFFORT_OF_ENERGY, _EFFORT_NOISE = 0.3, 0.6
-"""Effort = .3 tanh(.55 (local + global energy)) + .6 noise; energy is the z-score of the phrase's mean log speed.
-Size goes with effort mildly: two of three real speakers show no correlation of loudness with hand speed."""
+# Effort that hands carried a standard deviation and more above the talk's mean add, at full strength of that link.
 _EFFORT_OF_CARRIAGE = 0.5
-"""Effort that hands carried a standard deviation and more above the talk's mean add, at full strength of that link."""
+# DB of loudness per unit of local log speed.
 _BESIDE = 0.25
-"""dB of loudness per unit of local log speed."""
 
 
 @dataclass(frozen=True)

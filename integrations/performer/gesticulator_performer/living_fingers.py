@@ -8,17 +8,16 @@ from scipy.ndimage import gaussian_filter1d
 from data_module.types import Array
 from gesticulator_performer.takes import FPS, soft_limit
 
+# Soft limit of the bend of a joint against the hanging hand: bends of overlapping strokes add up.
 _FARTHEST = np.radians(95.0)
-"""Soft limit of the bend of a joint against the hanging hand: bends of overlapping strokes add up."""
+# Standard deviation of the low pass, seconds: in some clips the fingers jump from frame to frame.
 _SMOOTH = 0.05
-"""Standard deviation of the low pass, seconds: in some clips the fingers jump from frame to frame."""
+# Amplitude (radians) and period (seconds) with which a finger closes and opens at rest.
 _FIDGET, _SECONDS = np.radians(2.0), 5.3
-"""Amplitude (radians) and period (seconds) with which a finger closes and opens at rest."""
+# What the middle joint of each finger, the thumb first, is bent more: a relaxed hand closes towards the little finger.
 _CASCADE = np.radians([0.0, -4.0, 1.0, 6.0, 10.0])
-"""What the middle joint of each finger, the thumb first, is bent more: a relaxed hand closes towards the little finger.
-"""
+# Axes about which the fingers of the left and the right hand close.
 _CLOSING = (np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0]))
-"""Axes about which the fingers of the left and the right hand close."""
 
 
 def living_fingers(logs: Array, side: int) -> Array:

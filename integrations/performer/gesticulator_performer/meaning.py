@@ -19,11 +19,11 @@ BEATS: dict[str, tuple[str, ...]] = {
 """Lexemes of beats by prominence of the syllable."""
 
 _TABLE = table("words.toml")
+# Groups of strokes with one meaning, best first.
 _STROKES: dict[str, tuple[str, ...]] = {
     name: tuple(group["strokes"].split()) for name, group in _TABLE["lexemes"].items()}
-"""Groups of strokes with one meaning, best first."""
+# Words so common that a stroke on them is rare.
 _COMMON = frozenset(_TABLE["common"]["words"].split())
-"""Words so common that a stroke on them is rare."""
 _PHRASES = {tuple(phrase.split()): _STROKES[name] for phrase, name in _TABLE["phrases"].items()}
 _LOOKUP = {word: _STROKES[name] for name, group in _TABLE["lexemes"].items() for word in group["words"].split()}
 _LONGEST = max(map(len, _PHRASES))

@@ -31,18 +31,18 @@ from gesticulator_performer.strokes import (
 )
 
 FOLDER = "meaning"
+# Whose clips of free motion are made into strokes.
 _PEOPLE = ("rocketbox_f", "rocketbox_m")
-"""Whose clips of free motion are made into strokes."""
+# Seconds from the start of such a stroke to its beat, to the end of its hold and to its end, at most: some clap for a
+# quarter of a minute.
 _LONGEST_PREPARATION, _LONGEST_HOLD, _RETRACTION = 1.2, 0.9, 0.7
-"""Seconds from the start of such a stroke to its beat, to the end of its hold and to its end, at most: some clap for a
-quarter of a minute."""
+# Labels that are lent with the head's motion.
 _HEAD = frozenset({"nod", "head_shake"})
-"""Labels that are lent with the head's motion."""
+# Labels in which a hand touches the head or the other hand.
 _FAITHFUL = frozenset({"chin_think", "head_scratch", "clap"})
-"""Labels in which a hand touches the head or the other hand."""
+# Clips of people who listen for long and whose hands move for another reason; wild clips; a hand on the hip.
 _UNFIT = frozenset({"m_gestic_listen_accept_05", "f_gestic_listen_deny_05", "m_gestic_listen_deny_06", "f_wave_02",
                     "f_cheer_02", "brad_Idle01_Think01"})
-"""Clips of people who listen for long and whose hands move for another reason; wild clips; a hand on the hip."""
 
 
 def with_meanings(strokes: StrokeSet, source: Path) -> StrokeSet:

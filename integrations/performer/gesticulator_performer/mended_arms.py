@@ -30,8 +30,8 @@ from data_module.types import Array
 from gesticulator_performer.torso import FPS, TORSO_RADIUS, capsule_depth, facing_positions
 
 SIDES = ("Left", "Right")
+# Sign of x away from the body.
 _OUT = {"Left": 1.0, "Right": -1.0}
-"""Sign of x away from the body."""
 
 
 SUBJECTS: dict[str, dict[str, float]] = {
@@ -42,19 +42,19 @@ SUBJECTS: dict[str, dict[str, float]] = {
 """Subject of CMU -> side -> degrees by which the plane of the elbow is turned inward: by how much its median forearm
 points farther outward than those of Rocketbox and SmartBody, over arms that hang at rest and arms that gesture.
 Subjects who seldom rest are drawn towards the mean of all. Fitted on all takes (28 November 2026, commit 75833046)."""
+# Degrees up to which the upper arm may be lifted sideways, and the forearm be turned outward about it, as they were
+# recorded; and degrees that they never reach.
 _LIFT, _OUTWARD = (9.0, 35.0), (-2.0, 27.0)
-"""Degrees up to which the upper arm may be lifted sideways, and the forearm be turned outward about it, as they were
-recorded; and degrees that they never reach."""
+# Where the limit of the outward turn begins to count, or ends: degrees of the elbow's bend, of the upper arm sideways,
+# and outward.
 _BENT, _LIFTED, _BACK = (15.0, 40.0), (30.0, 60.0), (110.0, 160.0)
-"""Where the limit of the outward turn begins to count, or ends: degrees of the elbow's bend, of the upper arm sideways,
-and outward."""
+# Standard deviation of the low pass of the limits' turns, seconds.
 _SMOOTH = 0.06
-"""Standard deviation of the low pass of the limits' turns, seconds."""
+# Degrees that the bend of an elbow is clipped to where the lever of the hand about the upper arm is taken.
 _LEVER = (38.0, 142.0)
-"""Degrees that the bend of an elbow is clipped to where the lever of the hand about the upper arm is taken."""
+# Most rounds in which hands are turned out of the trunk, the factor on the turn, and seconds by which it begins before
+# and ends after the touch.
 _TRIES, _AMPLE, _WIDE = 6, 1.3, 0.2
-"""Most rounds in which hands are turned out of the trunk, the factor on the turn, and seconds by which it begins
-before and ends after the touch."""
 FOREARM, THICK = 0.25, 0.08
 """Metres, of the character."""
 

@@ -8,10 +8,10 @@ from scipy.ndimage import gaussian_filter1d
 from data_module.types import Array
 from gesticulator_performer.takes import FPS, WRISTS
 
+# Point near the chest that a hand moves to for "me", metres from the hips.
 _HEART = np.array([0.0, 0.38, 0.12])
-"""Point near the chest that a hand moves to for "me", metres from the hips."""
+# Least height over the hips, metres, of a hand that counts as raised.
 _LIFTED = 0.05
-"""Least height over the hips, metres, of a hand that counts as raised."""
 
 
 def features_of(places: Array) -> Array:

@@ -24,34 +24,34 @@ REST_PAUSE = 1.6
 """Pause in speech, seconds, after which the arms go to rest."""
 BRAKE = 0.789
 """Share of the length of a minimum-jerk movement at which it decelerates hardest."""
+# Least seconds between the beats of two strokes.
 _MIN_GAP = 0.5
-"""Least seconds between the beats of two strokes."""
+# Least seconds from the start of a stroke to its beat; with less room the stroke is not played.
 _MIN_PREPARATION = 0.42
-"""Least seconds from the start of a stroke to its beat; with less room the stroke is not played."""
+# Seconds after a beat in which its arm takes no new stroke, because it is still decelerating.
 _AFTER_BEAT = 0.12
-"""Seconds after a beat in which its arm takes no new stroke, because it is still decelerating."""
+# Gap between the end of a hold and the next stroke, seconds, below which the hold is extended instead of retracted.
 _JOIN = 1.2
-"""Gap between the end of a hold and the next stroke, seconds, below which the hold is extended instead of retracted."""
+# Largest factor on the length of an extended hold.
 _STRETCH = 1.6
-"""Largest factor on the length of an extended hold."""
+# Longest hold after stretching, seconds.
 _LONGEST_HOLD = 1.0
-"""Longest hold after stretching, seconds."""
+# Number of recent clips that are unlikely to be repeated.
 _RECENT = 3
-"""Number of recent clips that are unlikely to be repeated."""
+# Factor on the probability of a recent clip.
 _RECENT_WEIGHT = 0.1
-"""Factor on the probability of a recent clip."""
+# Slopes: log gain by vigour, log gain by amplitude, log speed by tempo, eagerness by tempo.
 _SIZE_OF_DRIVE, _SIZE_OF_STYLE, _PACE_OF_STYLE, _EAGER_OF_TEMPO = 0.28, 0.4, 0.25, 0.9
-"""Slopes: log gain by vigour, log gain by amplitude, log speed by tempo, eagerness by tempo."""
+# Largest gain: beyond it elbows fold and hands come near the face.
 _LARGEST = 1.75
-"""Largest gain: beyond it elbows fold and hands come near the face."""
+# Log of the wished size of a take from a script, by vigour and amplitude, and the standard deviation about it.
 _SIZE_OF_TAKES, _SPREAD_OF_TAKES = np.array([0.35, 0.3]), 0.3
-"""Log of the wished size of a take from a script, by vigour and amplitude, and the standard deviation about it."""
+# Earliest and latest apex of a gesture under a budget, seconds from the stressed vowel.
 _APEX = (-0.16, 0.02)
-"""Earliest and latest apex of a gesture under a budget, seconds from the stressed vowel."""
+# Least share of its preparation and stroke that a take from a script is given.
 _HURRIED = 0.6
-"""Least share of its preparation and stroke that a take from a script is given."""
+# Seconds before such a gesture in which no beat is placed, so that its preparation has room.
 _READIED = 0.75
-"""Seconds before such a gesture in which no beat is placed, so that its preparation has room."""
 
 
 @dataclass(frozen=True)

@@ -46,78 +46,78 @@ FPS = 60.0
 """Frames per second of the finished motion: twice that of the clips, so that a beat can be moved by half a frame."""
 
 # Fitting the motion to its plan.
+# Most renderings of both arms that bring the measured beats to the planned ones.
 _PASSES = 6
-"""Most renderings of both arms that bring the measured beats to the planned ones."""
+# Most rounds in which strokes that cannot be put in time are left out and the others fitted again.
 _ROUNDS = 4
-"""Most rounds in which strokes that cannot be put in time are left out and the others fitted again."""
+# Most times that the arms are led around the body, each followed by a new fit.
 _DETOURS = 2
-"""Most times that the arms are led around the body, each followed by a new fit."""
+# Share of the way to the home pose below which an arm is not led.
 _CLEAR = 0.1
-"""Share of the way to the home pose below which an arm is not led."""
+# Joints of an arm, from the shoulder to the hand, that place the hand; the fingers do not.
 _REACHING = 4
-"""Joints of an arm, from the shoulder to the hand, that place the hand; the fingers do not."""
+# Window around a planned beat, seconds, in which the measured beat is searched: less than the least gap of strokes.
 _MISS = 0.35
-"""Window around a planned beat, seconds, in which the measured beat is searched: less than the least gap of strokes."""
+# Deceleration, in half standard deviations (see `_brakes`), below which a beat is faint and gets a larger accent.
 _CLEARLY = 1.2
-"""Deceleration, in half standard deviations (see `_brakes`), below which a beat is faint and gets a larger accent."""
+# Timing error, seconds (half a frame), below which a beat is not moved.
 _ACCURATE = 0.008
-"""Timing error, seconds (half a frame), below which a beat is not moved."""
+# Timing error, seconds (about one frame), above which a stroke is left out in the end.
 _TOLERANCE = 0.018
-"""Timing error, seconds (about one frame), above which a stroke is left out in the end."""
+# The same of a stroke with a meaning, whose shape tells more than its beat.
 _MEANT_TOLERANCE = 0.1
-"""The same of a stroke with a meaning, whose shape tells more than its beat."""
+# First share by which the excursion is raised before a beat.
 _ACCENT = 0.08
-"""First share by which the excursion is raised before a beat."""
+# Largest such share after the steps of `_tuned`: more of it makes hands tremble.
 _MOST_ACCENT = 0.3
-"""Largest such share after the steps of `_tuned`: more of it makes hands tremble."""
+# Seconds by which the clip's beat may be moved to meet the planned one, so that its preparation keeps its shape.
 _FARTHEST = 0.15
-"""Seconds by which the clip's beat may be moved to meet the planned one, so that its preparation keeps its shape."""
+# Share of the preparation in which the offset of the old motion fades, so that the last third is the clip's own.
 _FADE_SHARE = 0.65
-"""Share of the preparation in which the offset of the old motion fades, so that the last third is the clip's own."""
 
 # Raising and dropping the arms.
+# Seconds in which an arm is raised before the first word of a run of phrases.
 _RAISE = 0.7
-"""Seconds in which an arm is raised before the first word of a run of phrases."""
+# Share of the home pose at which an idle arm hangs, so that its elbow is not quite straight.
 _HANGING_LEVEL = 0.1
-"""Share of the home pose at which an idle arm hangs, so that its elbow is not quite straight."""
 
 # Small beats between strokes.
+# Share by which the excursion of an arm is raised for a small beat on an ordinary syllable.
 _MICRO = 0.42
-"""Share by which the excursion of an arm is raised for a small beat on an ordinary syllable."""
+# Seconds in which a raised arm falls; its beat is at the share `BRAKE` of them.
 _FALL = 0.32
-"""Seconds in which a raised arm falls; its beat is at the share `BRAKE` of them."""
+# Seconds in which it rises before.
 _BEFORE_SMALL = 0.3
-"""Seconds in which it rises before."""
+# Least seconds between small beats: about a rise and a fall.
 _SMALL_GAP = 0.62
-"""Least seconds between small beats: about a rise and a fall."""
+# Log of the size of small movements, by amplitude and tempo.
 _SMALL_OF_STYLE = np.array([0.5, 0.3])
-"""Log of the size of small movements, by amplitude and tempo."""
+# Bends of spine and head with a stroke of gain 1: forward, turned and tilted to the side of the hand, radians.
 _WITH_STROKE = np.radians([[1.6, 1.2, 0.8], [2.2, 2.6, 1.0]])
-"""Bends of spine and head with a stroke of gain 1: forward, turned and tilted to the side of the hand, radians."""
+# Factor on the drift of raised arms in pauses.
 _QUIETER = 0.35
-"""Factor on the drift of raised arms in pauses."""
+# Factor on the wrists' bends of the clips, which are larger than those of people who talk.
 _WRISTS = 0.58
-"""Factor on the wrists' bends of the clips, which are larger than those of people who talk."""
+# Factor on drift and small beats of an arm in a take from a script, whose shape tells what it means; seconds in which
+# that ends after the hold.
 _SCRIPTED_DRIFT, _CALMED = 0.25, 0.3
-"""Factor on drift and small beats of an arm in a take from a script, whose shape tells what it means; seconds in which
-that ends after the hold."""
+# Seconds of a take's clip that pass while its last pose is held for longer.
 _FROZEN = 0.02
-"""Seconds of a take's clip that pass while its last pose is held for longer."""
+# Factor on the nods over a real person's trunk, whose own head motion is not tied to this speech.
 _NOD_GAIN = 1.3
-"""Factor on the nods over a real person's trunk, whose own head motion is not tied to this speech."""
 
 # Limits of the arms.
+# Share of a clip's turn of the hips that is played, because the feet stand still here.
 _HIPS_SHARE = 0.4
-"""Share of a clip's turn of the hips that is played, because the feet stand still here."""
 
 HEAD_RADIUS = 0.105
 """Radius of the sphere for the head with hair, metres."""
+# Metres that an elbow may be behind its shoulder.
 _BEHIND = 0.08
-"""Metres that an elbow may be behind its shoulder."""
+# Metres above the shoulder beyond which a hand is too high, and the share of the excess that counts as depth.
 _HIGH, _HIGH_SHARE = 0.10, 0.3
-"""Metres above the shoulder beyond which a hand is too high, and the share of the excess that counts as depth."""
+# Depth inside the body, metres, at which an arm is led to the home pose altogether.
 _FULL_TRESPASS = 0.06
-"""Depth inside the body, metres, at which an arm is led to the home pose altogether."""
 
 
 @dataclass(frozen=True)

@@ -66,12 +66,12 @@ ADDED: dict[Split, dict[str, int]] = {"val": {"motion": 6, "talk": 8, "style": 3
 ADDED_HOURS = 4.0
 ADDED_LENGTH = (38.0, 48.0)
 """Their length, seconds."""
+# The index of the first recording of each part.
 _FIRST = {"talk": 0, "reading": 100_000, "motion": 200_000, "style": 300_000}
-"""The index of the first recording of each part."""
+# Files of `gesticulator.directing` on which the words that call for named gestures depend.
 _DETECTOR = ("meaning_cues.py", "meaning_cues.json")
-"""Files of `gesticulator.directing` on which the words that call for named gestures depend."""
+# Five and six times this is added to that index for the recordings of `ADDED`.
 _ADDED = 10_000
-"""Five and six times this is added to that index for the recordings of `ADDED`."""
 # Purposes of the random generators of a recording; one each, so that a longer text does not change the voice.
 _TEXT, _VOICE, _PLAY, _STYLE, _POOL = 0, 1, 2, 3, 4
 CREDITS = {
@@ -416,7 +416,7 @@ class Performer:
             speech = replace(speech, samples=np.ascontiguousarray(samples))
         if item.info.language == "en":
             transcript = read_text(self._source / "speech" / f"{reading.stem}.txt", "save it as text in UTF-8")
-            speech = replace(speech, words=transcripts.align(speech, transcript))
+            speech = replace(speech, words=transcripts.alignment(speech, transcript).words)
         return find_syllables(item.info.name, speech, item.info.voice, item.info.language)
 
 

@@ -44,8 +44,8 @@ SIZES: Mapping[str, float] = {"small": 0.65, "medium": 1.0, "large": 1.4}
 _PHASES = ("start", "stroke", "apex", "hold_end", "end")
 _ADVICE = "draw the takes again: gesticulator gesture-takes FOLDER"
 _BODY = "script"
+# Lent takes in memory, about 70 kB each.
 _REMEMBERED = 300
-"""Lent takes in memory, about 70 kB each."""
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ from gesticulator_performer.sound import RATE, Sounded
 from gesticulator_performer.syllables import Nucleus, listen
 
 _LEAST_LETTERS, _LONGEST_LETTERS = 6, 70
+# Probability that a phrase is joined with the next of its sentence, because motion has phrases of up to 6 s.
 _JOINED = 0.55
-"""Probability that a phrase is joined with the next of its sentence, because motion has phrases of up to 6 s."""
+# Silence between the phrases while their prominence is measured, seconds.
 _PAUSE = 0.3
-"""Silence between the phrases while their prominence is measured, seconds."""
 NO_VOWEL = np.inf
 
 
@@ -73,7 +73,7 @@ def make_pool(voice: str, texts: Sequence[str], rng: np.random.Generator) -> Poo
         pieces += [one.samples, gap]
         offset += len(one.samples) + len(gap)
     speech = Speech(np.concatenate(pieces), RATE, tuple(words))
-    syllables = listen(speech, phrases, nuclei, voices.VOICES[voice].language)
+    syllables = listen(speech, phrases, nuclei, "en")
     counts = [len(voices.nuclei_of(one.phones)) for one in spoken]
     starts = np.cumsum([0, *counts])
     first_words = np.cumsum([0, *(len(one.words) for one in spoken)])

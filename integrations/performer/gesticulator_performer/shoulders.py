@@ -18,16 +18,16 @@ from scipy.ndimage import gaussian_filter1d
 from data_module.motion import rotation
 from data_module.types import Array, Skeleton
 
+# Elevation from which the shoulder takes part, degrees; its share; degrees over which that sets in.
 _SETTING, _THIRD, _ROUND = 30.0, 1.0 / 3.0, 6.0
-"""Elevation from which the shoulder takes part, degrees; its share; degrees over which that sets in."""
+# Degrees for a metre of the hand's height; height of a hanging hand under the shoulder, metres.
 _RISE, _HANGS = 18.0, -0.5
-"""Degrees for a metre of the hand's height; height of a hanging hand under the shoulder, metres."""
+# Degrees for a metre of reach; reach of a hanging hand, metres.
 _FORWARD, _NEAR = 15.0, 0.1
-"""Degrees for a metre of reach; reach of a hanging hand, metres."""
+# Soft limits of lift and protraction, degrees.
 _MOST = (22.0, 12.0)
-"""Soft limits of lift and protraction, degrees."""
+# Standard deviation of the low pass, seconds.
 _SMOOTH = 0.05
-"""Standard deviation of the low pass, seconds."""
 
 
 def with_rhythm(skeleton: Skeleton, rotations: Array, fps: float, share: float = 1.0) -> Array:

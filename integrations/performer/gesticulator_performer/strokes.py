@@ -48,21 +48,21 @@ _NO_STROKE = frozenset({
 })
 _NOT_FASTER = frozenset({"brad2_Idle01_YouLf02", "brad2_Idle01_Shrug02", "brad2_Idle01_BeatFistMidLf02",
                          "connor_IdleStand01_NegateRightMidBt01"})
+# Speakers whose clavicles hardly move -> the share of the shoulders' rhythm that is added.
 _RIGID = {"connor": 0.8, "garza": 0.8}
-"""Speakers whose clavicles hardly move -> the share of the shoulders' rhythm that is added."""
+# Speakers whose forearms point outward -> degrees by which the upper arms are turned inward about their length.
 _OUTWARD = {"brad": 12.0}
-"""Speakers whose forearms point outward -> degrees by which the upper arms are turned inward about their length."""
 _COLUMNS = frozenset({"file", "speaker", "posture", "lexeme", "hand", "emphasis"})
+# Least travel of a hand in a stroke, metres; anything smaller is a fidget.
 _MIN_REACH = 0.05
-"""Least travel of a hand in a stroke, metres; anything smaller is a fidget."""
+# Frames per second at which a clip's times are measured: four per frame of the clips.
 _FINE_FPS = 120.0
-"""Frames per second at which a clip's times are measured: four per frame of the clips."""
+# Smoothing of the speed, seconds, as for motion beats.
 _SMOOTH = 0.05
-"""Smoothing of the speed, seconds, as for motion beats."""
+# Least deceleration at the beat, as a share of the clip's hardest.
 _BEAT_DEPTH = 0.35
-"""Least deceleration at the beat, as a share of the clip's hardest."""
+# Seconds by which the beat may follow the emphasis mark of the clip's author.
 _AFTER_EMPHASIS = 0.12
-"""Seconds by which the beat may follow the emphasis mark of the clip's author."""
 
 
 @dataclass(frozen=True)

@@ -19,19 +19,19 @@ from gesticulator_performer.sound import RATE, Sounded
 from gesticulator_performer.text import Part, Utterance
 from gesticulator_performer.types import Spoken
 
+# Seconds between the knots of a track.
 _KNOTS = 8.0
-"""Seconds between the knots of a track."""
+# Standard deviations of a talk's mean style and of the drift about it; correlation of the drift from knot to knot.
 _TALK, _DRIFT, _KEEP = 0.45, 0.85, 0.75
-"""Standard deviations of a talk's mean style and of the drift about it; correlation of the drift from knot to knot."""
 _MOST = 1.6
+# Factor on the effort of the text, and the effort that an amplitude of 1 adds.
 _TEXT_EFFORT, _EFFORT = 0.4, 0.7
-"""Factor on the effort of the text, and the effort that an amplitude of 1 adds."""
+# DB over `_SHELF_HERTZ` that an amplitude of 1 adds.
 _SHELF, _SHELF_HERTZ = 7.0, 1500.0
-"""dB over `_SHELF_HERTZ` that an amplitude of 1 adds."""
+# Exponent on the level contour at an amplitude of 1, and the smoothing of the contour, seconds.
 _CONTRAST, _ENVELOPE = 0.3, 0.01
-"""Exponent on the level contour at an amplitude of 1, and the smoothing of the contour, seconds."""
+# Log of the factors on the speaking rate and, negative, on the pauses at a tempo of 1.
 _RATE, _PAUSES = 0.22, 0.5
-"""Log of the factors on the speaking rate and, negative, on the pauses at a tempo of 1."""
 
 
 @dataclass(frozen=True)

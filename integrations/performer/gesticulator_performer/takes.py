@@ -48,8 +48,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
 IDLING = ("gestic_listen", "idle_neutral", "idle_breathe", "idle_look_around")
 """Parts of the file names of takes of people who stand and listen or wait."""
 _HANGING = ("idle_neutral", "idle_breathe")
+# Duplicates of other takes.
 _TWINS = frozenset({"f_gestic_listen_sad_01"})
-"""Duplicates of other takes."""
 TEST_SHARE, VALIDATION_SHARE = 0.2, 0.1
 """Shares of the takes of each group."""
 
@@ -65,36 +65,35 @@ _SWAPPED = tuple(FINGERED.index(name.replace("Left", "?").replace("Right", "Left
 MIRROR = np.array([1.0, -1.0, -1.0])
 """A reflection in x = 0 keeps the x of a log rotation and negates y and z."""
 
+# Standard deviation, seconds, of the low pass of the hips' yaw, which is subtracted.
 _SLOW_YAW = 0.8
-"""Standard deviation, seconds, of the low pass of the hips' yaw, which is subtracted."""
+# Joints that bend together, the soft limit of their bend in degrees, and gains of lean, yaw and roll: some takes are
+# pantomime, with leans of 40 degrees.
 _LIMITS = ((HIPS, 7.0, (1.0, 0.75, 0.75)), (SPINE, 16.0, (1.0, 0.85, 0.85)), (SKULL, 30.0, (1.0, 0.75, 0.9)))
-"""Joints that bend together, the soft limit of their bend in degrees, and gains of lean, yaw and roll: some takes are
-pantomime, with leans of 40 degrees."""
+# Cm/s of the chest, in the mean of a take, over which the trunk's motion is scaled down: real speakers have 4.5 to 5.
 _CHEST_TRAVEL = 5.5
-"""cm/s of the chest, in the mean of a take, over which the trunk's motion is scaled down: real speakers have 4.5 to 5.
-"""
+# Share of the shoulder's reduction that is applied to elbow and wrist: scaling a log rotation at the elbow straightens
+# the arm, so nearly all of it stays.
 _ELBOW_SHARE = 0.15
-"""Share of the shoulder's reduction that is applied to elbow and wrist: scaling a log rotation at the elbow straightens
-the arm, so nearly all of it stays."""
+# The point that the arms are scaled about, from hanging (0) to their mean pose (1).
 _CENTRE_SHARE = 0.15
-"""The point that the arms are scaled about, from hanging (0) to their mean pose (1)."""
+# Percentage of frames in which hands must be under the limit; metres over the limit at which frames are cut out.
 _HIGH_PERCENTILE, _TOO_HIGH = 93.0, 0.16
-"""Percentage of frames in which hands must be under the limit; metres over the limit at which frames are cut out."""
 _GAINS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
+# Speed of both arms together, m/s, below which they idle; seconds for which they may; seconds left at either end.
 _IDLE_SPEED, _IDLE_SECONDS, _IDLE_MARGIN = 0.25, 1.2, 0.5
-"""Speed of both arms together, m/s, below which they idle; seconds for which they may; seconds left at either end."""
+# Metres over the hips below which a hand hangs; seconds for which both may, and seconds left at either end: people in
+# conversation listen half of the time, a speaker does not.
 _HANGING_HAND, _HANGING_SECONDS, _HANGING_MARGIN = 0.06, 0.7, 0.25
-"""Metres over the hips below which a hand hangs; seconds for which both may, and seconds left at either end: people in
-conversation listen half of the time, a speaker does not."""
+# Shortest stretch that is used, seconds.
 _LEAST_STRETCH = 2.2
-"""Shortest stretch that is used, seconds."""
+# Share of a take's frames in which arms may be wide before its arms are scaled down, and the share of a second of wide
+# arms that is cut out.
 _WIDE_SHARE, _WIDE_STAY = 0.10, 0.5
-"""Share of a take's frames in which arms may be wide before its arms are scaled down, and the share of a second of wide
-arms that is cut out."""
+# Share of the shoulders' rhythm that is added to a take: Rocketbox has some of it, CMU's clavicles are rigid.
 _RHYTHM = (0.7, 1.0)
-"""Share of the shoulders' rhythm that is added to a take: Rocketbox has some of it, CMU's clavicles are rigid."""
+# Depth inside the torso, metres, beyond which a frame is cut out.
 _GRAZE = 0.01
-"""Depth inside the torso, metres, beyond which a frame is cut out."""
 
 
 @dataclass(frozen=True)

@@ -33,28 +33,27 @@ from gesticulator_performer.takes import (
 from gesticulator_performer.trunk import calm, pitch_accents, postures, sway, yaw_scale
 from gesticulator_performer.types import Spoken
 
+# Ranges drawn per talk: the highest position of the hands (metres over the hips), the gain of the trunk, and the factor
+# by which the motion is slowed down.
 _HEIGHTS, _TRUNKS, _SLOWER = (0.40, 0.66), (0.9, 1.3), (1.0, 1.3)
-"""Ranges drawn per talk: the highest position of the hands (metres over the hips), the gain of the trunk, and the
-factor by which the motion is slowed down."""
+# Share of the stretches whose hands do the same that are played with one hand; the correlation of the hands' heights
+# from which they do; and the share of its motion that remains in the arm that rests.
 _ONE_HANDED, _ALIKE, _RESTING = 0.2, 0.6, 0.4
-"""Share of the stretches whose hands do the same that are played with one hand; the correlation of the hands' heights
-from which they do; and the share of its motion that remains in the arm that rests."""
+# A group whose motion is slow enough already.
 _SLOW_GROUP = "lesson"
-"""A group whose motion is slow enough already."""
+# Stretches that a talk draws on; those of its group first.
 _STRETCHES = 14
-"""Stretches that a talk draws on; those of its group first."""
+# Most chains that are tried, and the ratio of the acceleration at the seams to that elsewhere that is good enough.
 _CHAINS, _ROUGHEST = 8, 1.15
-"""Most chains that are tried, and the ratio of the acceleration at the seams to that elsewhere that is good enough."""
+# Share of the stressed vowels on which the head dips, and the range of the dip in degrees.
 _DIP_SHARE, _DIPS = 0.6, (2.0, 5.0)
-"""Share of the stressed vowels on which the head dips, and the range of the dip in degrees."""
+# Seconds from the start to the deepest point of a dip, from there to its end, and from the vowel to the deepest point.
 _DIP_RISE, _DIP_FALL, _DIP_LATE = 0.24, 0.4, 0.03
-"""Seconds from the start to the deepest point of a dip, from there to its end, and from the vowel to the deepest point.
-"""
+# Share of the moments in which a raised hand is slow that become holds; seconds that a hold takes with its edges; and
+# the seconds of motion that are shown in them.
 _HOLD_SHARE, _HOLD_SECONDS, _HOLD_OF = 0.3, (0.5, 0.9), 0.24
-"""Share of the moments in which a raised hand is slow that become holds; seconds that a hold takes with its edges; and
-the seconds of motion that are shown in them."""
+# Seconds between such moments at least; the speed below which a hand may be held, m/s; metres over the hips.
 _HOLDS_APART, _HELD_FROM, _RAISED = 0.9, 0.45, 0.06
-"""Seconds between such moments at least; the speed below which a hand may be held, m/s; metres over the hips."""
 ENERGY = inverse.Energy(0.41, 0.66)
 """Mean and spread of the mean log speed (`inverse.log_speed`) of the stretches of all takes, as measured; 0.2 is added
 to the spread so that the variation within a talk counts more."""

@@ -22,37 +22,37 @@ from gesticulator_performer.types import Spoken
 
 _PARTS = (HIPS, SPINE, SKULL)
 _LIMITS = np.radians([8.0, 16.0, 38.0])
+# Gains of lean, yaw and roll of each part.
 _AXES = np.array([[1.0, 0.75, 0.75], [1.0, 0.75, 0.75], [1.0, 1.0, 0.8]])
-"""Gains of lean, yaw and roll of each part."""
+# Gains of the three parts, on another person's body and speech.
 _GAINS = np.array([0.5, 0.8, 0.72])
-"""Gains of the three parts, on another person's body and speech."""
+# Gain of the head's yaw, and the share of the spine's yaw that it undoes to keep the eyes on the listener.
 _HEAD_YAW, _EYES = 0.65, 0.35
-"""Gain of the head's yaw, and the share of the spine's yaw that it undoes to keep the eyes on the listener."""
 _LEAST_WINDOW = 0.85
 _TRIES = 24
 _RECENT = 8
+# Least prominence of a stressed syllable, on which the head should move.
 _STRESSED = 0.4
-"""Least prominence of a stressed syllable, on which the head should move."""
 _FADE = 0.7
+# Share of the trunk's fast motion that remains in a pause, and the low pass that separates it, seconds.
 _CALM, _CALMER_SPAN = 0.7, 1.5
-"""Share of the trunk's fast motion that remains in a pause, and the low pass that separates it, seconds."""
+# Factors on the fast part of the trunk's motion while the hands are still and while they move.
 _WITHOUT_HANDS, _WITH_HANDS = 0.45, 1.35
-"""Factors on the fast part of the trunk's motion while the hands are still and while they move."""
 _POSTURE = (9.0, 16.0)
+# Seconds that a posture lasts, and seconds of the transition to the next one.
 _SHIFT = 1.6
-"""Seconds that a posture lasts, and seconds of the transition to the next one."""
+# Soft limit of the fidgets of a hanging arm's joints, radians, and seconds of the transition between takes.
 _FIDGET, _IDLE_FADE = np.radians(12.0), 1.0
-"""Soft limit of the fidgets of a hanging arm's joints, radians, and seconds of the transition between takes."""
+# Lean of a standing body as its weight circles, radians, and the period of the circle, seconds.
 _SWAY, _SWAY_SECONDS = np.radians(1.7), 3.2
-"""Lean of a standing body as its weight circles, radians, and the period of the circle, seconds."""
+# Turn of the chest per semitone of an accent's pitch above the voice's middle, radians, and the semitones that count
+# most.
 _ACCENT, _ACCENT_MOST = np.radians(0.5), 6.0
-"""Turn of the chest per semitone of an accent's pitch above the voice's middle, radians, and the semitones that count
-most."""
+# Seconds before the middle of an accented vowel in which the chest turns, and after it in which it comes back: its
+# speed follows the pitch at once.
 _ACCENT_RISE, _ACCENT_FALL = 0.22, 0.5
-"""Seconds before the middle of an accented vowel in which the chest turns, and after it in which it comes back: its
-speed follows the pitch at once."""
+# Yaw of the head in the room (the sum of its joints' yaws), radians, that 95 % of the frames stay within.
 _MOST_YAW = np.radians(20.0)
-"""Yaw of the head in the room (the sum of its joints' yaws), radians, that 95 % of the frames stay within."""
 
 
 @dataclass(frozen=True)

@@ -19,16 +19,16 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array
 from gesticulator_performer.torso import FPS, facing_positions
 
+# Degrees of flexion of a hanging hand, and of a raised one with the palm down.
 _HANGING, _RAISED = 8.0, -10.0
-"""Degrees of flexion of a hanging hand, and of a raised one with the palm down."""
+# Degrees of flexion for 1 m/s along the normal of the palm and for 1 m/s^2; of deviation for 1 m/s along the thumb.
 _DRAG, _SWING, _ASIDE = 20.0, 4.0, 10.0
-"""Degrees of flexion for 1 m/s along the normal of the palm and for 1 m/s^2; of deviation for 1 m/s along the thumb."""
+# Soft limits, degrees.
 _BENT, _EXTENDED, _DEVIATED = 45.0, 50.0, 18.0
-"""Soft limits, degrees."""
+# Height over the hips of a hand that is half raised, and the scale of the transition, metres.
 _LIFTED, _LIFT_WIDTH = 0.1, 0.07
-"""Height over the hips of a hand that is half raised, and the scale of the transition, metres."""
+# Standard deviation of the low pass of velocity and acceleration, seconds.
 _SMOOTH = 0.07
-"""Standard deviation of the low pass of velocity and acceleration, seconds."""
 
 
 def with_loose_wrists(rotations: Array) -> Array:

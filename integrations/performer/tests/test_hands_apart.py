@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gesticulator_performer import hands, play, styles, text, trunk, voices
+from gesticulator_performer import hands, styles, text, voices
 from gesticulator_performer.hands import HANGING_LEVEL, Manner, PhraseHands
 from gesticulator_performer.strokes import LEFT, RIGHT, StrokeSet
 from gesticulator_performer.takes import FPS
 from gesticulator_performer.types import Played, Spoken
 from procedural import played as perform_by
-from procedural import procedural_strokes, segments
+from procedural import procedural_strokes
 
-from data_module.motion import kinematics, rotation
+from data_module.motion import kinematics
 from data_module.truth import Phrase
 from data_module.types import Array
 
@@ -76,12 +76,6 @@ def test_the_idle_hand_hangs_sits_low_or_stays() -> None:
     assert first == pytest.approx(1.0 - 0.7, abs=0.05)
 
 
-def test_two_hands_are_neither_together_nor_alike() -> None:
-    lag, gain = hands.unevenness(np.random.default_rng(0), 500)
-    assert (lag.min(axis=1) == 0).all() and ((lag.max(axis=1) >= 0.03) & (lag.max(axis=1) <= 0.08)).all()
-    assert np.allclose(np.prod(gain, axis=1), 1.0) and np.log(gain[:, 0]).std() == pytest.approx(0.13, abs=0.02)
-
-
 def test_hands_act_apart_and_no_hand_freezes(played: Played) -> None:
     assert np.corrcoef(_hands(played)[..., 1].T)[0, 1] < 0.5
     joints = [played.motion.skeleton.index(name) for name in ("Head", "LeftHand", "RightHand")]
@@ -112,53 +106,7 @@ def test_holds_last_through_short_pauses(spoken: Spoken, strokes: StrokeSet, pla
     assert len(full) >= 5 and np.mean(full) >= 0.8
 
 
-def test_the_trunk_goes_on_without_a_seam_and_calms_in_pauses(spoken: Spoken) -> None:
-    frames = round(spoken.speech.duration * FPS)
-    speaking = np.ones(frames)
-    track = trunk.trunk_track(segments(), spoken, speaking, 1.0, np.random.default_rng(0))
-    assert track.shape == (frames, 3, 3)
-    acceleration = np.linalg.norm(np.diff(track[:, 2], 2, axis=0), axis=-1)
-    assert acceleration.max() < 12.0 * np.median(acceleration)
-    wave = np.sin(2 * np.pi * 0.8 * np.arange(1200) / FPS)[:, None] * np.ones(3)
-    quiet, loud = trunk.calm(wave, np.zeros(1200)), trunk.calm(wave, np.ones(1200))
-    assert np.abs(loud).max() == pytest.approx(1.0, abs=0.01)
-    assert np.abs(quiet[200:-200]).max() == pytest.approx(0.7, abs=0.03)
-
-
-def test_the_head_stays_with_the_listener() -> None:
-    yaw = np.radians(60.0) * np.sin(np.linspace(0.0, 60.0, 3000))
-    limited = trunk.yaw_scale(yaw) * yaw
-    assert np.degrees(np.percentile(np.abs(limited), 95)) == pytest.approx(20.0)
-    assert trunk.yaw_scale(0.1 * yaw) == 1.0
-
-
-def test_a_posture_is_held_and_then_changed() -> None:
-    bends = trunk.postures(round(60 * FPS), np.random.default_rng(3))
-    speed = np.degrees(np.linalg.norm(np.gradient(bends[:, 0], 1.0 / FPS, axis=0), axis=-1))
-    assert np.mean(speed < 0.01) > 0.7 and 4 <= len(np.flatnonzero(np.diff((speed > 0.01).astype(int)) == 1)) <= 7
-
-
-def test_swaying_never_stands_still() -> None:
-    bends = trunk.sway(1800, np.random.default_rng(0))
-    speed = np.degrees(np.linalg.norm(np.gradient(bends, 1.0 / FPS, axis=0), axis=-1))
-    assert speed[1:-1].min() > 1.0 and np.degrees(np.linalg.norm(bends, axis=-1)) == pytest.approx(1.7)
-
-
-def test_idle_arms_fidget_in_the_length_that_is_asked_for() -> None:
-    arms = trunk.idle_arms(segments(), 4000, np.random.default_rng(0))
-    assert arms.shape == (2, 4000, 12) and arms.std() > 0
-    assert trunk.idle_arms((), 100, np.random.default_rng(0)).max() == 0
-
-
 # --- Styles
-
-
-def test_a_style_drifts_and_is_as_wide_as_it_should_be() -> None:
-    tracks = [styles.draw_style(120.0, np.random.default_rng(seed)) for seed in range(200)]
-    values = np.stack([track.at(np.arange(0, 120, 5.0)) for track in tracks])
-    assert 0.6 < values.std() < 1.1 and np.abs(values).max() <= 1.6
-    assert np.abs(np.diff(values, axis=1)).max() < 2.0 and values.std(axis=1).mean() > 0.2
-    assert np.array_equal(styles.NEUTRAL.at(np.arange(3.0)), np.zeros((3, 2)))
 
 
 def _constant(amplitude: float, tempo: float) -> styles.StyleTrack:
@@ -181,29 +129,3 @@ def test_amplitude_and_tempo_can_be_heard() -> None:
         return float(10 * np.log10(power[hertz > 1500].sum() / power[hertz < 1000].sum()))
 
     assert brightness(bright) > brightness(neutral) + 2.0
-
-
-def test_shelf_and_contrast_keep_the_energy() -> None:
-    rising = np.linspace(0.02, 0.4, 16000)
-    noise = (rising * np.random.default_rng(0).standard_normal(16000)).astype(np.float32)
-    for out in (styles.shelved(noise, 7.0), styles.contrasted(noise, 0.3), styles.contrasted(noise, -0.3)):
-        assert np.sqrt(np.mean(out ** 2)) == pytest.approx(np.sqrt(np.mean(noise ** 2)), rel=1e-3)
-    halves = [np.log(out[8000:].std() / out[:8000].std())
-              for out in (styles.contrasted(noise, -0.3), noise, styles.contrasted(noise, 0.3))]
-    assert halves == sorted(halves) and halves[2] - halves[0] > 0.3
-
-
-def test_amplitude_makes_movements_larger(spoken: Spoken, strokes: StrokeSet) -> None:
-    sizes = []
-    for amplitude in (-1.0, 0.0, 1.0):
-        out = perform_by(spoken, strokes, 1, MANNER, _constant(amplitude, 0.0))
-        sizes.append(float(np.mean([stroke.gain for stroke in out.strokes])))
-    assert sizes[0] < sizes[1] < sizes[2] and sizes[2] / sizes[0] > 1.25
-
-
-def test_the_rotations_stay_unit_and_breath_is_slow(played: Played) -> None:
-    assert np.allclose(np.linalg.norm(played.motion.rotations, axis=-1), 1.0)
-    turns = rotation.angle_between(played.motion.rotations[1:], played.motion.rotations[:-1]) * FPS
-    assert turns.max() < 40.0
-    breath = play._breath(round(39 * FPS))
-    assert np.sum((breath[1:] > 0) & (breath[:-1] <= 0)) == 10

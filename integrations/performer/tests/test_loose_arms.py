@@ -9,8 +9,7 @@ from gesticulator_performer.takes import FPS
 from gesticulator_performer.torso import facing_positions
 from test_mended_arms import SIDES, hanging
 
-from data_module.motion import hand_shapes, kinematics, rotation
-from data_module.motion.hand_shapes import HandMotion
+from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array
 
@@ -65,55 +64,4 @@ def test_a_hand_hangs_a_little_bent_and_a_raised_one_is_extended() -> None:
     assert 5.0 < low.mean() < 8.5 and -10.5 < high.mean() < -8.0
 
 
-def test_a_hand_lags_behind_its_wrist() -> None:
-    times = np.arange(300) / FPS
-    place = np.stack([0.0 * times, 0.3 + 0.1 * np.sin(2.0 * np.pi * 0.5 * times), 0.0 * times], axis=1)
-    level = np.tile([1.0, 0.0, 0.0, 0.0], (300, 1))
-    flexion, deviation = wrists.bends(place, level)
-    speed = np.gradient(place[:, 1]) * FPS
-    assert np.corrcoef(flexion, speed)[0, 1] > 0.7, "moved up with the palm down it hangs, moved down it is left behind"
-    assert np.allclose(deviation, 0.0, atol=1e-9)
-    fast = np.stack([0.0 * times, 0.3 + 0.5 * np.sin(2.0 * np.pi * 3.0 * times), 0.0 * times], axis=1)
-    assert np.abs(wrists.bends(fast, level)[0]).max() < 50.0, "no wrist bends farther"
-
-
-def test_loose_wrists_move_nothing_but_the_hands_and_are_mirrored() -> None:
-    before = hanging(0.0, bend=80.0)
-    after = wrists.with_loose_wrists(before)
-    hands = [CHARACTER.index(side + "Hand") for side in SIDES]
-    others = [j for j in range(16) if j not in hands]
-    assert np.array_equal(before[:, others], after[:, others]) and not np.allclose(before[:, hands], after[:, hands])
-    logs = rotation.to_exponential_map(after)
-    assert np.allclose(takes.mirrored(logs), logs, atol=1e-9)
-
-
 # -------------------------------------------------------------------------------------------------------- hand shapes
-
-
-def doing(**what: float) -> HandMotion:
-    """A minute of a raised hand that does one thing."""
-    usual = {"lifted": 1.0, "speed": 0.3, "falling": 0.0, "palm_up": 0.0, "stretched": 0.6, "side": 0.2}
-    return HandMotion(**{name: np.full(3600, value) for name, value in (usual | what).items()})
-
-
-def share(shape: str, **what: float) -> float:
-    weights = hand_shapes.mixture(doing(**what), np.arange(3600) / FPS, "Left")
-    assert np.allclose(weights.sum(axis=1), 1.0) and weights.min() >= 0.0
-    return float(weights[:, list(hand_shapes.SHAPES).index(shape)].mean())
-
-
-@pytest.mark.parametrize(("shape", "what"), [
-    ("cup", {"palm_up": 0.9}), ("open", {"speed": 1.2}), ("open", {"falling": 0.7}), ("point", {"stretched": 1.0}),
-    ("pinch", {"speed": 0.0}), ("spread", {"side": 0.6}), ("hanging", {"lifted": 0.1})])
-def test_a_movement_calls_for_its_shape(shape: str, what: dict[str, float]) -> None:
-    assert share(shape, **what) > 1.4 * share(shape)
-
-
-def test_a_hanging_hand_is_a_cascade_and_a_raised_one_does_not_keep_one_shape() -> None:
-    bends = hand_shapes.SHAPES["hanging"].sum(axis=1)
-    assert (np.diff(bends[1:]) > 0).all(), "the little finger is bent most"
-    weights = hand_shapes.mixture(doing(), np.arange(3600) / FPS, "Right")
-    assert len(set(weights.argmax(axis=1))) >= 4
-    assert np.abs(np.diff(weights, axis=0)).max() < 0.1, "no shape comes at once"
-    other = hand_shapes.mixture(doing(), np.arange(3600) / FPS, "Left")
-    assert np.abs(np.corrcoef(weights[:, 1], other[:, 1])[0, 1]) < 0.5, "the hands do not shape in step"

@@ -9,8 +9,6 @@ import pytest
 from gesticulator_performer import mended_arms, takes
 from gesticulator_performer.takes import FPS, MotionRange
 from gesticulator_performer.torso import facing_positions, torso_depth
-from hypothesis import given
-from hypothesis import strategies as st
 
 from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, FINGERED
@@ -41,47 +39,6 @@ def azimuth(rotations: Array, side: str) -> float:
     places = kinematics.joint_positions(CHARACTER, rotations)
     way = places[:, CHARACTER.index(side + "Hand")] - places[:, CHARACTER.index(side + "ForeArm")]
     return float(np.median(np.degrees(np.arctan2(way[:, 0] * (1.0 if side == "Left" else -1.0), way[:, 2]))))
-
-
-def test_a_right_take_is_left_alone() -> None:
-    right = hanging(10.0)
-    assert mended_arms.mended("f_gestic_presentation_01", right) is right
-    inward = hanging(-20.0, bend=80.0)
-    assert np.allclose(mended_arms.narrowed(inward), inward, atol=1e-9)
-
-
-@given(st.floats(-40.0, 40.0), st.floats(5.0, 130.0), st.floats(-30.0, 30.0))
-def test_a_turned_elbow_keeps_its_bend_the_upper_arm_and_the_roll_of_the_hand(turn: float, bend: float, out: float
-                                                                              ) -> None:
-    before = hanging(out, 0.1, bend)
-    after = mended_arms.turned(before, {"Left": turn})
-    elbow = CHARACTER.index("LeftForeArm")
-    along = np.array([1.0, 0.0, 0.0])
-    assert np.allclose(rotation.rotate(before[:, elbow], along)[:, 0], rotation.rotate(after[:, elbow], along)[:, 0])
-    assert np.allclose(rotation.yaw_of(before[:, elbow], axis=0), rotation.yaw_of(after[:, elbow], axis=0))
-    rest = [j for j in range(16) if j != elbow]
-    assert np.array_equal(before[:, rest], after[:, rest])
-
-
-def test_the_two_sides_are_mirror_images() -> None:
-    logs = rotation.to_exponential_map(mended_arms.narrowed(hanging(50.0, bend=70.0, lift=40.0)))
-    assert np.allclose(takes.mirrored(logs), logs, atol=1e-9)
-
-
-@pytest.mark.parametrize(("out", "lift"), [(60.0, 5.0), (30.0, 20.0), (90.0, 0.0)])
-def test_arms_wide_open_are_narrowed(out: float, lift: float) -> None:
-    before = hanging(out, bend=80.0, lift=lift)
-    after = mended_arms.narrowed(before)
-    arm = mended_arms._arm(after, "Left")
-    assert arm.outward.max() < 28.0 and arm.lifted.max() <= lift + 1e-6
-    assert azimuth(after, "Left") < azimuth(before, "Left")
-    assert np.allclose(arm.bend, mended_arms._arm(before, "Left").bend)
-
-
-def test_arms_lifted_to_the_side_come_down_and_stay_in_their_plane() -> None:
-    before = hanging(0.0, bend=40.0, lift=70.0)
-    after = mended_arms._arm(mended_arms.narrowed(before), "Right")
-    assert 20.0 < after.lifted.max() < 35.5 and np.abs(after.upper[:, 2]).max() < 1e-6
 
 
 def test_a_hand_in_the_trunk_comes_out_of_it_and_other_hands_stay() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -25,7 +24,7 @@ from gesticulator_performer.voices import (
 
 from data_module.errors import InputError
 from data_module.truth import Phrase
-from data_module.types import Speech, Word
+from data_module.types import Speech
 
 RATE = 16000
 
@@ -77,28 +76,6 @@ def test_vowels_lie_on_rises_of_the_sound(voice: str) -> None:
 
 
 @ENGLISH
-def test_words_are_loud_and_pauses_are_not(voice: str) -> None:
-    spoken = _spoken(voice)
-    level, words = _envelope(spoken.speech.samples), spoken.speech.words
-    assert words is not None
-    inside = [level[round(w.start * 100):round(w.end * 100) + 1].max() for w in words]
-    gaps = [level[round(50 * (a.end + b.start))] for a, b in zip(spoken.phrases, spoken.phrases[1:], strict=False)
-            if b.start - a.end > 0.6]
-    assert gaps and np.percentile(inside, 10) > np.median(gaps) + 6
-    assert all(a.end <= b.start + 1e-6 for a, b in zip(words, words[1:], strict=False))
-
-
-@ENGLISH
-def test_the_words_are_the_text(voice: str) -> None:
-    text, spoken = compose(np.random.default_rng(1), 25, "train"), _spoken(voice)
-    assert spoken.speech.words is not None
-    expected = [t.strip(".,?!") for u in text for p in u.parts for t in p.text.split()]
-    assert [w.text for w in spoken.speech.words] == [t for t in expected if t]
-    assert {s.word for s in spoken.syllables} == set(range(len(spoken.speech.words)))
-    assert all(s.start <= s.vowel <= s.end for s in spoken.syllables)
-
-
-@ENGLISH
 def test_effort_raises_loudness_range_and_rate_together(voice: str) -> None:
     line = "the banker carried a wonderful yellow melon over the long wall."
     made = synthesise(_said((line, -0.8), (line, 0.8)), VOICES[voice], np.random.default_rng(0))
@@ -128,82 +105,6 @@ def test_the_same_seed_gives_the_same_bytes(voice: str) -> None:
     assert first.speech.samples.tobytes() != other.speech.samples.tobytes()
 
 
-def test_pitch_is_that_of_a_buzz() -> None:
-    for hertz in (90.0, 130.0, 210.0, 300.0):
-        time = np.arange(2 * RATE) / RATE
-        buzz = sum(np.sin(2 * np.pi * hertz * number * time) for number in range(1, int(3000 / hertz)))
-        track = syllables.pitch_track((0.02 * np.asarray(buzz)).astype(np.float32), RATE)
-        assert np.median(track[track > 0]) == pytest.approx(hertz, rel=0.02) and np.mean(track > 0) > 0.6
-
-
-def test_pitch_track_follows_a_glide_and_is_silent_on_noise() -> None:
-    time = np.arange(2 * RATE) / RATE
-    hertz = 110 * 2 ** (time / 2)
-    wave = np.sign(np.sin(2 * np.pi * np.cumsum(hertz) / RATE)).astype(np.float32) * 0.1
-    track = syllables.pitch_track(wave, RATE)[10:190]
-    truth = 110 * 2 ** (np.arange(10, 190) / 200)
-    assert np.abs(12 * np.log2(track / truth)).max() < 0.3
-    noise = np.random.default_rng(0).normal(0, 0.1, RATE).astype(np.float32)
-    assert np.mean(syllables.pitch_track(noise, RATE) > 0) < 0.1
-
-
-def test_the_pitch_track_of_silence_is_unvoiced() -> None:
-    assert not syllables.pitch_track(np.zeros(1000, np.float32), RATE).any()
-
-
-def test_stress_stands_out() -> None:
-    """Loud, long and high against soft, short and low: the former leads, and content words lead function words."""
-    tone = [0.3 * np.sin(2 * np.pi * 200 * np.arange(round(0.3 * RATE)) / RATE)]
-    tone += [0.03 * np.sin(2 * np.pi * 120 * np.arange(round(0.1 * RATE)) / RATE), np.zeros(1600)]
-    samples = np.concatenate(tone * 6).astype(np.float32)
-    starts = np.arange(6) * 0.5
-    pattern = (("mountain", 0.0, 0.3), ("the", 0.3, 0.4))
-    words = tuple(Word(text, s + first, s + last) for s in starts for text, first, last in pattern)
-    nuclei = [syllables.Nucleus(w.start, w.start, w.end, i) for i, w in enumerate(words)]
-    heard = syllables.listen(Speech(samples, RATE, words), [Phrase(0, 3, 0.0)], nuclei)
-    strong, weak = [s.prominence for s in heard[::2]], [s.prominence for s in heard[1::2]]
-    assert min(strong) == pytest.approx(1.4 + 0.3, abs=0.15) and max(weak) == pytest.approx(-1.4 - 0.9, abs=0.15)
-    swapped = tuple(replace(w, text="the" if w.text != "the" else "mountain") for w in words)
-    again = syllables.listen(Speech(samples, RATE, swapped), [Phrase(0, 3, 0.0)], nuclei)
-    assert again[0].prominence == pytest.approx(heard[0].prominence - 1.2)
-
-
-@ENGLISH
-def test_syllables_are_found_without_being_told(voice: str) -> None:
-    spoken = _spoken(voice)
-    deaf = replace(spoken.speech, words=None)
-    heard = syllables.find_syllables("x", deaf, "unknown", "xx")
-    truth, found = (np.array([s.vowel for s in x.syllables]) for x in (spoken, heard))
-    gaps = np.abs(truth[:, None] - found)
-    # Evenly spaced guesses of the same number would score about half of this.
-    assert np.mean(gaps.min(axis=0) < 0.05) > 0.75 and np.mean(gaps.min(axis=1) < 0.05) > 0.6
-    quiet = [s for s in heard.syllables if not any(p.start - 0.1 < s.vowel < p.end + 0.1 for p in spoken.phrases)]
-    assert len(quiet) <= 0.05 * len(heard.syllables)
-
-
-def test_room_noise_and_level_stay_in_their_bounds() -> None:
-    rng = np.random.default_rng(0)
-    click = np.zeros(RATE, np.float32)
-    click[8000:8400] = 0.5
-    for _ in range(20):
-        out = sound.recorded(click, click > 0, rng)
-        level = 20 * np.log10(np.sqrt(np.mean(out[8000:8400].astype(float) ** 2)))
-        floor = 20 * np.log10(np.std(out[:7000]))
-        assert -31 < level < -17.5 and -67 < floor < -43
-        assert np.abs(out[:8000]).max() < np.abs(out[8000:8400]).max()
-
-
-def test_reading_faster_moves_times_and_pitch() -> None:
-    time = np.arange(RATE) / RATE
-    wave = np.sin(2 * np.pi * 150 * time).astype(np.float32)
-    phones = (sound.Phone("a", 0.25, 0.5, True, 0),)
-    out, moved = sound.read_at(wave, np.full(RATE, 1.25), phones)
-    assert len(out) == pytest.approx(RATE / 1.25, abs=2)
-    assert (moved[0].start, moved[0].end) == pytest.approx((0.2, 0.4), abs=1e-4)
-    spectrum = np.abs(np.fft.rfft(out * np.hanning(len(out))))
-    assert spectrum.argmax() * RATE / len(out) == pytest.approx(187.5, abs=1.5)
-
-
 def test_training_and_test_voices_differ_down_to_the_speaker() -> None:
     assert len(TRAIN_VOICES) >= 6 and set(TRAIN_VOICES) | set(TEST_VOICES) <= set(VOICES)
     assert len({(v.engine, v.base, v.pitch, v.tract) for v in VOICES.values()}) == len(VOICES)
@@ -222,40 +123,11 @@ def test_phones_find_their_words_through_changes() -> None:
     assert flite.assigned(["ae", "n", "s", "ow"], [("ae", "n", "d"), ("s", "ow")]) == [0, 0, 1, 1]
 
 
-def test_a_word_that_lost_all_its_phones_takes_one() -> None:
-    owners = flite.assigned(["b", "iy", "g", "ow"], [("b", "iy"), ("ax",), ("g", "ow")])
-    assert set(owners) == {0, 1, 2} and owners == sorted(owners)
-
-
 def test_syllables_of_phones() -> None:
     names = [("b", 0), ("a", 0), ("n", 0), ("d", 0), ("a", 0), ("h", 1), ("m", 1)]
     phones = [sound.Phone(n, i / 10, (i + 1) / 10, n == "a", w) for i, (n, w) in enumerate(names)]
     assert [(n.start, n.vowel, n.end, n.word) for n in nuclei_of(phones)] == \
         [(0.0, 0.1, 0.3, 0), (0.3, 0.4, 0.5, 0), (0.5, 0.5, 0.7, 1)]
-
-
-@needs_espeak
-def test_german_is_spoken_with_its_words() -> None:
-    text = compose(np.random.default_rng(0), 12, "train", language="de")
-    spoken = speak("x", text, "de_f2", np.random.default_rng(0))
-    assert spoken.language == "de" and spoken.speech.words is not None
-    assert spoken.speech.words[0].text == text[0].parts[0].text.split()[0].strip(",")
-    assert abs(np.median(_rise_errors(spoken))) <= 0.02
-
-
-@needs_espeak
-@pytest.mark.parametrize("voice", ["cmn_f2", "cmn_m5"])
-def test_mandarin_has_a_syllable_for_each_character(voice: str) -> None:
-    text = compose(np.random.default_rng(0), 20, "train", language="cmn")
-    spoken = speak("x", text, voice, np.random.default_rng(0))
-    words = [w.strip("，。？.") for u in text for p in u.parts for w in p.text.split()]
-    assert spoken.speech.words is not None and [w.text for w in spoken.speech.words] == words
-    assert Counter(s.word for s in spoken.syllables) == {i: len(word) for i, word in enumerate(words)}
-    assert abs(np.median(_rise_errors(spoken))) <= 0.02
-    talk = sum(p.end - p.start for p in spoken.phrases)
-    assert 4 < len(spoken.syllables) / talk < 5.5
-    # The text was written for twenty seconds and the end of a sentence.
-    assert 17 < spoken.speech.duration < 32
 
 
 def test_a_missing_program_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -266,13 +138,6 @@ def test_a_missing_program_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         speak("x", _said(("hello", 0.0)), "nobody", np.random.default_rng(0))
     with pytest.raises(InputError, match="text: is empty"):
         speak("x", [], "rms", np.random.default_rng(0))
-
-
-@needs_espeak
-def test_an_unknown_espeak_voice_is_named() -> None:
-    stranger = replace(VOICES["us_f3"], base="nowhere+q9")
-    with pytest.raises(InputError, match="nowhere"):
-        synthesise(_said(("hello", 0.0)), stranger, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize(("name", "language"), [("es_prose_1", "es"), ("de_prose_1", "de"), ("en_sonnet_1", "en")])

@@ -9,22 +9,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gesticulator_performer import carriage, grammar, repertoire, text
+from gesticulator_performer import grammar, text
 from gesticulator_performer.called_cues import CalledCues
 from gesticulator_performer.cues import Cues, plain
 from gesticulator_performer.repertoire import Repertoire, read_repertoire
-from gesticulator_performer.sources.gesture_takes import SIZES, TAKES, write_takes
-from gesticulator_performer.strokes import SIDES, StrokeSet, standing_body
+from gesticulator_performer.sources.gesture_takes import TAKES, write_takes
+from gesticulator_performer.strokes import StrokeSet, standing_body
 from gesticulator_performer.types import Spoken
 from procedural import planned, played, procedural_strokes
 
 from data_module.build import main
 from data_module.errors import InputError
 from data_module.files import read_table
-from data_module.motion import kinematics, rotation
+from data_module.motion import rotation
 from data_module.motion.bvh import read_bvh
 from data_module.truth import SCRIPTED, Phrase, Syllable
-from data_module.types import Array, Motion, Speech, Word
+from data_module.types import Speech, Word
 from gesticulator.directing.meaning_cues import meaning_cues
 from gesticulator.plan.gestures import REPERTOIRE
 
@@ -84,26 +84,6 @@ def test_the_same_seed_draws_the_same_bytes_and_no_two_takes_are_alike(folder: P
     assert len(set(drawn.values())) == len(files) == 24
 
 
-def _hands(motion: Motion) -> Array:
-    """[T, 2, 3] metres of the hands from the hips."""
-    places = kinematics.positions_of(motion) - motion.root_positions[:, None]
-    return places[:, [motion.skeleton.index(side + "Hand") for side in SIDES]]
-
-
-def test_phases_are_where_their_marks_say(folder: Path) -> None:
-    """The hand hangs before the start and after the end, stops at the apex, and was fast in between."""
-    for _, row in read_table(folder / TAKES, ""):
-        if row["label"] not in ("thumbs_up", "point_ahead"):
-            continue
-        hand = _hands(read_bvh(folder / str(row["file"]), unit=1.0))[:, 1]
-        speed = np.linalg.norm(np.gradient(hand, axis=0), axis=-1) * 30.0
-        start, stroke, apex, hold_end, end = (round(30.0 * float(row[name] or 0)) for name in (
-            "start", "stroke", "apex", "hold_end", "end"))
-        assert max(speed[:start].max(), speed[end + 2:].max()) < 0.02
-        assert speed[start:stroke].max() > 0.5 and speed[hold_end:end].max() > 0.5
-        assert speed[apex + 1:hold_end].max() < 0.2 * speed[start:apex].max()
-
-
 def test_a_take_on_the_body_it_was_drawn_for_is_what_was_drawn(folder: Path, takes: Repertoire) -> None:
     outline = next(one for one in takes.outlines if one.base == SCRIPTED + "point_ahead_large_1")
     motion = read_bvh(folder / "point_ahead_large_1.bvh", unit=1.0)
@@ -118,14 +98,6 @@ def test_a_take_on_the_body_it_was_drawn_for_is_what_was_drawn(folder: Path, tak
     assert np.allclose(other.arms[0] * [1.0, -1.0, -1.0], stroke.arms[1])
     assert (other.start, other.beat, other.hold_end, other.end) == (
         stroke.start, stroke.beat, stroke.hold_end, stroke.end)
-
-
-def test_sides_change_places_and_a_bow_moves_no_hand(takes: Repertoire) -> None:
-    labels = {(one.meaning, one.hand) for one in takes.outlines}
-    assert {("point_left", "left"), ("point_right", "right"), ("bow", "none")} <= labels
-    assert {one.size for one in takes.outlines} == set(SIZES.values())
-    free = {one.meaning for one in takes.outlines if not one.held_out}
-    assert free == takes.labels and any(one.held_out for one in takes.outlines)
 
 
 def test_gestures_come_at_their_words_within_the_budget(strokes: StrokeSet) -> None:
@@ -151,17 +123,6 @@ def test_gestures_come_at_their_words_within_the_budget(strokes: StrokeSet) -> N
     assert count > 60
 
 
-def test_larger_takes_come_with_more_effort(strokes: StrokeSet) -> None:
-    quiet, loud = [], []
-    for seed in range(40):
-        effort = 1.0 if seed % 2 else -1.0
-        spoken = replace(_said(TALK), phrases=tuple(replace(p, effort=effort) for p in _said(TALK).phrases))
-        for p in planned(spoken, strokes, seed):
-            if p.stroke.scripted:
-                (loud if seed % 2 else quiet).append(p.stroke.size)
-    assert min(len(quiet), len(loud)) > 30 and np.mean(loud) > np.mean(quiet) + 0.1
-
-
 def test_a_played_take_shows_its_pose_at_the_apex(strokes: StrokeSet) -> None:
     performance = played(_said(TALK), strokes, 2)
     meant = [stroke for stroke in performance.strokes if stroke.clip.startswith(SCRIPTED) and stroke.hand != "none"]
@@ -180,36 +141,6 @@ def test_a_played_take_shows_its_pose_at_the_apex(strokes: StrokeSet) -> None:
             shown = (performance.motion.rotations[frame][joints] for frame in frames)
             apart = [np.degrees(rotation.angle_between(pose, wanted)).max() for pose in shown]
             assert apart[0] < 15.0 < apart[1]
-
-
-def test_phrases_with_effort_or_a_wide_pitch_are_driven_up() -> None:
-    phrases = tuple(Phrase(2.0 * k, 2.0 * k + 1.8, effort) for k, effort in enumerate((0.0, 1.0, 0.0, -1.0, 0.0)))
-    wide = (0.5, 0.5, 3.0, 0.5, 0.5)
-    syllables = [Syllable(t, t, t + 0.2, 0, 0.0, 5.0 + spread * (-1) ** k, 0.0)
-                 for phrase, spread in zip(phrases, wide, strict=True)
-                 for k, t in enumerate(np.linspace(phrase.start, phrase.end - 0.3, 6))]
-    drives = carriage.phrase_drives(phrases, syllables)
-    assert np.allclose(drives[[0, 4]], 0.0) and np.allclose(drives[1], [0.55, 0.8])
-    assert np.allclose(drives[2], [0.45, 0.2]) and np.allclose(drives[3], -drives[1])
-    assert not carriage.phrase_drives((), ()).size
-
-
-def test_the_hand_goes_straight_up_and_straight_out() -> None:
-    body = procedural_strokes().figures[PUPPET]
-    for side in (0, 1):
-        ways = carriage._ways(body, side)
-        places = []
-        for add in (np.zeros((2, 3)), 0.02 * ways[0], 0.02 * ways[1]):
-            logs = body.home[side].copy()
-            logs[1:3] += add
-            rotations = body.rest.copy()
-            joints = list(body.arms[side])
-            rotations[joints] = rotation.multiply(rotations[joints], rotation.from_exponential_map(logs))
-            hand = body.skeleton.index(SIDES[side] + "Hand")
-            places.append(kinematics.joint_positions(body.skeleton, rotations)[hand])
-        up, out = places[1] - places[0], places[2] - places[0]
-        assert up == pytest.approx([0.0, 0.02, 0.0], abs=0.002)
-        assert np.linalg.norm(out) == pytest.approx(0.02, abs=0.002) and abs(out[1]) < 0.002
 
 
 def _edited(folder: Path, change: Callable[[str], str]) -> Path:
@@ -234,14 +165,6 @@ def test_a_bad_folder_is_named_with_its_line(tmp_path: Path, change: Callable[[s
         read_repertoire(_edited(tmp_path / "takes", change))
 
 
-def test_a_broken_clip_is_named_when_it_is_played(tmp_path: Path) -> None:
-    write_takes(tmp_path / "takes", 1, ("thumbs up",))
-    (tmp_path / "takes" / "thumbs_up_small_1.bvh").write_text("HIERARCHY")
-    takes = read_repertoire(tmp_path / "takes")
-    with pytest.raises(InputError, match="thumbs_up_small_1"):
-        takes.played(takes.outlines[0], procedural_strokes().figures[PUPPET])
-
-
 def test_the_build_refuses_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for more, message in ((["--hours", "0"], "--hours: is 0"), (["--seed", "-1"], "--seed: is -1")):
         with pytest.raises(SystemExit) as stopped:
@@ -250,13 +173,6 @@ def test_the_build_refuses_in_one_line(tmp_path: Path, capsys: pytest.CaptureFix
     with pytest.raises(InputError, match=r"holds no takes\.csv"):
         read_repertoire(tmp_path / "nothing")
     assert not (tmp_path / "store").exists()
-
-
-def test_captured_strokes_come_first(takes: Repertoire) -> None:
-    one = next(iter(procedural_strokes().strokes))
-    captured = [replace(one, meaning="thumbs_up", base=f"clip{k}") for k in range(repertoire.ENOUGH)]
-    assert "thumbs_up" in {s.meaning for s in takes.usable(captured[1:], "train")}
-    assert "thumbs_up" not in {s.meaning for s in takes.usable(captured, "train")}
 
 
 def test_every_gesture_has_sentences_whose_words_call_for_it() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from gesticulator_performer.commands import SMARTBODY
 from gesticulator_performer.sources import skm
-from gesticulator_performer.sources.smartbody import SmartBody, clip_name
+from gesticulator_performer.sources.smartbody import SmartBody
 from gesticulator_performer.strokes import load_strokes
 from scipy.spatial.transform import Rotation
 
@@ -46,12 +46,6 @@ def test_the_published_clips_give_the_motion_of_the_strokes(rebuilt: Path, outsi
         np.testing.assert_allclose(ours.root_positions, theirs.root_positions, atol=6e-5)  # theirs have four digits
 
 
-def test_the_manifest_has_the_rows_of_the_strokes(rebuilt: Path, outside_data: Path) -> None:
-    ours, theirs = _rows(rebuilt), _rows(outside_data / "strokes")
-    assert ours == {file: theirs[file] for file in ours}
-    assert list(ours) == [file for file in theirs if file in ours]
-
-
 def test_the_performer_plays_what_was_rebuilt(rebuilt: Path, outside_data: Path, tmp_path: Path) -> None:
     shutil.copytree(outside_data / "strokes", tmp_path / "strokes")
     (tmp_path / "strokes" / "manifest.csv").write_bytes((rebuilt / "manifest.csv").read_bytes())
@@ -59,14 +53,6 @@ def test_the_performer_plays_what_was_rebuilt(rebuilt: Path, outside_data: Path,
     assert [s.base for s in ours.strokes] == [s.base for s in theirs.strokes] and len(ours.strokes) == 16
     for mine, other in zip(ours.strokes, theirs.strokes, strict=True):
         assert mine.beat == pytest.approx(other.beat, abs=1e-3)
-
-
-def test_every_name_is_read_as_the_manifest_has_it(outside_data: Path) -> None:
-    for file, row in _rows(outside_data / "strokes").items():
-        speaker, _, rest = Path(file).stem.partition("_")
-        name = clip_name(f"ChrAny@{rest}", speaker)
-        assert (name.file, name.speaker, name.posture, name.lexeme, name.hand) == (
-            file, row["speaker"], row["posture"], row["lexeme"], row["hand"])
 
 
 def _body(rng: np.random.Generator) -> tuple[list[str], dict[str, str], dict[str, np.ndarray], dict[str, Rotation]]:
@@ -148,15 +134,6 @@ def published(tmp_path: Path, outside_data: Path) -> Path:
     return source
 
 
-def test_a_clip_cut_short_is_named_and_nothing_is_left(published: Path, tmp_path: Path) -> None:
-    clip = published / "Gestures" / "motions" / "ChrBrad@Idle01_Shrug01.skm"
-    text = clip.read_text()
-    clip.write_text(text[:len(text) // 2])
-    with pytest.raises(InputError, match=r"Shrug01\.skm: has a frame that is not a time and \d+ values"):
-        SmartBody(published).write(tmp_path / "out")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["behaviorsets"]
-
-
 @pytest.mark.parametrize(("part", "content", "message"), [
     ("motions/ChrBrad@Idle01_Shrug01.skm", b"hello\n", r"Shrug01\.skm: is not a SmartBody motion"),
     ("motions/ChrBrad@Idle01_Shrug01.skm", b"\xfa\xfe\x00\x81", r"Shrug01\.skm: line 1: is not text"),
@@ -169,22 +146,3 @@ def test_a_broken_file_of_smartbody_is_named(published: Path, tmp_path: Path, pa
     (published / "Gestures" / part).write_bytes(content)
     with pytest.raises(InputError, match=message):
         SmartBody(published).write(tmp_path / "out")
-
-
-def test_what_smartbody_lacks_is_said(published: Path, tmp_path: Path) -> None:
-    motions = published / "Gestures" / "motions"
-    unmarked = motions / "ChrBrad@Idle02_Frame.skm"
-    unmarked.write_text((motions / "ChrBrad@Idle01_Shrug01.skm").read_text().replace("emphasis time", "some time"))
-    (motions / "ChrBrad@Idle01_ToWalk01_Turn90Rt01.skm").write_text("never read")
-    maker = SmartBody(published)
-    assert maker.write(tmp_path / "out") == 2
-    notes = "\n".join(maker.notes())
-    assert f"left out {unmarked}: has no time for emphasis" in notes and "Turn90Rt01.skm: no gesture" in notes
-    assert all(f"{published / folder}: is not there" in notes for folder in ("Gestures2", "MaleGestures"))
-    with pytest.raises(InputError, match="is already there"):
-        maker.write(tmp_path / "out")
-    (published / "Gestures" / "skeletons" / "ChrBrad.sk").unlink()
-    with pytest.raises(InputError, match=r"Gestures/skeletons: holds no \.sk file"):
-        SmartBody(published)
-
-

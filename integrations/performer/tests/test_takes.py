@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gesticulator_performer import takes, talks
+from gesticulator_performer import takes
 from gesticulator_performer.chaining import chain, seam_ratio
-from gesticulator_performer.living_fingers import living_fingers
 from gesticulator_performer.takes import FPS, HIPS, SKULL, SPINE, Library, MotionRange, RealTake
 
 from data_module.errors import InputError
@@ -60,34 +59,6 @@ def test_a_mirror_image_swaps_the_hands_and_twice_is_nothing() -> None:
     assert np.allclose(first[:, left] * [-1, 1, 1], second[:, right], atol=1e-9)
 
 
-@pytest.mark.parametrize(("length", "becomes"), [(0.01, 0.01), (0.3, 0.3 * np.tanh(1.0)), (50.0, 0.3)])
-def test_soft_limit(length: float, becomes: float) -> None:
-    out = takes.soft_limit(np.array([0.0, length, 0.0]), 0.3)
-    assert out == pytest.approx([0.0, becomes, 0.0], rel=1e-3)
-
-
-def test_a_calmed_pantomime_stays_within_its_limits() -> None:
-    lib = library(1)
-    wild = RealTake("wild", "ann", "story", "none", 6.0 * moving(4.0, 1))
-    out = takes.calmed(lib, wild, 0.5, 1.0)
-    for joints, degrees, least in ((HIPS, 7.0, 0.0), (SPINE, 16.0, 0.0), (SKULL, 30.0, 0.8)):
-        bend = np.degrees(np.linalg.norm(out[:, list(joints)].sum(axis=1), axis=-1))
-        assert bend.max() <= degrees + 1e-6 and bend.max() > least * degrees
-    chest = takes.facing_positions(lib.rotations(out))[:, SPINE[-1]]
-    assert 4.5 < 100 * FPS * np.linalg.norm(np.diff(chest, axis=0), axis=1).mean() < 6.5, "no one's chest rocks faster"
-    # The elbow keeps nearly all of its bend: scaling it would straighten the arm.
-    assert np.allclose(out[:, LEFT_ARM + 1], 0.925 * wild.logs[:, LEFT_ARM + 1])
-
-
-def test_a_calm_trunk_keeps_its_travel() -> None:
-    lib = library(1)
-    calm = RealTake("calm", "ann", "story", "none", 0.1 * moving(4.0, 1))
-    out = takes.calmed(lib, calm, 1.0, 1.0)
-    bends = [logs[:, list(SPINE), 0].sum(axis=1) for logs in (out, calm.logs)]
-    assert np.allclose(*bends, atol=0.02 * np.abs(bends[1]).max())
-    assert np.allclose(takes.calmed(lib, calm, 1.0, 0.5)[:, SPINE[0]], 0.5 * out[:, SPINE[0]])
-
-
 def test_a_calmed_upper_arm_swings_less_and_keeps_its_turn() -> None:
     lib, swing, turn = library(1), np.array([0.0, -0.8, 0.3]), 0.6
     logs = np.zeros((3, 16, 3))
@@ -115,41 +86,6 @@ def test_idling_and_hands_too_high_are_cut_out() -> None:
     assert places[:, list(takes.WRISTS), 1].max() < 0.45 + 0.16 + 0.1
 
 
-def test_hands_that_hang_for_long_are_cut_out() -> None:
-    places = np.zeros((600, 16, 3))
-    places[:, list(takes.WRISTS), 1] = 0.3
-    places[100:160, list(takes.WRISTS), 1] = 0.0
-    places[300:330, list(takes.WRISTS), 1] = 0.0
-    places[400:500, takes.WRISTS[0], 1] = 0.0
-    cut = np.flatnonzero(takes.hanging(places))
-    assert cut[0] == 115 and cut[-1] == 144 and len(cut) == 30, "one second of both hands, and no less"
-
-
-def test_one_hand_rests_in_some_stretches_whose_hands_do_the_same() -> None:
-    lib = library(1)
-    logs = moving(8.0, 5)
-    logs[:, list(takes.ARM_SIDES[1])] = takes.mirrored(logs)[:, list(takes.ARM_SIDES[1])]
-    played = [talks._one_handed(lib, logs, np.random.default_rng(seed)) for seed in range(60)]
-    rests = [np.linalg.norm(out[:, list(side)]) < 0.5 * np.linalg.norm(logs[:, list(side)])
-             for out in played for side in takes.ARM_SIDES]
-    assert 4 <= sum(rests) <= 22
-    assert not any(a and b for a, b in zip(rests[::2], rests[1::2], strict=True)), "never both"
-    apart = moving(8.0, 5)
-    heights = takes.facing_positions(lib.rotations(apart))[:, list(takes.WRISTS), 1]
-    assert np.corrcoef(heights.T)[0, 1] < talks._ALIKE
-    assert all(talks._one_handed(lib, apart, np.random.default_rng(seed)) is apart for seed in range(20))
-
-
-def test_depth_in_the_torso() -> None:
-    places = np.zeros((3, 16, 3))
-    places[:, CHARACTER.index("Spine3")] = [0.0, 0.4, 0.0]
-    for name in ("LeftHand", "RightHand", "LeftForeArm", "RightForeArm"):
-        places[:, CHARACTER.index(name)] = [0.5, 0.2, 0.0]
-    places[1, CHARACTER.index("LeftHand")] = [0.0, 0.2, 0.10]
-    places[2, CHARACTER.index("RightForeArm")] = [0.0, 0.5, 0.02]
-    assert takes.torso_depth(places) == pytest.approx([0.0, 0.015, 0.13 - np.hypot(0.1, 0.02)])
-
-
 def test_splits_by_take_hold_whoever_else_is_there() -> None:
     many = [RealTake(f"cmu_138_{k}", "a", "story", "", np.zeros((0, 16, 3))) for k in range(40)]
     few = [RealTake(f"cmu_80_{k}", "b", "lesson", "", np.zeros((0, 16, 3))) for k in range(2)]
@@ -157,11 +93,6 @@ def test_splits_by_take_hold_whoever_else_is_there() -> None:
     assert [list(splits.values()).count(s) for s in ("train", "val", "test")] == [30, 4, 8]
     assert takes.split_of_takes(many) == {name: split for name, split in splits.items() if "138" in name}
     assert takes.split_of_takes(reversed([*many, *few])) == splits
-
-
-def test_groups_by_name() -> None:
-    assert takes.group_of("cmu_18_08") == "conversation" and takes.group_of("cmu_138_11") == "story"
-    assert takes.group_of("f_idle_neutral_01") == "idling" and takes.group_of("f_cheer_01") == ""
 
 
 def test_a_manifest_without_takes_is_refused(tmp_path: Path) -> None:
@@ -200,41 +131,6 @@ def test_a_chain_is_the_same_twice_and_needs_two_pieces() -> None:
     assert first.used != other.used or not np.array_equal(first.logs, other.logs)
     with pytest.raises(ValueError, match="two"):
         chain(pieces[:1], 20.0, np.random.default_rng(1))
-
-
-def test_fingers_go_with_the_stretches_they_belong_to() -> None:
-    """A chain of stretches with fingers has the arms of one without, and the fingers of the frames that it plays."""
-    bare = [moving(9.0, seed) for seed in range(4)]
-    fingers = [np.broadcast_to(np.float64(seed), (len(logs), 30, 3)) for seed, logs in enumerate(bare)]
-    whole = [np.concatenate([logs, own], axis=1) for logs, own in zip(bare, fingers, strict=True)]
-    one, two = (chain(pieces, 20.0, np.random.default_rng(2)) for pieces in (bare, whole))
-    assert two.used == one.used and np.array_equal(two.edges, one.edges)
-    assert np.allclose(two.logs[:, :16], one.logs) and two.logs.shape[1] == 46
-    last = [round(edge * FPS) - 1 for edge in two.edges[1:]]
-    # At its end each stretch has come to its own fingers: the old one's have died away.
-    assert [round(float(two.logs[at, 20, 0]), 3) for at in last] == [float(k) for k in two.used]
-    flipped = takes.mirrored(two.logs)
-    left, right = FINGERED.index("LeftHandRing2"), FINGERED.index("RightHandRing2")
-    assert np.array_equal(flipped[:, left], two.logs[:, right] * [1, -1, -1])
-
-
-def test_played_fingers_stay_within_a_hand_and_are_never_still() -> None:
-    rng = np.random.default_rng(0)
-    times = np.arange(600) / FPS
-    wild = 3.0 * np.sin(2 * np.pi * 0.5 * times)[:, None, None] * rng.uniform(-1, 1, (1, 15, 3))
-    wild[300] += 2.0
-    out = living_fingers(wild, 0)
-    assert np.degrees(np.linalg.norm(out, axis=-1)).max() < 97.5
-    assert np.abs(np.diff(out, axis=0)).max() < 0.5, "a frame that jumps is smoothed"
-    gentle = 0.3 * np.sin(2 * np.pi * 0.5 * times)[:, None, None] * np.ones((1, 15, 3)) / np.sqrt(3)
-    played = living_fingers(gentle, 1)
-    assert np.abs(played - gentle).max() < np.radians(13.0), "an ordinary hand is nearly left as it is"
-    more = np.degrees((played - gentle).mean(axis=0)[:, 2]).reshape(5, 3)
-    assert np.all(np.diff(more[1:, 1]) > 2.0) and np.abs(more[:, [0, 2]]).max() < 1.5, "it closes to the little finger"
-    rest = living_fingers(np.zeros((600, 15, 3)), 1)
-    speed = np.degrees(np.linalg.norm(np.diff(rest, axis=0), axis=-1)).max(axis=1) * FPS
-    assert speed.min() > 0.3 and speed.max() < 5.0
-    assert living_fingers(np.zeros((10, 0, 3)), 0).shape == (10, 0, 3)
 
 
 def test_takes_as_published_lose_their_turning(outside_data: Path) -> None:

@@ -38,8 +38,8 @@ POOLED = ("motion", "talk")
 MEAN, WORST = "mean", "worst"
 SEAM, FREEZE = "seam", "freeze"
 _FEWEST_SEAMS = 3
+# Second differences that touch the two frames on either side of a seam.
 _BESIDE = range(-2, 2)
-"""Second differences that touch the two frames on either side of a seam."""
 
 
 _TITLES = {SEAM: "acceleration at seams over elsewhere, worst talk",

@@ -11,8 +11,6 @@ from gesticulator.cli import Command
 
 def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--out", required=True, type=Path, metavar="DIR", help="output folder for the weights")
-    p.add_argument("--reading", action="append", default=[], type=Path, metavar="FILE",
-                   help="an English reading with its text beside it (.txt), to align and learn from; can be repeated")
     p.add_argument("--minutes", type=float, default=80.0, help="synthetic speech (default 80)")
     p.add_argument("--epochs", type=int, default=14, help="passes over the speech (default 14)")
     p.add_argument("--seed", type=int, default=1, help="random seed (default 1)")
@@ -28,11 +26,11 @@ def run(args: argparse.Namespace) -> int:
         if not least <= value <= most:
             raise InputError(f"{flag} {value:g}", "is out of range", f"choose {least} to {most}")
     settings = FaceTraining(minutes=args.minutes, epochs=args.epochs, seed=args.seed)
-    net = fit(recordings_of(settings, args.reading), settings, args.quiet)
-    save(net, settings, args.reading, args.out)
+    net = fit(recordings_of(settings), settings, args.quiet)
+    save(net, settings, args.out)
     return 0
 
 
 COMMAND = Command(
     "train the network that moves the lips", arguments, run,
-    examples=("train-face --out face", "train-face --out face --reading sonnet.flac --minutes 40"))
+    examples=("train-face --out face", "train-face --out face --minutes 40"))

@@ -1,4 +1,4 @@
-"""`gesticulator train-face`: the lips network, from speech that the command makes itself and from aligned readings.
+"""`gesticulator train-face`: the lips network, from speech that the command makes itself.
 
 Speech is changed while it is learned from: its level, its spectrum and the noise under it, in the space of the
 features, so that each pass hears other microphones and other rooms.
@@ -16,28 +16,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.errors import InputError
-from data_module.files import read_text
 from gesticulator.face.visemes import SILENT
 
 WEIGHTS, RECORD = "visemes.safetensors", "face.json"
+# Frames of a training sequence: 4.8 s.
 _LENGTH = 240
-"""Frames of a training sequence: 4.8 s."""
+# Decibels per unit of natural logarithm of power.
 _NATURAL = 4.342944819
-"""Decibels per unit of natural logarithm of power."""
 _FLOOR = float(np.log(1e-8))
 
 
 @dataclass(frozen=True)
 class FaceTraining:
-    """Settings of the training. minutes: synthetic speech; repeats: how often an aligned reading counts; rate: peak
-    learning rate; closed: weight of the frames of p, b and m in the loss, and of f and v."""
+    """Settings of the training. minutes: synthetic speech; rate: peak learning rate; closed: weight of the frames of p,
+    b and m in the loss, and of f and v."""
 
     minutes: float = 80.0
     epochs: int = 14
     batch: int = 16
     rate: float = 3e-3
-    repeats: int = 6
     closed: float = 1.6
     seed: int = 1
 
@@ -158,29 +155,21 @@ def _batches(pieces: Sequence[LabelledRows], settings: FaceTraining, steps: int,
         yield frames, labels
 
 
-def recordings_of(settings: FaceTraining, readings: Sequence[Path]) -> list[LabelledRows]:
-    """Synthetic speech and the aligned readings (sound files beside their .txt), with their visemes."""
-    from data_module.speech.audio import load_speech
+def recordings_of(settings: FaceTraining) -> list[LabelledRows]:
+    """Synthetic speech with its visemes."""
     from gesticulator.face.visemes import RATE
-    from gesticulator_performer.face.known_phones import PhonedSpeech, aligned, synthetic
+    from gesticulator_performer.face.known_phones import synthetic
     from gesticulator_performer.face.viseme_net import rows_of
 
-    def row(one: PhonedSpeech) -> LabelledRows:
+    out = []
+    for one in synthetic(np.random.default_rng(settings.seed), 60.0 * settings.minutes):
         rows, labels = rows_of(one.samples), one.labels(RATE)
         count = min(len(rows) // 2, len(labels))
-        return LabelledRows(rows[:2 * count], labels[:count])
-
-    out = [row(one) for one in synthetic(np.random.default_rng(settings.seed), 60.0 * settings.minutes)]
-    for path in readings:
-        text = path.with_suffix(".txt")
-        if not text.exists():
-            raise InputError(path, f"has no {text.name} beside it", "write what is spoken there")
-        reading = row(aligned(load_speech(path), read_text(text, "write what is spoken there"), path.stem))
-        out += [reading] * settings.repeats
+        out.append(LabelledRows(rows[:2 * count], labels[:count]))
     return out
 
 
-def save(net: Any, settings: FaceTraining, readings: Sequence[Path], out: Path) -> None:
+def save(net: Any, settings: FaceTraining, out: Path) -> None:
     """Write the weights and their record, each atomically."""
     from safetensors.torch import save as to_bytes
 
@@ -193,9 +182,8 @@ def save(net: Any, settings: FaceTraining, readings: Sequence[Path], out: Path) 
         "format": 1, "visemes": list(VISEMES), "settings": asdict(settings),
         "sha256": {WEIGHTS: hashlib.sha256(weights).hexdigest()},
         "data": {"espeak-ng": {language: list(voices) for language, voices in LANGUAGES.items()},
-                 "espeak-ng timbres": list(VARIANTS), "flite": list(FLITE),
-                 "readings": {path.stem: hashlib.sha256(path.read_bytes()).hexdigest() for path in readings}},
-        "licence": "GPL-3.0-or-later; trained on synthetic speech" + (" and on readings" if readings else ""),
+                 "espeak-ng timbres": list(VARIANTS), "flite": list(FLITE)},
+        "licence": "GPL-3.0-or-later; trained on synthetic speech",
     }
     out.mkdir(parents=True, exist_ok=True)
     write_bytes(out / WEIGHTS, weights)

@@ -29,12 +29,12 @@ LICENCE = "GPL-3.0-or-later (scripts of gesticulator)"
 CORE_VARIATIONS, VARIATIONS = 4, 2
 """Takes of a core gesture and of another one, in each size."""
 _FPS = 30.0
+# Seconds before and after the gesture, in which the arms hang.
 _AROUND = 0.2
-"""Seconds before and after the gesture, in which the arms hang."""
+# Height of the hips, metres, so that a viewer shows the figure above the floor.
 _HIPS = 1.0
-"""Height of the hips, metres, so that a viewer shows the figure above the floor."""
+# Radians from a level arm to a hanging one.
 _ARMS_DOWN = 1.3
-"""Radians from a level arm to a hanging one."""
 
 
 def write_takes(out: Path, seed: int = 1, names: Collection[str] = REPERTOIRE) -> int:

@@ -32,12 +32,12 @@ _TRUNK = {"Hips": "JtRoot", "Spine": "JtSpineA", "Spine1": "JtSpineB", "Spine2":
 _SIDES = {"Left": "Lf", "Right": "Rt"}
 _ARM = {"Shoulder": "Clavicle", "Arm": "Shoulder", "ForeArm": "Elbow", "Hand": "Wrist"}
 _LEG = {"UpLeg": "Hip", "Leg": "Knee", "Foot": "Ankle", "ToeBase": "Ball"}
+# Longest plausible clip, seconds; the published clips last 20 s at most.
 _LONGEST = 600.0
-"""Longest plausible clip, seconds; the published clips last 20 s at most."""
+# Largest plausible number of metres, radians or seconds in a clip.
 _LARGEST = 1e6
-"""Largest plausible number of metres, radians or seconds in a clip."""
+# Length of the bone beyond the last joint of a chain, as a share of the previous bone.
 _TIP_SHARE = 0.8
-"""Length of the bone beyond the last joint of a chain, as a share of the previous bone."""
 
 
 def _joint_table() -> dict[str, str]:

@@ -26,11 +26,11 @@ from data_module.motion.bvh import CENTIMETRES, bvh_text
 from gesticulator_performer.sources import skm
 
 COLUMNS = ("file", "speaker", "posture", "lexeme", "hand", "frames", *skm.SYNC_TIMES)
+# The published folders of gestures and their bodies; SmartBody has more, of walking and reaching.
 _FOLDERS = {"Gestures": "brad", "Gestures2": "brad2", "FemaleGestures": "connor", "MaleGestures": "garza"}
-"""The published folders of gestures and their bodies; SmartBody has more, of walking and reaching."""
 _HANDS = {"Bt": "both", "Both": "both", "Lf": "left", "Rt": "right"}
+# Clips that do not belong in a talk: a mime, an insult and two transitions out of the pose.
 _NO_GESTURE = ("Guitar", "ScrewYou", "ToIdleFight", "ToWalk")
-"""Clips that do not belong in a talk: a mime, an insult and two transitions out of the pose."""
 
 
 @dataclass(frozen=True)
