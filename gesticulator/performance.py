@@ -117,15 +117,6 @@ class Performance:
                 f"{len(self.motion)} frames of {len(self.joints)} joints at {self.fps:g} fps"
                 + (f", by {by}>" if by else ">"))
 
-    def _repr_html_(self) -> str:
-        """The preview page with the character and the sound, for notebooks."""
-        from html import escape
-
-        from gesticulator.export.html import page
-
-        return (f'<iframe srcdoc="{escape(page({"take": self.scene()}, self.sound_name or "take"))}" width="100%" '
-                'height="480" style="border: 0"></iframe>')
-
     @property
     def duration(self) -> float:
         """Seconds of sound."""

@@ -203,15 +203,6 @@ def motion_of(bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> ND
     return sampler_of(bundle).motion_of(bundle, setup, blocks)
 
 
-def run(bundle: Bundle, setup: Setup, requests: Sequence[Request], text: bool = False) -> list[BlockMotion]:
-    """All blocks of a performance; arguments as of `begin` and `step`."""
-    state, blocks = begin(bundle, setup, text), []
-    for request in requests:
-        block, state = step(bundle, setup, state, request)
-        blocks.append(block)
-    return blocks
-
-
 @torch.inference_mode()
 def idle(bundle: Bundle, state: State, start: float, seconds: float, knots: int) -> tuple[NDArray[np.float32], State]:
     """[knots, D_m] frames of rest at intervals of `seconds`, the first one interval after `start`, and the state after
