@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_module.motion.bvh import read_bvh
 from data_module.speech.audio import load_speech
 from data_module.types import Speech
-from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.config import Config, from_dict
 from gesticulator.bundle.files import CARD, INDEX, NAMED, BundleWarning, bundle_folder, read_index
@@ -118,14 +116,3 @@ def test_the_example_is_gestured_by_each_interpreter(interpreter: str, paper: Ge
     assert ("as published" in "".join(str(line.message) for line in lines)) == literal
     silent = np.isin(made.lexemes, paper.bundle.silent)
     assert silent[made.blocks.silent].all(), "the mask: silent lexemes in silence"
-
-
-def test_the_command_plays_it_by_name_and_warns_of_the_literal_form(tmp_path: Path,
-                                                                    capfd: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "o.bvh"
-    assert infer.main([str(EXAMPLE), "-o", str(out), "--bundle", "paper", "--interpreter", "cql-literal", "--quiet",
-                       "--fps", "20"]) == 0
-    lines = [line for line in capfd.readouterr().err.splitlines() if "cql-literal" in line]
-    assert len(lines) == 1 and "warning" in lines[0]
-    motion = read_bvh(out)
-    assert np.isfinite(motion.rotations).all() and len(motion.skeleton.names) == 16
