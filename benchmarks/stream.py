@@ -75,8 +75,7 @@ def quality(system: Gesticulator, speech: Speech, latency: str, seed: int) -> tu
     parts = [stream.feed(speech.samples), stream.finish()]
     clip = measure(Motion(stream.skeleton, np.concatenate([part.rotations for part in parts]),
                           np.concatenate([part.root_positions for part in parts]), stream.fps), speech)
-    rhythm = clip.rhythm()
-    return rhythm.pmb, rhythm.chance, rhythm.above_chance, clip.speech_speed
+    return *clip.rhythm(), clip.speech_speed
 
 
 def main() -> None:

@@ -14,7 +14,6 @@ from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import FINGERED, HIP_HEIGHT, LEG_JOINTS, WHOLE_BODY, has_legs, resized, standing
 from data_module.types import Array, Motion, Skeleton
-from eval.clip.standing import slide
 from gesticulator.body.legs import CROSSES, SIDES, Stance, seated, with_legs
 from gesticulator.body.life import noise, weight_shifts
 from tests.performances import perform
@@ -22,6 +21,20 @@ from tests.performances import perform
 SEEDS = range(4)
 ANKLE, BALL = 0.080, 0.020
 """Metres over the floor of a foot that stands flat."""
+
+
+def slide(motion: Motion) -> float:
+    """Metres over which an ankle or ball goes at most, along the floor, while its foot is planted: both within 3 mm of
+    the lowest that they are."""
+    positions = kinematics.positions_of(motion)
+    longest = 0.0
+    for side in ("Left", "Right"):
+        foot = [positions[:, motion.skeleton.index(side + joint)] for joint in ("Foot", "ToeBase")]
+        # The 1st percentile, as a single frame may lie lower by a rounding of the rotations.
+        planted = np.logical_and(*(part[:, 1] < np.percentile(part[:, 1], 1) + 0.003 for part in foot))
+        paths = [part[start:stop, [0, 2]] for part in foot for start, stop in runs(planted)]
+        longest = max([longest, *(float(np.linalg.norm(np.ptp(path, axis=0))) for path in paths)])
+    return longest
 
 
 _KNOWN: list[tuple[Motion, Array]] = []

@@ -30,7 +30,7 @@ from eval.clip.excerpts import evenly
 from eval.metrics import audio_clusters, pmb
 from eval.metrics.encode import EncodedMotion, latents_of
 from eval.metrics.evaluate import WIDE
-from eval.pictures.edited import figure_10
+from eval.pictures import plots
 from eval.pictures.embedding import NEIGHBOURS, embed, embedding_panels, joint_embedding, neighbours_agree
 from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curves, overview, size_sweep
 from eval.pictures.strips import STRIP, Source, draw_page, frame_times, save_strip
@@ -131,7 +131,7 @@ def edited(rg: RgRows, rows: Summaries) -> Drawn:
     bundle, _ = rg.trained("style-editing", SHOWN_SEED)
     assert bundle.levels is not None
     clips = style_editing.excerpts(rg.context.store)
-    return figure_10(style_editing.figures(Gesticulator(bundle), clips, bundle.levels)), (
+    return plots.style_editing(style_editing.figures(Gesticulator(bundle), clips, bundle.levels)), (
         "Motion for the same speech when low, middle and high values of each feature are asked for.")
 
 

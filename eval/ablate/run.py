@@ -221,7 +221,7 @@ class RgRows:
                 values[key] = stats.jackknife(row.sets[column.metric], len(truth))
         values["fgd"] = self._distances(row, truth)
         # The curve of RG Fig. 11 is a mean over clips whose speech is known.
-        percent = [pmb.delta_curve(beats.modes["A"], track.onsets).percent
+        percent = [pmb.delta_curve(beats.modes["A"], track.onsets)
                    for beats, track in zip(row.beats, scored.tracks, strict=True) if track is not None]
         return {"clips": [{"name": name, **{key: float(value[k]) for key, value in values.items()}}
                           for k, name in enumerate(scored.clips.names)],

@@ -58,6 +58,7 @@ def kept_off_thighs(motion: Motion) -> Motion:
         hand = _Hand(pose, side, sign)
         points = hand.points(pose.places[side + "Hand"], pose.turns[side + "Hand"])
         lacks, slowed = lap.push(points, hand.margins, TIP_SOFT), lap.push(points[:2], hand.margins, SOFT)
+        # The wide margin slows the whole hand; the narrow one is for fingertips, which may lie on the thigh.
         at = np.flatnonzero((np.linalg.norm(lacks, axis=-1) > LEAST) | (np.linalg.norm(slowed, axis=-1) > LEAST))
         if len(at):
             rotations = motion.rotations.copy() if rotations is None else rotations
@@ -85,6 +86,7 @@ def _lift(rotations: Array, motion: Motion, pose: Pose, side: str, sign: float, 
         place = limbs.place(turns, wrist)
         push = lap.push(hand.points(place, turns[wrist])[:count], hand.margins, over)
         chain, moved = (shoulder, elbow, wrist), np.linalg.norm(push, axis=-1) > LEAST
+        # An arm that bends more points its elbow somewhere: out, down and back, as people who sit do.
         before = _beside(limbs, turns, chain)
         bend(turns, limbs, chain, place + push, POLE_OF_ELBOW, moved)
         after = _beside(limbs, turns, chain)
@@ -93,6 +95,7 @@ def _lift(rotations: Array, motion: Motion, pose: Pose, side: str, sign: float, 
 
     for _ in range(_LIFTS):
         lift(2, SOFT)
+    # Fingers first lie down along the thigh; what is still inside afterwards lifts the hand again.
     place = limbs.place(turns, wrist)
     turns[wrist] = _tipped(hand.points(place, turns[wrist]), hand.margins, lap) @ turns[wrist]
     for _ in range(_LIFTS):
@@ -117,6 +120,7 @@ def _tipped(points: Sequence[Array], margins: Sequence[float], lap: _Lap) -> Arr
         turn = turn + weight * np.cross(arm, push) / np.sum(arm ** 2, axis=-1, keepdims=True)
         weights = weights + weight
     turn = turn / weights
+    # tanh bounds the turn without a kink.
     angle = np.maximum(np.linalg.norm(turn, axis=-1, keepdims=True), 1e-9)
     return np.asarray(Rotation.from_rotvec(turn / angle * FARTHEST_TIP * np.tanh(angle / FARTHEST_TIP)).as_matrix())
 
@@ -129,6 +133,7 @@ class _Hand:
         if side + "HandMiddle1" in pose.places:
             tips = [pose.places[side + tip] + sign * _LAST_BONE * pose.turns[side + tip][..., 0] for tip in FINGERTIPS
                     if side + tip in pose.places]
+            # In the axes of the hand, since lifting changes where it is but not the pose of its fingers.
             self._local = [np.einsum("tji,tj->ti", turned, place - wrist)
                            for place in (pose.places[side + "HandMiddle1"], *tips)]
         else:
@@ -162,6 +167,7 @@ class _Lap:
             for thigh in self._thighs:
                 depth, up = thigh.depth(point)
                 moves.append(soft(depth + margin, over)[:, None] * up)
+        # As for the trunk: a point that just touches must not take over.
         weights = np.sum(np.square(moves), axis=-1, keepdims=True)
         return np.asarray(np.sum(weights * moves, axis=0) / np.maximum(np.sum(weights, axis=0), 1e-12))
 
@@ -179,6 +185,7 @@ def _seat() -> tuple[list[Array], list[Array], Array]:
     offsets = {name: WHOLE_BODY.offsets[WHOLE_BODY.index(name)]
                for name in ("Spine", *(side + part for side in SIDES for part in ("UpLeg", "Leg")))}
     hips = [offsets[side + "UpLeg"][None] for side in SIDES]
+    # The seat is that of `gesticulator.body.legs.seated`.
     level = Rotation.from_euler("x", -90.0, degrees=True)
     knees = [hip + (Rotation.from_euler("y", out, degrees=True) * level).apply(offsets[side + "Leg"])
              for side, hip, out in zip(SIDES, hips, (SEAT_SPREAD, -SEAT_SPREAD), strict=True)]
