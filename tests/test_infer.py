@@ -167,16 +167,6 @@ def test_one_bad_recording_of_a_folder_is_told_and_the_rest_is_done(
     assert (tmp_path / "alone.bvh").read_bytes() == (tmp_path / "new" / "out" / "c.bvh").read_bytes()
 
 
-def test_what_the_bundle_has_is_listed(tiny_bundle: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    speakers = bundles.load(tiny_bundle).speakers
-    assert infer.main(["--list", "speakers", "--bundle", str(tiny_bundle)]) == 0
-    lines = capfd.readouterr().out.splitlines()
-    assert [line.split("  ")[0] for line in lines] == list(speakers)
-    assert [line for line in lines if line.endswith("(default)")] == [f"{speakers[0]}  (default)"]
-    assert infer.main(["--list", "interpreters", "--bundle", str(tiny_bundle)]) == 0
-    assert capfd.readouterr().out.splitlines() == ["lstm  (default)", "cql", "advantage", "statistical"]
-
-
 @pytest.mark.parametrize("name", ["caf\u00e9.flac", os.fsdecode(b"caf\xe9.flac")])
 def test_names_that_the_terminal_cannot_show(name: str, recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
     try:

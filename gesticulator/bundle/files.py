@@ -13,7 +13,6 @@ import os
 import platform
 import shutil
 import tempfile
-import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -37,9 +36,8 @@ TIED = "lexicon_hash"
 """Metadata key of a weight file: the hash of the codebook that it was trained with."""
 ENDING = ".safetensors"
 _ASSETS = Path(__file__).parents[1] / "assets"
-NAMED = {"default": _ASSETS / "bundle", "paper": _ASSETS / "paper", "shipped": _ASSETS / "bundle"}
-"""Name -> folder of the shipped bundles: `default`, also called `shipped`, and `paper`, both papers in their own
-form."""
+NAMED = {"default": _ASSETS / "bundle", "paper": _ASSETS / "paper"}
+"""Name -> folder of the shipped bundles; `paper` is both papers in their own form."""
 _LARGEST_INDEX = 16 * 2**20
 """Largest index, bytes: real ones are a thousand times smaller."""
 _HEADER = 2**20
@@ -49,25 +47,15 @@ _LARGEST_STATISTICS = 256 * 2**20
 _MOST_SPEAKERS = 10_000
 
 
-class BundleWarning(UserWarning):
-    """A name of a bundle that could also mean a folder."""
-
-
 def bundle_folder(given: str | os.PathLike[str] | None) -> Path:
     """The folder of a bundle that is given by name (a string of `NAMED`) or by folder; that of `default` for None.
 
     A name means the shipped bundle even where a bundle of that name lies in the current folder, so that a command does
-    not depend on where it runs; then a line says so. `./paper`, and any `Path`, is a folder.
+    not depend on where it runs. `./paper`, and any `Path`, is a folder.
     """
     if given is None:
         return NAMED["default"]
-    if not isinstance(given, str) or given not in NAMED:
-        return Path(given)
-    # A command in a script must not change when somebody makes a folder of that name beside it.
-    if (Path(given) / INDEX).is_file():
-        warnings.warn(BundleWarning(f"{given} is the shipped bundle; for the folder here write .{os.sep}{given}"),
-                      stacklevel=2)
-    return NAMED[given]
+    return NAMED[given] if isinstance(given, str) and given in NAMED else Path(given)
 
 
 def lexicon_hash(vectors: Tensor) -> str:
