@@ -77,7 +77,7 @@ def _name_files(files: Sequence[Path], arguments: argparse.Namespace) -> None:
 
 SCORE = verb("compare real, generated and other motion, with negative controls", "eval.score.command",
              "score --truth STORE --system ours=bvh_folder",
-             "score --truth real --system ours=generated --speech wav --bundle shipped --out score.json")
+             "score --truth real --system ours=generated --speech wav --bundle default --out score.json")
 ABLATE = verb("repeat the tables, figures and claims of both papers", "eval.ablate.command",
               "ablate --list", "ablate --data STORE --work DIR --only ours no-style --seeds 1",
               "ablate --tables --out docs/results/ablation")
