@@ -61,12 +61,6 @@ def test_explanation_tiles_the_sound(seed: int, seconds: float) -> None:
     assert [block["silent"] for block in blocks] == performance.blocks.silent.tolist()
 
 
-def test_plan_file_is_the_explanation(tmp_path: Path) -> None:
-    performance = perform()
-    write(tmp_path / "plan.json", performance)
-    assert json.loads((tmp_path / "plan.json").read_text()) == performance.explain()
-
-
 @pytest.mark.parametrize("name", ["out.max", "out", "archive.bvh.gz"])
 def test_unknown_suffix_lists_the_known_ones(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError) as caught:
