@@ -2,14 +2,7 @@
 
 Clients speak the server's protocol by the reference client. They come one after the other within --ramp seconds; each
 sends --seconds of speech 20 ms at a time, --pace times as fast as it is spoken (0: all at once), reads its poses, and
-goes. A share of them does what clients should not:
-
-    stalled   sends, and never reads
-    vanishing goes away in the middle, without a word
-    garbage   says hello, and then what is no message
-    silent    connects, and says nothing
-
-They are meant to be closed by the server, and must not be felt by the others, whose figures these are:
+goes. The report has
 
     answer    seconds from when a sound was sent until the pose of its time came, for each packet of poses
     hello     seconds from connecting to the server's hello
@@ -27,7 +20,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,13 +30,11 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "integrations" / "pipecat-gesticulator"))
 
 from pipecat_gesticulator import GestureStream, Hello, Poses, connect  # noqa: E402
-from websockets.asyncio.client import connect as open_socket  # noqa: E402
 from websockets.exceptions import ConnectionClosed, InvalidHandshake  # noqa: E402
 
 RATE = 16000
 PIECE_SECONDS = 0.02
 """As a microphone's driver delivers."""
-RUDE = ("stalled", "vanishing", "garbage", "silent")
 REFUSED = "refused"
 """In place of a close code: there was no connection, or the hello was answered by an error."""
 QUANTILES = (50, 95, 99)
@@ -52,29 +43,18 @@ QUANTILES = (50, 95, 99)
 @dataclass(frozen=True)
 class LoadPlan:
     """url: of the stream; clients: how many; ramp: seconds in which they come; pace: times real time, 0 for all at
-    once; rude: kind -> share of the clients; hello: what each says first, but for its seed."""
+    once; hello: the first message of each, but for its seed."""
 
     url: str
     clients: int
     ramp: float
     pace: float = 1.0
-    rude: dict[str, float] = field(default_factory=dict)
     hello: Hello = field(default_factory=lambda: Hello(RATE))
-
-    def kinds(self) -> list[str]:
-        """What each client is, "" for a good one; rude ones are spread evenly among the others."""
-        kinds = [""] * self.clients
-        for kind, share in self.rude.items():
-            free = [number for number, own in enumerate(kinds) if not own]
-            count = min(round(share * self.clients), len(free))
-            for place in range(count):
-                kinds[free[int((place + 0.5) * len(free) / count)]] = kind
-        return kinds
 
 
 @dataclass
 class LoadFigures:
-    """What the clients saw. Times are seconds; closed: code (or `REFUSED`) -> how many good streams."""
+    """Measured by the clients. Times are seconds; closed: code (or `REFUSED`) -> how many streams."""
 
     answers: list[float] = field(default_factory=list)
     hellos: list[float] = field(default_factory=list)
@@ -86,17 +66,15 @@ class LoadFigures:
     sent_bytes: int = 0
     received_bytes: int = 0
     paces: int = 0
-    rude: Counter[str] = field(default_factory=Counter)
 
     def report(self, plan: LoadPlan, seconds: float, wall: float) -> dict[str, Any]:
         """Ready for JSON."""
-        good = plan.kinds().count("")
-        return {"clients": plan.clients, "good": good, "pace": plan.pace, "ramp": plan.ramp, "sound_seconds": seconds,
+        return {"clients": plan.clients, "pace": plan.pace, "ramp": plan.ramp, "sound_seconds": seconds,
                 "wall_seconds": round(wall, 2), "done": self.done, "dropped": dict(self.closed),
                 "reasons": dict(self.reasons.most_common(5)), "missing_frames": self.missing, "frames": self.frames,
                 "hello": quantiles(self.hellos), "answer": quantiles(self.answers),
                 "sent_bytes": self.sent_bytes, "received_bytes": self.received_bytes, "pace_changes": self.paces,
-                "sound_per_second": round(self.done * seconds / wall, 2), "rude": dict(self.rude)}
+                "sound_per_second": round(self.done * seconds / wall, 2)}
 
 
 def quantiles(times: Sequence[float]) -> dict[str, float]:
@@ -121,10 +99,10 @@ class Voice:
         """How much of it went."""
         return min(len(self._sound), len(self.sent_at) * self._step)
 
-    async def send(self, stream: GestureStream, share: float = 1.0) -> None:
-        """Send that share of it from the beginning."""
+    async def send(self, stream: GestureStream) -> None:
+        """Send it from the beginning."""
         begin = time.monotonic()
-        for number, start in enumerate(range(0, int(len(self._sound) * share), self._step)):
+        for number, start in enumerate(range(0, len(self._sound), self._step)):
             if self._pace:
                 # A piece can be sent once it was spoken to its end.
                 due = begin + (number + 1) * PIECE_SECONDS / self._pace
@@ -138,8 +116,8 @@ class Voice:
         return time.monotonic() - self.sent_at[piece] if piece < len(self.sent_at) else None
 
 
-async def good(plan: LoadPlan, hello: Hello, sound: bytes, seen: LoadFigures) -> None:
-    """A client as it should be."""
+async def run_client(plan: LoadPlan, hello: Hello, sound: bytes, seen: LoadFigures) -> None:
+    """One stream from its hello to its end."""
     voice, begin, frames = Voice(sound, plan.pace), time.monotonic(), 0
     code, reason = REFUSED, ""
     try:
@@ -187,52 +165,17 @@ async def _all(voice: Voice, stream: GestureStream) -> None:
     await stream.finish()
 
 
-async def rude(kind: str, plan: LoadPlan, hello: Hello, sound: bytes, seen: LoadFigures) -> None:
-    """A client as it should not be."""
-    ended = "went"
-    try:
-        if kind == "silent":
-            async with open_socket(plan.url, compression=None) as socket:
-                await socket.wait_closed()
-                ended = str(socket.close_code)
-        else:
-            async with connect(plan.url, hello) as stream:
-                await _misbehave(kind, stream, plan, sound)
-                stream._socket.transport.abort()
-    except ConnectionClosed as error:
-        ended = str(error.rcvd.code) if error.rcvd else "cut"
-    except (OSError, InvalidHandshake, TimeoutError, ValueError):
-        ended = REFUSED
-    seen.rude[f"{kind}: {ended}"] += 1
-
-
-async def _misbehave(kind: str, stream: GestureStream, plan: LoadPlan, sound: bytes) -> None:
-    if kind == "garbage":
-        await stream.send(b"\0")  # half a sample
-        async for _ in stream:
-            pass
-    elif kind == "vanishing":
-        await Voice(sound, plan.pace).send(stream, 0.5)
-    else:
-        stream._socket.transport.pause_reading()
-        await Voice(sound, plan.pace).send(stream)
-        # It stays as long as others come.
-        await asyncio.sleep(plan.ramp)
-
-
 async def load(plan: LoadPlan, sound: bytes) -> dict[str, Any]:
-    """Let the clients come, and tell what they saw. sound: PCM of 16 bits at `RATE`."""
+    """Run the clients and report their figures. sound: PCM of 16 bits at `RATE`."""
     seen, begin = LoadFigures(), time.monotonic()
 
-    async def client(number: int, kind: str) -> None:
+    async def client(number: int) -> None:
         await asyncio.sleep(plan.ramp * number / plan.clients)
-        told = plan.hello
-        hello = Hello(told.sample_rate, told.format, told.fps, number, told.output, told.options, told.token)
         # Each begins at another place, so that their blocks do not fall due together.
-        own = np.roll(np.frombuffer(sound, "<i2"), -7919 * number).tobytes()
-        await (rude(kind, plan, hello, own, seen) if kind else good(plan, hello, own, seen))
+        shifted = np.roll(np.frombuffer(sound, "<i2"), -7919 * number).tobytes()
+        await run_client(plan, replace(plan.hello, seed=number), shifted, seen)
 
-    await asyncio.gather(*(client(number, kind) for number, kind in enumerate(plan.kinds())))
+    await asyncio.gather(*map(client, range(plan.clients)))
     return seen.report(plan, len(sound) / 2 / RATE, time.monotonic() - begin)
 
 
@@ -244,23 +187,14 @@ def voice_of(path: Path, seconds: float) -> bytes:
     return np.resize((samples * 32767).astype("<i2"), int(seconds * RATE)).tobytes()
 
 
-def _share(text: str) -> tuple[str, float]:
-    kind, mark, share = text.partition("=")
-    if kind not in RUDE or not mark or not 0 <= float(share) <= 1:
-        raise argparse.ArgumentTypeError(f"write {'|'.join(RUDE)}=SHARE, 0 to 1")
-    return kind, float(share)
-
-
 def main() -> None:
-    """Entry point; exit code 1 where a good stream was dropped."""
+    """Entry point; exit code 1 where a stream was dropped."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("url", help="such as ws://127.0.0.1:8765/stream")
     p.add_argument("--clients", type=int, default=8)
     p.add_argument("--ramp", type=float, default=5.0, help="seconds in which they come (default 5)")
     p.add_argument("--seconds", type=float, default=20.0, help="of speech that each sends (default 20)")
     p.add_argument("--pace", type=float, default=1.0, help="times real time; 0 sends all at once (default 1)")
-    p.add_argument("--rude", type=_share, action="append", default=[], metavar="KIND=SHARE",
-                   help="such as stalled=0.1; may be given several times")
     p.add_argument("--latency", choices=("low", "full"), default="low")
     p.add_argument("--fps", type=float, default=60.0)
     p.add_argument("--token-file", type=Path, help="a file with the server's token")
@@ -269,12 +203,12 @@ def main() -> None:
     a = p.parse_args()
     token = a.token_file.read_text().strip() if a.token_file else None
     hello = Hello(RATE, fps=a.fps, options={"latency": a.latency}, token=token)
-    plan = LoadPlan(a.url, a.clients, a.ramp, a.pace, dict(a.rude), hello)
+    plan = LoadPlan(a.url, a.clients, a.ramp, a.pace, hello)
     report = asyncio.run(load(plan, voice_of(a.speech, a.seconds)))
     print(json.dumps(report, indent=1))
     if a.out is not None:
         a.out.write_text(json.dumps(report, indent=1) + "\n")
-    sys.exit(report["done"] < report["good"])
+    sys.exit(report["done"] < report["clients"])
 
 
 if __name__ == "__main__":

@@ -69,7 +69,6 @@ def main() -> None:
     p.add_argument("--suffix", nargs="+", default=[".bvh"])
     p.add_argument("--legs", action="store_true")
     p.add_argument("--out", type=Path, metavar="FILE.json")
-    p.add_argument("--add", action="store_true", help="keep what the file has of other lengths and formats")
     asked = p.parse_args()
     rows: list[dict[str, Any]] = []
     before = os.getloadavg()[0]
@@ -78,11 +77,6 @@ def main() -> None:
             rows.append(one(asked.speech, minutes, suffix, ["--legs"] if asked.legs else []))
             print(json.dumps(rows[-1]), flush=True)
     if asked.out is not None:
-        if asked.add and asked.out.exists():
-            new = {(row["minutes"], row["format"]) for row in rows}
-            known = json.loads(asked.out.read_text())["rows"]
-            rows = sorted([row for row in known if (row["minutes"], row["format"]) not in new] + rows,
-                          key=lambda row: (row["format"], row["minutes"]))
         found = {"machine": platform.processor() or platform.machine(), "python": platform.python_version(),
                  "numpy": np.__version__, "load": [round(one, 1) for one in (before, os.getloadavg()[1])],
                  "rows": rows}

@@ -8,24 +8,20 @@ Computing is counted in processor time, so that other programs on the machine do
 
 - late: seconds from the sound at t to the frame of t, computing included (sound comes by the clock, and what comes
   while it computes, waits).
-- block: seconds of computing of a piece of sound that drew a block, or two that became certain together; each_block:
-  the same, divided by the number of blocks; other: of a piece that drew none.
+- block: seconds of computing of a piece of sound that drew a block, or two that became certain together; other: of a
+  piece that drew none.
 - busy: share of a processor that a stream takes; 1 / busy streams keep it wholly busy.
-- behind: frames that are lacking at their time behind a synthesiser that gives 10 s in 1 s, from its first sample.
 - first: seconds of sound, and of computing, before the first frame.
 - PMB, its chance level and the speed of the hands, as `eval` measures them. low_less_full: how much further above
   chance PMB is in the low mode, recording by recording and seed by seed, with the 95 % interval over both.
-- memory: bytes that a stream holds, and that it has more after the last recording has been fed `--again` times.
 """
 
 from __future__ import annotations
 
 import argparse
-import gc
 import json
 import platform
 import time
-import tracemalloc
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -43,8 +39,6 @@ from gesticulator.stream import StreamFrames
 
 PIECE = 320
 """Samples (20 ms)."""
-SYNTHESIS = 10.0
-"""Times real time that a synthesiser is."""
 
 
 def percentiles(values: Sequence[float]) -> dict[str, float]:
@@ -57,7 +51,7 @@ def live(system: Gesticulator, speech: Speech, latency: str) -> dict[str, Any]:
     """One recording, as from a microphone."""
     stream = system.stream(latency=latency)
     parts: list[StreamFrames] = []
-    late, drew, each, other, first, clock = [], [], [], [], (0.0, 0.0), 0.0
+    late, drew, other, first, clock = [], [], [], (0.0, 0.0), 0.0
     spent = 0.0
     for at in range(0, len(speech.samples), PIECE):
         heard = min(at + PIECE, len(speech.samples)) / SAMPLE_RATE
@@ -67,12 +61,11 @@ def live(system: Gesticulator, speech: Speech, latency: str) -> dict[str, Any]:
         spent += took
         clock = max(clock, heard) + took  # what comes while it computes, waits
         (drew if part.blocks else other).append(took)
-        each += [took / len(part.blocks) for _ in part.blocks]
         late += (clock - part.times).tolist()
         if len(part) and not any(len(one) for one in parts):
             first = (heard, spent)
         parts.append(part)
-    return {"late": late, "block": drew, "each_block": each, "other": other, "busy": spent / speech.duration,
+    return {"late": late, "block": drew, "other": other, "busy": spent / speech.duration,
             "first": first, "bound": stream.look_ahead}
 
 
@@ -82,36 +75,7 @@ def quality(system: Gesticulator, speech: Speech, latency: str, seed: int) -> tu
     parts = [stream.feed(speech.samples), stream.finish()]
     clip = measure(Motion(stream.skeleton, np.concatenate([part.rotations for part in parts]),
                           np.concatenate([part.root_positions for part in parts]), stream.fps), speech)
-    rhythm = clip.rhythm()
-    return rhythm.pmb, rhythm.chance, rhythm.above_chance, clip.speech_speed
-
-
-def behind(system: Gesticulator, speech: Speech, latency: str) -> float:
-    """Seconds that playing must wait, at most, so that no frame is lacking behind a synthesiser."""
-    stream, piece, clock, worst, done = system.stream(latency=latency), SAMPLE_RATE // 5, 0.0, 0.0, 0.0
-    for at in range(0, len(speech.samples), piece):
-        clock = max(clock, min(at + piece, len(speech.samples)) / SAMPLE_RATE / SYNTHESIS)
-        begin = time.process_time()
-        part = stream.feed(speech.samples[at:at + piece])
-        clock += time.process_time() - begin
-        if len(part):
-            worst, done = max(worst, clock - part.first / stream.fps), clock
-    return max(worst, done - speech.duration)
-
-
-def memory(system: Gesticulator, speech: Speech, again: int) -> tuple[int, int]:
-    """Bytes that a stream holds once its history is full, and how many more after the recording was fed again."""
-    gc.collect()
-    tracemalloc.start()
-    stream, sizes, fed = system.stream(), [], 0.0
-    for turn in range(again):
-        stream.feed(speech.samples)
-        fed += speech.duration
-        if fed > 75.0 or turn == again - 1:
-            gc.collect()
-            sizes.append(tracemalloc.get_traced_memory()[0])
-    tracemalloc.stop()
-    return sizes[0], sizes[-1] - sizes[0]
+    return *clip.rhythm(), clip.speech_speed
 
 
 def main() -> None:
@@ -121,7 +85,6 @@ def main() -> None:
     p.add_argument("--bundle")
     p.add_argument("--seconds", type=float, default=float("inf"), help="of each recording")
     p.add_argument("--seeds", type=int, default=1, help="performances that PMB is averaged over")
-    p.add_argument("--again", type=int, default=0, help="how often to feed the last one, to see the memory")
     p.add_argument("--threads", type=int, default=1)
     p.add_argument("--out")
     a = p.parse_args()
@@ -143,12 +106,11 @@ def main() -> None:
         percent = made.mean(axis=0)
         result[latency] = {
             **{name: percentiles([value for one in found for value in one[name]])
-               for name in ("late", "block", "each_block", "other")},
+               for name in ("late", "block", "other")},
             "late_at_most": round(found[0]["bound"], 3),
             "busy": round(float(np.average([one["busy"] for one in found], weights=seconds)), 4),
             "first_frame": {"sound": round(max(one["first"][0] for one in found), 3),
                             "computing": round(max(one["first"][1] for one in found), 3)},
-            "behind_a_synthesiser": round(behind(system, recordings[0], latency), 3),
             **dict(zip(("pmb", "pmb_chance", "pmb_above_chance", "hand_speed"), percent.round(2).tolist(),
                        strict=True)),
             "pmb_above_chance_by_seed": [round(float(one[2]), 1) for one in made]}
@@ -157,10 +119,6 @@ def main() -> None:
     result["low_less_full"] = {name: round(value, 1) for name, value in
                                (("mean", apart.mean), ("low", apart.low), ("high", apart.high))}
     print("low_less_full", result["low_less_full"], flush=True)
-    if a.again:
-        held, more = memory(system, recordings[-1], a.again)
-        result["memory"] = {"bytes": held, "more_bytes": more, "seconds": round(a.again * recordings[-1].duration)}
-        print(json.dumps(result["memory"]))
     if a.out:
         Path(a.out).write_text(json.dumps(result, indent=1) + "\n")
 

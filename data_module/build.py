@@ -61,6 +61,7 @@ class Workshop:
             self.dataset is None or (self.dataset / f"{name}.json").is_file())
         return outcome if whole else None
 
+    # A worker writes the recording and its outcome; the parent only counts them.
     def make(self, item: Item) -> Outcome:
         # The outcome is written after the recording, so one that has an outcome is complete.
         outcome = self._written(item)
@@ -78,6 +79,7 @@ class Workshop:
         from data_module.motion.relaxed_hands import with_relaxed_hands
         from data_module.motion.standing_legs import with_standing_legs
 
+        # Once in each process: a reader may hold open databases, which cannot be sent to another one.
         if self.reader is None:
             self.reader = open_corpus(self.corpus, self.source, self.options)
         with warnings.catch_warnings(record=True) as caught:
@@ -86,6 +88,7 @@ class Workshop:
                 recording = load(self.reader, item)
                 character = with_relaxed_hands(skeletons.to_character(recording.motion,
                                                                       skeleton=skeletons.WHOLE_BODY))
+                # A performer who stands gets planted feet, so that the legs of a store do not slide.
                 if recording.stands:
                     character = with_standing_legs(character)
             except DroppedError as reason:
@@ -100,6 +103,7 @@ class Workshop:
         blocks, apart = intervals.measure(recording.speech)
         known = "given" if recording.speech.words else ""
         unit, words = (recording.unit, recording.words) if isinstance(recording, Imported) else ("", known)
+        # A warning is repeated for every file that a recording has; the report needs it once.
         messages = tuple(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
         self.writer.add(recording, character)
         return Outcome(item.info.name, recording.speech.duration, character.absent, blocks, apart.as_json(), unit,
@@ -140,6 +144,7 @@ def build(request: BuildRequest, workers: int = 1, progress: bool = True) -> Rep
             folder.mkdir(exist_ok=True)
         # Without the reader, which each process opens again.
         workshop, items = Workshop(request.corpus, request.source, request.options, writer, folder), reader.items()
+        # Finished recordings of an interrupted build are not made again.
         outcomes = {item.info.name: made for item in items if (made := workshop.made(item)) is not None}
         reused, todo = len(outcomes), [item for item in items if item.info.name not in outcomes]
         # disable=None: no bar if the output is not a terminal.
@@ -149,6 +154,7 @@ def build(request: BuildRequest, workers: int = 1, progress: bool = True) -> Rep
                 bar.update()
         content, names = _finished(workshop, items, outcomes, reader.notes())
         write_text(writer.partial / reports.FILE, json.dumps(content, indent=1, ensure_ascii=False))
+        # Temporary files of workers that were killed.
         remove_unfinished(writer.partial)
         return Report(writer.finish(names), content, time.monotonic() - begun, reused)
 
@@ -226,6 +232,7 @@ def _share(file: Path, place: Path) -> None:
     """The same file in two places: a hard link if possible, else a copy."""
     import shutil
 
+    # An interrupted build may have left a link to a file that was written anew since.
     place.unlink(missing_ok=True)
     try:
         os.link(file, place)
@@ -260,6 +267,7 @@ def add_arguments(parser: argparse.ArgumentParser, corpus: str) -> None:
     an unknown corpus."""
     from data_module.corpora.table import reader_of
 
+    # Only now is it known which data set is meant, and so which options there are.
     reader = reader_of(corpus)
     parser.set_defaults(corpus=corpus)
     parser.add_argument("--source", type=Path, metavar="DIR", help="the source data")
@@ -276,6 +284,7 @@ def add_arguments(parser: argparse.ArgumentParser, corpus: str) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Build the request in `arguments`, as of `add_arguments`, and print the report. Returns 0; InputError if the input
     cannot be used."""
+    # Before numpy is imported, which reads these variables once; processes are parallel already.
     for variable in _ONE_THREAD:
         os.environ.setdefault(variable, "1")
     from data_module.corpora.base import Options

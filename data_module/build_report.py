@@ -98,6 +98,7 @@ def doubts(store: Store) -> Iterator[str]:
     for split, use in uses.items():
         if not any(info.split == split for info in store.recordings):
             yield f"the {split} split is empty, so {use}; add recordings, or change --split"
+    # Zero minutes have been reported above as an empty split.
     minutes = _minutes([info for info in store.recordings if info.split == "train"])
     if 0 < minutes < LEAST_MINUTES:
         yield (f"{minutes:.0f} minutes of training data are little, and the weights will memorise them; "
@@ -114,6 +115,7 @@ def summary(infos: Sequence[RecordingInfo], outcomes: Sequence[Outcome], notes: 
     from data_module.intervals import Intervals
 
     used = {outcome.name: outcome for outcome in outcomes if not outcome.dropped}
+    # Blocks and minutes by split: whether a corpus suffices depends on its training part.
     splits = {split: _part([info for info in infos if info.split == split], used) for split in ("train", "val", "test")}
     measured = (Intervals.from_json(outcome.intervals) for outcome in used.values() if outcome.intervals)
     intervals = sum(measured, Intervals())
@@ -152,6 +154,7 @@ def report_of(store: Store) -> dict[str, Any]:
     if not file.is_file():
         return summary(store.recordings, (), ())
     try:
+        # A report may have been edited by hand, so its entries are checked before any is printed.
         content = read_json(file, "delete it", python=True)
         if not set(summary((), (), ())) <= set(content):
             raise ValueError("entries are missing")

@@ -94,6 +94,7 @@ class Registry(Mapping[str, E], Generic[E]):
     def __getitem__(self, name: str) -> E:
         """The entry; for a plug-in of another package one that names the package and the object, without importing it
         (`entry` gives the rest)."""
+        # An entry point's own description would need an import, so only its package is named.
         if name in self._table:
             return self._table[name]
         point = self.points()[name]
@@ -101,6 +102,7 @@ class Registry(Mapping[str, E], Generic[E]):
 
     def points(self) -> Mapping[str, EntryPoint]:
         """The entry points of this kind, without those whose name is taken already. Read once."""
+        # Reading the files of all installed packages takes tens of milliseconds.
         if self._points is None:
             self._points = self._read()
         return self._points
@@ -113,6 +115,7 @@ class Registry(Mapping[str, E], Generic[E]):
 
     def unknown(self, name: object) -> InputError:
         """The error for a name that is in no table: it lists the known ones, and the nearest first."""
+        # A misspelt name is the usual mistake; the list alone would have to be searched by eye.
         near = difflib.get_close_matches(str(name), list(self), 1)
         return InputError(name, f"is not {self.what}",
                           (f"did you mean {near[0]}? " if near else "") + f"take one of {', '.join(self)}")
@@ -133,6 +136,7 @@ class Registry(Mapping[str, E], Generic[E]):
             return plugin
         if plugin.needs is not None:
             plugin.needs.check(name)
+        # Errors in modules of this project are bugs, and keep their traceback.
         return plugin.load() if name in self._table else self._guarded(name, plugin.load)
 
     def _object(self, name: str) -> Any:

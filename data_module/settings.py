@@ -157,6 +157,7 @@ def from_dict(cls: type[T], data: Mapping[str, Any]) -> T:
                                  "use a matching version of gesticulator")
             value = from_dict(cast(type, hints[name]), value)
         elif isinstance(value, list):
+            # JSON has no tuples; settings have no lists.
             value = tuple(value)
         values[name] = value
     try:
@@ -170,6 +171,7 @@ def from_dict(cls: type[T], data: Mapping[str, Any]) -> T:
 def with_settings(config: T, settings: Sequence[str]) -> T:
     """A copy with `path=value` settings applied, such as `generator.lstm_width=320` or `rhythm.beats.d_max=1.0`. Values
     are JSON; InputError names a path that does not exist or a value that cannot be."""
+    # Changed as a tree and made again, so that every group checks itself.
     tree = to_dict(config)
     for setting in settings:
         path, mark, text = setting.partition("=")
@@ -185,6 +187,7 @@ def with_settings(config: T, settings: Sequence[str]) -> T:
 
 
 def _put(tree: dict[str, Any], node: Any, path: list[str], value: Any, setting: str) -> None:
+    # The known names of this group are the help that a misspelt path needs.
     names = {f.name for f in dataclasses.fields(node)}
     if path[0] not in names:
         raise InputError(setting, f"there is no setting '{path[0]}'", f"known here: {', '.join(sorted(names))}")
@@ -205,6 +208,7 @@ def _put(tree: dict[str, Any], node: Any, path: list[str], value: Any, setting: 
             value = float(value)
         except OverflowError:
             value = math.inf
+    # Exactly the type: True would pass for 1, and 1 for True.
     if dataclasses.is_dataclass(old) or type(old) is not type(value):
         raise InputError(setting, f"expects a value like {old!r}", "write path=value")
     tree[path[0]] = value
@@ -231,6 +235,7 @@ def _put_open(tree: dict[str, Any], path: list[str], value: Any, setting: str) -
 
 def digest(*parts: Any) -> str:
     """A short hash of plain values and settings, such as the key of a cached stage."""
+    # Sorted, so that the order of fields in a class does not change the keys of finished work.
     text = json.dumps(parts, sort_keys=True, default=to_dict)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 

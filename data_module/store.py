@@ -123,8 +123,10 @@ class Store:
             raise InputError(listing, "has missing or invalid entries", "build it again") from None
         except InputError as error:
             raise InputError(listing, f"lists {error.subject}, which {error.wrong}", "build it again") from None
+        # The fingerprint covers the entries, so that a changed split or speaker is noticed, too.
         if fingerprint != store.fingerprint:
             raise InputError(listing, "does not match its own fingerprint", "it was edited: build it again")
+        # Files are looked for now and hashed when a recording is read: hashing hours of sound takes minutes.
         for info in store.recordings:
             for file in _files(folder, info.name):
                 if not file.is_file():
@@ -181,6 +183,7 @@ class StoreWriter:
                                  "delete it, or use what it was begun with")
         elif strange:
             raise InputError(self.partial, "stands in the way", "delete it or choose another folder")
+        # Folder first: another process that looks in between finds an empty folder, which is in nobody's way.
         (self.partial / _FOLDER).mkdir(parents=True, exist_ok=True)
         if not begun.is_file():
             write_text(begun, json.dumps(self._head, indent=1))
@@ -193,6 +196,7 @@ class StoreWriter:
         """Whether the recording is finished and its files are complete."""
         try:
             entry = read_json(self._entry(name), "build it again")
+            # Hashed, not only looked for: a crash may leave a file of the right size with wrong content.
             hashes = [_sha256(file) for file in _files(self.partial, name)]
             return bool([entry["sha256"]["flac"], entry["sha256"]["npz"]] == hashes)
         except (InputError, OSError, ValueError, TypeError, KeyError):
@@ -221,6 +225,7 @@ class StoreWriter:
     def finish(self, names: Sequence[str]) -> Store:
         """Write the list of the recordings in the order of `names`, which must all exist, and rename the store."""
         entries = [read_json(self._entry(name), "build it again") for name in names]
+        # Entries and dropped recordings are deleted, so that equal stores have equal files.
         listed = {file for name in names for file in _files(self.partial, name)}
         for file in sorted((self.partial / _FOLDER).iterdir()):
             if file not in listed:
@@ -248,6 +253,7 @@ def matching(path: str | os.PathLike[str], corpus: str, settings: Mapping[str, A
     if not (folder / _LISTING).is_file():
         return None
     store = Store.open(folder)
+    # By way of JSON, in which tuples are lists, as they come back from the file.
     wanted = {"corpus": corpus, "settings": json.loads(json.dumps(settings)), "seed": seed}
     stored = {"corpus": store.corpus, "settings": store.settings, "seed": store.seed}
     if wanted != stored:
@@ -275,6 +281,7 @@ def _difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
 
 def _flat(tree: Mapping[str, Any]) -> dict[str, Any]:
     out: dict[str, Any] = {}
+    # Only the innermost names are shown: paths would make the message longer, not clearer.
     for key, value in tree.items():
         out.update(_flat(value) if isinstance(value, Mapping) else {key: value})
     return out
@@ -294,6 +301,7 @@ def _info(entry: Mapping[str, Any]) -> RecordingInfo:
 
 
 def _typed(value: Any, kind: Any) -> Any:
+    # True is an int to Python, but no number in a listing.
     if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
         raise TypeError(f"{type(value).__name__} is no {kind}")
     return value
@@ -347,6 +355,7 @@ def _arrays(recording: Recording) -> dict[str, NDArray[Any]]:
 def _read(info: RecordingInfo, sound: Path, file: Path) -> Recording:
     arrays = read_npz(file, advice="build the store again")
     try:
+        # The number of joints tells the character, whose names must then agree.
         skeleton = CHARACTERS[len(arrays["joints"])]
         if arrays["joints"].tolist() != list(skeleton.names):
             raise ValueError("other joints")
@@ -355,6 +364,7 @@ def _read(info: RecordingInfo, sound: Path, file: Path) -> Recording:
                         *(tuple(_typed(name, str) for name in arrays[which].tolist())
                           for which in ("absent", "filled")))
         words = _rows(arrays, "word", Word, _WORDS) if "word_text" in arrays else None
+        # The first column of strokes marks a scripted performance; other tables may be empty.
         truth = None
         if f"strokes_{fields(PlayedStroke)[0].name}" in arrays:
             truth = Truth(**{name: _rows(arrays, name, kind, [field.name for field in fields(kind)])

@@ -134,6 +134,7 @@ TABLES: dict[str, type] = {"strokes": PlayedStroke, "syllables": Syllable, "phra
 def record(kind: type[_Record], row: Mapping[str, Any]) -> _Record:
     """A flat dataclass from its fields; one with a default may be missing. ValueError for another type of value,
     TypeError for other fields, KeyError for a missing one."""
+    # Stores may have been written before a field with a default was added.
     for field in fields(kind):  # type: ignore[arg-type]
         if field.default is not MISSING and field.name not in row:
             continue

@@ -281,6 +281,7 @@ class FiledSystem:
 
     def pairs(self, voice: AcceptanceVoice, seeds: Sequence[int]) -> list[Pair]:
         """All of its files for a voice, whatever the seeds; nothing rolled."""
+        # VOICE.0, VOICE.1 and so on are renderings of one voice with different seeds.
         files = [file for stem, file in self._files.items() if stem == voice.name or stem.startswith(f"{voice.name}.")]
         return [(Rendering(resample(read_motion(file), HZ),
                            edges_of_plan(file.with_suffix(".json"))), None) for file in files]
@@ -289,5 +290,6 @@ class FiledSystem:
 def system_at(name: str, place: Path, kept: KeptRenderings) -> RenderedSystem:
     """A bundle where the folder holds one or where it is the name of a shipped one and no folder, else motion files;
     InputError where it holds neither."""
+    # A folder goes before a shipped bundle of the same name.
     place = place if place.exists() else bundle_folder(str(place))
     return BundleSystem(name, place, kept) if (place / INDEX).is_file() else FiledSystem(name, place)

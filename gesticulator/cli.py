@@ -28,7 +28,7 @@ PROGRAM = "gesticulator"
 LOG_LEVELS = {"error": logging.ERROR, "warning": logging.WARNING, "info": logging.INFO, "debug": logging.DEBUG}
 DEFAULT = "infer"
 """The verb used if the first word is not a verb: `gesticulator speech.wav -o gesture.bvh`."""
-ELSEWHERE = {"submission": "gesticulator-extra", "tune": "gesticulator-extra"}
+ELSEWHERE = {"submission": "gesticulator-extra"}
 """Verb -> the distribution that adds it, for the message where that is not installed."""
 
 

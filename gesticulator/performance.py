@@ -117,15 +117,6 @@ class Performance:
                 f"{len(self.motion)} frames of {len(self.joints)} joints at {self.fps:g} fps"
                 + (f", by {by}>" if by else ">"))
 
-    def _repr_html_(self) -> str:
-        """The preview page with the character and the sound, for notebooks."""
-        from html import escape
-
-        from gesticulator.export.html import page
-
-        return (f'<iframe srcdoc="{escape(page({"take": self.scene()}, self.sound_name or "take"))}" width="100%" '
-                'height="480" style="border: 0"></iframe>')
-
     @property
     def duration(self) -> float:
         """Seconds of sound."""
@@ -239,9 +230,7 @@ class Performance:
         if self.clip is not None and self.clip.bare:
             moved = replace(moved, translations=None)
         if self.clip is not None and self.clip.additive:
-            from gesticulator.characters.additive import added_to_rest
-
-            moved = added_to_rest(moved, retargeter(self._rest_of(self.motion)))
+            moved = moved.added_to_rest(retargeter(self._rest_of(self.motion)))
         return replace(self, character=moved)
 
     def plan(self) -> GesturePlan:

@@ -71,6 +71,7 @@ def advantages(q: Tensor, log_prior: Tensor) -> Tensor:
     """
     prior = log_prior.softmax(-1)
     each = q - (q * prior.unsqueeze(-2)).sum(-1, keepdim=True)
+    # The least estimate counts, because a maximum over lexemes picks out errors upwards.
     least = each.amin(-2)
     return least - (least * prior).sum(-1, keepdim=True)
 
@@ -88,6 +89,7 @@ class Critics(nn.Module):
         """frames: K; audio_width: d; lexemes: S; speakers: P."""
         super().__init__()
         self.config, self.lexemes = config, lexemes
+        # All critics share the transformer: it costs most, and their heads differ enough to disagree.
         self.trunk = QNetwork(config.network, frames, audio_width, lexemes, speakers)
         # The trunk ends in features; the three linear heads below read them.
         self.trunk.head = nn.LayerNorm(config.width)  # type: ignore[assignment]
@@ -158,8 +160,9 @@ class Critics(nn.Module):
         with torch.no_grad():
             spread = self.advantage(values, batch["log_prior"]).square() * prior
             now = masked_mean(spread.sum(-1), batch["valid"]).sqrt()
-            # The first steps replace the initial spread at once; later ones follow slowly.
-            self.spread.lerp_(now, _MOMENTUM if progress > _MOMENTUM else 1.0)
+            if self.training:
+                # The first steps replace the initial spread at once; later ones follow slowly.
+                self.spread.lerp_(now, _MOMENTUM if progress > _MOMENTUM else 1.0)
         share = tried.float().mean().clamp_min(1e-3)
         return {"reward": masked_mean(error.sum(-1), valid),
                 "future": masked_mean(missed.sum(-1), valid) / share / tried.shape[-1],

@@ -60,12 +60,14 @@ class QNetwork(nn.Module, InterpreterDefaults):
         """Cache keys and values while the window fills (the same scores, faster)."""
         self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, config.audio_blocks,
                                         config.audio_bottleneck)
+        # One more input than audio and speaker: whether the block is silent.
         width = frames * config.audio_features + (speakers if config.use_speaker else 0) + 1
         self.audio_token = nn.Linear(width, config.width)
         self.action_token = nn.Embedding(lexemes, config.width)
         self.positions = nn.Parameter(torch.randn(2, config.decisions, config.width) * INITIAL)
         self.dropout = nn.Dropout(DROPOUT)
         self.layers = nn.ModuleList(Layer(config.width, config.heads, DROPOUT) for _ in range(config.layers))
+        # Values are linear in the last features: no bound, unlike probabilities.
         self.head = Head(config.width, lexemes)
         self.apply(begin_small)
         # A lexicon without silent lexemes must not leave a silent block without any action.

@@ -93,6 +93,7 @@ class Episodes:
         self.lengths = np.array([len(episode.blocks) for episode in self.episodes], dtype=np.int64)
         if len(self.lengths) == 0 or self.lengths.max() < 2:
             raise InputError("episodes", "hold no decision", "give recordings of two blocks at least")
+        # Episodes lie end to end in one array of each kind, so that a batch is one indexing operation.
         self._offsets = np.cumsum(self.lengths) - self.lengths
         self._columns: dict[str, NDArray[Any]] = {
             name: np.concatenate([getattr(episode, name) for episode in self.episodes]).astype(kind)
@@ -212,6 +213,7 @@ def build(takes: Sequence[Demonstration], config: EpisodeConfig, reward: Reward,
     total = base / config.truth if config.truth > 0 else base
     episodes = [_episode(take, take.lexemes, 0, config, reward) for take in takes] if config.truth > 0 else []
     for number, name in enumerate(BEHAVIOURS[1:], start=1):
+        # One generator for each behaviour: a changed share leaves the others as they were.
         rng = np.random.default_rng([seed, number])
         for take, length in _budgeted(takes, round(config.shares[name] * total), config.prefix, rng):
             if name == "perturbed":
@@ -227,11 +229,13 @@ def build(takes: Sequence[Demonstration], config: EpisodeConfig, reward: Reward,
 def _budgeted(takes: Sequence[Demonstration], budget: int, prefix: int, rng: np.random.Generator
               ) -> Iterator[tuple[Demonstration, int]]:
     """Takes in random order, each with the length to act, until there are `budget` decisions after the prefixes."""
+    # A take that is no longer than the prefix leaves nothing to act on.
     usable = [take for take in takes if len(take.blocks) > prefix]
     if budget > 0 and not usable:
         raise InputError("episodes.prefix", f"of {prefix} leaves nothing of any recording", "give a smaller one")
     while budget > 0:
         for index in rng.permutation(len(usable)):
+            # The last take is cut so that the budget is met exactly.
             length = min(len(usable[index].blocks), prefix + budget)
             budget -= length - prefix
             yield usable[index], length
@@ -268,6 +272,7 @@ def perturb(take: Demonstration, length: int, config: EpisodeConfig, order: Inte
 def perturbed_chances(truth: int, order: Integers, allowed: Integers | None) -> NDArray[np.float64]:
     """[S] probability of each lexeme if the true one may be replaced by one of the nearest or by any other. order: [S,
     S] for each lexeme all of them, the nearest first. The truth stays if nothing else is allowed."""
+    # The truth is its own nearest lexeme, and no replacement.
     others = order[truth][order[truth] != truth]
     if allowed is not None:
         others = others[np.isin(others, allowed)]

@@ -57,6 +57,7 @@ class ActivityGate(nn.Module):
         rows = self.encode_audio(audio)
         # Performers differ greatly in how often they gesture.
         rows = torch.cat([rows, speaker[:, None, None].expand(-1, blocks, self.frames, -1)], dim=-1)
+        # Frame by frame, so that loudness within a block counts; only the last frame's output is classified.
         out, hidden = run_lstm(self.lstm, self.dropout(rows).flatten(1, 2), hidden)
         last = out.unflatten(1, (blocks, self.frames))[:, :, -1]
         return self.classify(self.dropout(last))[..., 0], hidden

@@ -291,6 +291,7 @@ class UnitStyleInterpreter(nn.Module):
     def calibrate(self, predicted: Tensor, measured: Tensor) -> None:
         """Set the gain from predictions and measured codes [n, d_z] of blocks that were not trained on: the ratio of
         their deviations, less for a dimension of which less than `_HEARD` is explained, and 0 if nothing is."""
+        # A prediction that does not vary would be divided by zero.
         deviation = predicted.std(0).clamp_min(1e-6)
         # Pearson's r for each dimension; r^2 is the share of the variance that the prediction explains.
         r = ((predicted - predicted.mean(0)) * (measured - measured.mean(0))).mean(0) / (deviation * measured.std(0))
@@ -312,6 +313,7 @@ class UnitStyleInterpreter(nn.Module):
         if resting:
             # The GRU goes on through rests: it measures the voice, not the unit.
             return torch.zeros_like(state.total), UnitStyleState(hidden, state.speaker, state.total * 0, 0)
+        # The mean over the unit so far: the style of a unit becomes clearer while it lasts.
         total, count = state.total + predicted[:, 0], state.count + 1
         code = (self.gain * total / count).clamp(-_MOST, _MOST)
         return code, UnitStyleState(hidden, state.speaker, total, count)

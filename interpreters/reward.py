@@ -239,30 +239,11 @@ class RewardModel(nn.Module):
         motion = self.encode_motion.every_last(history, batch["valid"], candidates)
         return torch.einsum("bsp,bp->bs", motion, audio)
 
-    @torch.no_grad()
-    def choices(self, batch: dict[str, Tensor]) -> dict[str, float]:
-        """Over the windows decoded from lexemes: information in nats that the audio adds about the last lexeme, given
-        the one before (`told`; negative if it misleads), and the share of lexemes that match the audio better than it
-        (`worse`, chance 0.5)."""
-        _, audio = self.embed(batch)
-        each, decoded = self.against_all(batch, audio), batch["rivalled"].bool()
-        true = each.gather(1, batch["last"][:, None])
-        odds = (each / self.temperature + batch["prior"]).log_softmax(1)
-        gain = (odds - batch["prior"]).gather(1, batch["last"][:, None])
-        return {"told": float(gain[decoded].mean()), "worse": float((each > true)[decoded].double().mean())}
-
     def against_rivals(self, batch: dict[str, Tensor], audio: Tensor) -> Tensor:
         """Cosines [B, H] of audio vectors [B, P] with each window's rivals."""
         count = batch["rival"].shape[1]
         valid, tokens = batch["valid"].repeat_interleave(count, 0), self.block_motion(batch["rival"].flatten(0, 1))
         return torch.einsum("bhp,bp->bh", self.embed_motion(tokens, valid).unflatten(0, (-1, count)), audio)
-
-    @torch.no_grad()
-    def right_one(self, batch: dict[str, Tensor]) -> float:
-        """Share of windows whose motion matches the audio better than all its rivals; chance is 1 / (H + 1)."""
-        motion, audio = self.embed(batch)
-        best = self.against_rivals(batch, audio).amax(1)
-        return float(((motion * audio).sum(-1) > best)[batch["rivalled"].bool()].double().mean())
 
     @torch.no_grad()
     def window_rewards(self, motion: Tensor, audio: Tensor, valid: Tensor) -> Tensor:
@@ -321,8 +302,6 @@ class RewardEnsemble(nn.Module):
 
     @torch.no_grad()
     def figures(self, batch: dict[str, Tensor]) -> dict[str, float]:
-        """The members' mean loss, retrieval and, with rivals, share of windows preferred to all of them."""
-        rows = [{"contrast": float(model.losses(batch)["contrast"]), **model.retrieval(batch),
-                 **({"right_one": model.right_one(batch)} if "rival" in batch else {}),
-                 **(model.choices(batch) if "prior" in batch else {})} for model in self.models]
+        """The members' mean loss and retrieval."""
+        rows = [{"contrast": float(model.losses(batch)["contrast"]), **model.retrieval(batch)} for model in self.models]
         return {key: sum(row[key] for row in rows) / len(rows) for key in rows[0]}

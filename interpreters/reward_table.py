@@ -62,6 +62,7 @@ class CorpusRewards(ABC):
 
     def trailing(self, count: int, device: torch.device) -> tuple[Tensor, Tensor]:
         """Positions [M, W] of the trailing windows and whether they lie in the recording, [M, W]."""
+        # Positions before the recording are clamped to its first block and marked as padding.
         at = torch.arange(count, device=device)[:, None] + torch.arange(1 - self.window, 1, device=device)
         return at.clamp_min(0), at >= 0
 
@@ -153,6 +154,7 @@ class RewardTable(CorpusRewards):
 
     def _every_whole(self, history: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
         """Motion vectors [B, S, P] of `every`, from all B * S windows."""
+        # Every window as many times as there are lexemes, each with another one at its end.
         last = torch.arange(self.size, device=history.device).repeat(len(history))[:, None]
         lexemes = torch.cat([history.repeat_interleave(self.size, 0), last], 1)
         valid = valid.repeat_interleave(self.size, 0)
@@ -183,6 +185,7 @@ class EnsembleReward(CorpusRewards):
         return rows.mean(0) - self.caution * rows.std(0)
 
     def rewards(self, lexemes: Tensor, blocks: Tensor, valid: Tensor) -> Tensor:
+        # Decoding is the same for all members, so it is done once.
         base = None if self._bases is None else self._bases(lexemes, blocks, valid)
         return self._together([table.rewards(lexemes, blocks, valid, base) for table in self.tables])
 

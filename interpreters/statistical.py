@@ -46,6 +46,7 @@ class StatisticalInterpreter(InterpreterDefaults):
 
     def distribution(self, state: StatisticalState) -> Array:
         """[S] probabilities of the next lexeme."""
+        # Before the first lexeme there is nothing to divide by.
         frequencies = state.counts / max(state.counts.sum(), 1.0)
         lift = state.target - frequencies
         # Less the maximum, so that exp cannot overflow; the softmax is the same.
@@ -56,6 +57,7 @@ class StatisticalInterpreter(InterpreterDefaults):
     def step(self, state: StatisticalState, features: BlockFeatures, previous_lexeme: int
              ) -> tuple[Scores, StatisticalState]:
         """Log-probabilities [S], independent of the speech. `previous_lexeme` is added to the counts."""
+        # A copy: states are values, which a variation of a block may go back to.
         counts = state.counts.copy()
         counts[previous_lexeme] += 1
         after = StatisticalState(counts, state.target)

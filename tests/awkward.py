@@ -6,8 +6,6 @@ its left at +X; nodes above it and names are given.
 
 from __future__ import annotations
 
-import json
-import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +13,8 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+from tests.gltf_reader import save, with_arrays
 
 SIDES = ("Left", "Right")
 WIDTHS = {"Hips": 0.14, "Spine": 0.14, "Head": 0.09, "UpLeg": 0.08, "Leg": 0.06}
@@ -39,6 +39,17 @@ class Figure:
     def add(self, key: str, parent: str | None, place: Sequence[float], width: float = 0.04) -> None:
         """A bone at a place, metres."""
         self.places[key], self.parents[key], self.widths[key] = np.array(place, dtype=float), parent, width
+
+    def without(self, *ends: str) -> Figure:
+        """The figure without the bones whose keys end so."""
+        for key in [key for key in self.places if key.endswith(ends)]:
+            del self.places[key], self.parents[key]
+        return self
+
+    def turned(self, turn: Rotation) -> Figure:
+        """The figure, turned in its space."""
+        self.places = {key: turn.apply(place) for key, place in self.places.items()}
+        return self
 
     def beside(self, key: str, parent: str, offset: Sequence[float], width: float = 0.04) -> None:
         """A bone beside its parent, which is no part of the body."""
@@ -104,26 +115,14 @@ def write(path: Path, body: Figure) -> Path:
         inverse[place, :3, :3], inverse[place, :3, 3] = axes[key].T, -axes[key].T @ body.places[key]
     slots, weights = np.zeros((len(points), 4), "<u2"), np.zeros((len(points), 4), "<f4")
     slots[:, 0], weights[:, 0] = joints, 1.0
-    parts = [(inverse.swapaxes(1, 2).astype("<f4"), 5126, "MAT4", len(keys)), (points, 5126, "VEC3", len(points)),
-             (slots, 5123, "VEC4", len(points)), (weights, 5126, "VEC4", len(points)),
-             (corners, 5123, "SCALAR", len(corners))]
-    blob = b"".join(part.tobytes() for part, *_ in parts)
-    starts = np.cumsum([0, *(part.nbytes for part, *_ in parts)]).tolist()
     document = {
         "asset": {"version": "2.0"}, "nodes": [*nodes, {"name": "Body", "mesh": 0, "skin": 0}],
         "scene": 0, "scenes": [{"nodes": [0, len(nodes)]}],
         "skins": [{"joints": list(range(first, first + len(keys))), "inverseBindMatrices": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 1, "JOINTS_0": 2, "WEIGHTS_0": 3}, "indices": 4}]}],
-        "buffers": [{"byteLength": len(blob)}],
-        "bufferViews": [{"buffer": 0, "byteOffset": start, "byteLength": part.nbytes}
-                        for start, (part, *_) in zip(starts, parts, strict=False)],
-        "accessors": [{"bufferView": view, "componentType": component, "type": kind, "count": count}
-                      for view, (_, component, kind, count) in enumerate(parts)]}
-    text = json.dumps(document).encode()
-    text, blob = text + b" " * (-len(text) % 4), blob + bytes(-len(blob) % 4)
-    head = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(blob)) + struct.pack("<I4s", len(text), b"JSON")
-    path.write_bytes(head + text + struct.pack("<I4s", len(blob), b"BIN\0") + blob)
-    return path
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 1, "JOINTS_0": 2, "WEIGHTS_0": 3}, "indices": 4}]}]}
+    return save(path, *with_arrays(document, [(inverse.swapaxes(1, 2).reshape(-1, 16).astype("<f4"), "MAT4"),
+                                              (points, "VEC3"), (slots, "VEC4"), (weights, "VEC4"),
+                                              (corners, "SCALAR")]))
 
 
 def _boxes(body: Figure, keys: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

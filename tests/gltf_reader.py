@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -92,11 +93,29 @@ class GlbFile:
         return world
 
 
-def save(path: Path, document: dict[str, Any], binary: bytes) -> Path:
-    """Write a document and its binary chunk as GLB. Returns `path`."""
+def with_arrays(document: dict[str, Any], arrays: Sequence[tuple[NDArray[Any], str]]) -> tuple[dict[str, Any], bytes]:
+    """The document with an accessor of each array [n, width] of a type ("VEC3"), one after the other, and their
+    bytes."""
+    blobs = [array.tobytes() for array, _ in arrays]
+    starts = np.cumsum([0, *map(len, blobs)]).tolist()
+    components = {np.dtype(name): code for code, name in _DTYPES.items()}
+    return {**document, "buffers": [{"byteLength": starts[-1]}],
+            "bufferViews": [{"buffer": 0, "byteOffset": start, "byteLength": len(blob)}
+                            for start, blob in zip(starts, blobs, strict=False)],
+            "accessors": [{"bufferView": view, "componentType": components[array.dtype], "type": kind,
+                           "count": len(array)} for view, (array, kind) in enumerate(arrays)]}, b"".join(blobs)
+
+
+def glb(document: dict[str, Any], binary: bytes) -> bytes:
+    """A document and its binary chunk as GLB."""
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
     binary += bytes(-len(binary) % 4)
     chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942)
-    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks) + len(binary)) + chunks + binary)
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks) + len(binary)) + chunks + binary
+
+
+def save(path: Path, document: dict[str, Any], binary: bytes) -> Path:
+    """Write a document and its binary chunk as GLB. Returns `path`."""
+    path.write_bytes(glb(document, binary))
     return path

@@ -6,8 +6,6 @@ rest rotations and names of a tool. `Rig.truth` tells which node is which of our
 
 from __future__ import annotations
 
-import json
-import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gesticulator.characters.rig import Character
+from tests.gltf_reader import glb, with_arrays
 
 FINGERS = ("Thumb", "Index", "Middle", "Ring", "Pinky")
 SIDES = ("Left", "Right")
@@ -88,10 +87,6 @@ def _table(parts: dict[str, str], pattern: str, fingers: str, sides: Sequence[st
     return name
 
 
-_UNREAL = {"Hips": "pelvis", "Head": "head", "Shoulder": "clavicle", "Arm": "upperarm", "ForeArm": "lowerarm",
-           "Hand": "hand", "UpLeg": "thigh", "Leg": "calf", "Foot": "foot", "ToeBase": "ball",
-           **{f"Spine{i or ''}": f"spine_{i + 1:02d}" for i in range(6)},
-           **{f"Neck{i or ''}": f"neck_{i + 1:02d}" for i in range(3)}, **{f: f.lower() for f in FINGERS}}
 _BIPED = {"Hips": "Bip01 Pelvis", "Head": "Bip01 Head", "Shoulder": "Clavicle", "Arm": "UpperArm",
           "ForeArm": "Forearm", "Hand": "Hand", "UpLeg": "Thigh", "Leg": "Calf", "Foot": "Foot", "ToeBase": "Toe0",
           **{f"Spine{i or ''}": f"Bip01 Spine{i or ''}" for i in range(6)},
@@ -118,11 +113,6 @@ _DAZ = {"Hips": "hip", "Head": "head", "Shoulder": "Collar", "Arm": "ShldrBend",
         "Neck": "neckLower", "Neck1": "neckUpper", "Neck2": "neckUpper2", "Middle": "Mid"}
 _CMU = {"Spine": "LowerBack", "Spine1": "Spine", "Spine2": "Spine1", "Spine3": "Spine2", "Spine4": "Spine3",
         "Spine5": "Spine4"}
-_SNAKE = {"Hips": "hips", "Head": "head", "Shoulder": "shoulder", "Arm": "upper_arm", "ForeArm": "forearm",
-          "Hand": "hand", "UpLeg": "thigh", "Leg": "shin", "Foot": "foot", "ToeBase": "toe",
-          **{f"Spine{i or ''}": f"spine.{i + 1:03d}" for i in range(6)},
-          **{f"Neck{i or ''}": f"neck.{i + 1:03d}" for i in range(3)}, **{f: f.lower() for f in FINGERS}}
-
 
 
 def _named(names: str, pattern: str, fingers: str, sides: Sequence[str] = SIDES, numbers: dict[str, str] | None = None
@@ -142,7 +132,7 @@ def _rigify(key: str) -> str:
               "Head": ".006"}
     if key in places:
         return "DEF-spine" + places[key]
-    return _table(_SNAKE, "DEF-{part}.{side}", "DEF-f_{finger}.0{place}.{side}", "LR")(key)
+    return STYLES["blender"](key)
 
 
 _LANGUAGES = {
@@ -200,10 +190,10 @@ STYLES: dict[str, Callable[[str], str]] = {
     "ready player me": _camel(), "trinity": _camel(), "beat": _camel(), "zeroeggs": _camel(), "ours": _camel(),
     "cmu": _table(_CMU, "{side}{part}", "{side}Hand{finger}{place}"),
     "soma": _table(_SOMA, "{side}{part}", "{side}Hand{finger}{place}"),
-    "manny": _table(_UNREAL, "{part}_{side}", "{finger}_{place}_{side}", "lr",
-                    {"1": "01", "2": "02", "3": "03", "Meta": "metacarpal"}),
-    "metahuman": _table(_UNREAL, "{part}_{side}", "{finger}_{place}_{side}", "lr",
-                        {"1": "01", "2": "02", "3": "03", "Meta": "metacarpal"}),
+    **dict.fromkeys(("manny", "metahuman"), _named(
+        "pelvis head spine_{:02d} neck_{:02d} clavicle upperarm lowerarm hand thigh calf foot ball thumb index middle "
+        "ring pinky", "{part}_{side}", "{finger}_{place}_{side}", "lr",
+        {"1": "01", "2": "02", "3": "03", "Meta": "metacarpal"})),
     "rocketbox": _table(_BIPED, "Bip01 {side} {part}", "Bip01 {side} Finger{finger}{place}", "LR",
                         {"1": "", "2": "1", "3": "2"}),
     "rocketbox _": lambda key: STYLES["rocketbox"](key).replace(" ", "_"),
@@ -212,7 +202,8 @@ STYLES: dict[str, Callable[[str], str]] = {
     "vrm table": lambda key: "",
     "cc": _table(_CC, "CC_Base_{side}_{part}", "CC_Base_{side}_{finger}{place}", "LR"),
     "daz": _table(_DAZ, "{side}{part}", "{side}{finger}{place}", "lr"),
-    "blender": _table(_SNAKE, "DEF-{part}.{side}", "DEF-f_{finger}.0{place}.{side}", "LR"),
+    "blender": _named("hips head spine.{:03d} neck.{:03d} shoulder upper_arm forearm hand thigh shin foot toe thumb "
+                      "index middle ring pinky", "DEF-{part}.{side}", "DEF-f_{finger}.0{place}.{side}", "LR"),
     "unknown": lambda key: "",
     **_TOOLS, **_LANGUAGES,
 }
@@ -580,11 +571,9 @@ def as_glb(rig: Rig, turned: dict[int, np.ndarray] | None = None, above: np.ndar
     if tubes:
         points, which, weights, corners = _tubes(rig, joints)
     points = (points - mesh[:3, 3]) @ np.linalg.inv(mesh[:3, :3]).T
-    parts = [inverse.tobytes(), points.astype("<f4").tobytes(), which.tobytes(), weights.tobytes()]
-    parts += [corners.tobytes()] if tubes else []
-    starts = np.cumsum([0, *map(len, parts)]).tolist()
-    kinds = ((5126, "MAT4", len(joints)), (5126, "VEC3", len(which)), (5123, "VEC4", len(which)),
-             (5126, "VEC4", len(which)), (5123, "SCALAR", len(corners)))
+    parts: list[tuple[np.ndarray, str]] = [(inverse.reshape(-1, 16), "MAT4"), (points.astype("<f4"), "VEC3"),
+                                           (which, "VEC4"), (weights, "VEC4")]
+    parts += [(corners, "SCALAR")] if tubes else []
     nodes: list[dict[str, Any]] = []
     for node, name in enumerate(character.names):
         w, x, y, z = (turned or {}).get(node, character.rotations[node]).tolist()
@@ -599,21 +588,11 @@ def as_glb(rig: Rig, turned: dict[int, np.ndarray] | None = None, above: np.ndar
     document: dict[str, Any] = {
         "asset": {"version": "2.0"}, "nodes": nodes, "skins": [{"joints": joints, "inverseBindMatrices": 0}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 1, "JOINTS_0": 2, "WEIGHTS_0": 3},
-                                    **({"indices": 4} if tubes else {"mode": 0})}]}],
-        "buffers": [{"byteLength": starts[-1]}],
-        "bufferViews": [{"buffer": 0, "byteOffset": start, "byteLength": len(part)}
-                        for start, part in zip(starts, parts, strict=False)],
-        "accessors": [{"bufferView": view, "componentType": component, "type": kind, "count": count}
-                      for view, (component, kind, count) in enumerate(kinds[:len(parts)])]}
+                                    **({"indices": 4} if tubes else {"mode": 0})}]}]}
     if character.humanoid:
         bones = {bone: {"node": node} for bone, node in character.humanoid.items()}
         document["extensions"] = {"VRMC_vrm": {"specVersion": "1.0", "humanoid": {"humanBones": bones}}}
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    binary = b"".join(parts)
-    binary += b"\0" * (-len(binary) % 4)
-    return (struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(binary)) + struct.pack("<I4s", len(text), b"JSON")
-            + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary)
+    return glb(*with_arrays(document, parts))
 
 
 def _tubes(rig: Rig, joints: list[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

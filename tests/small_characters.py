@@ -6,13 +6,13 @@ and data that no tool knows. VRM 0.x allows no rest rotations, and has its chara
 
 from __future__ import annotations
 
-import json
 import struct
 import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gltf_reader import save
 from scipy.spatial.transform import Rotation
 
 from data_module.motion.skeletons import NAME_TABLES, WHOLE_BODY
@@ -159,9 +159,4 @@ def write_character(path: Path, seed: int = 0, vrm: str = "", table: dict[str, s
             "exporterVersion": "a test", "specVersion": "0.0", "meta": {"title": "small", "author": "a test"},
             "humanoid": {"humanBones": bones}, "firstPerson": {}, "blendShapeMaster": {"blendShapeGroups": []},
             "secondaryAnimation": {"boneGroups": [], "colliderGroups": []}, "materialProperties": []}}
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    size = 12 + 8 + len(text) + 8 + len(binary)
-    path.write_bytes(struct.pack("<4sII", b"glTF", 2, size) + struct.pack("<II", len(text), 0x4E4F534A) + text
-                     + struct.pack("<II", len(binary), 0x004E4942) + bytes(binary))
-    return path
+    return save(path, document, bytes(binary))

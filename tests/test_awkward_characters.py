@@ -20,6 +20,7 @@ from gesticulator.characters.retarget import Retargeter
 from gesticulator.characters.soundness import probe_motion
 from tests.awkward import SIDES, Figure, figure, write
 from tests.gltf_reader import GlbFile, save
+from tests.rigs import STYLES
 
 FINGERS = ("Thumb", "Index", "Middle", "Ring", "Pinky")
 TURNED = Rotation.from_euler("Y", 45.0, degrees=True)
@@ -66,10 +67,6 @@ MIXAMO = "mixamorig:{side}{part}"
 RIGIFY = {"Hips": "DEF-spine", "Spine": "DEF-spine.001", "Spine1": "DEF-spine.002", "Spine2": "DEF-spine.003",
           "Neck": "DEF-spine.004", "Head": "DEF-spine.006", "Arm": "upper_arm", "ForeArm": "forearm", "UpLeg": "thigh",
           "Leg": "shin", "ToeBase": "toe", "Shoulder": "shoulder", "Hand": "hand", "Foot": "foot"}
-FRENCH = {"Hips": "Bassin", "Spine": "Colonne1", "Spine1": "Colonne2", "Spine2": "Colonne3", "Neck": "Cou",
-          "Head": "Tete", "Shoulder": "Epaule", "Arm": "Bras", "ForeArm": "AvantBras", "Hand": "Main",
-          "UpLeg": "Cuisse", "Leg": "Jambe", "Foot": "Pied", "ToeBase": "Orteil", "Thumb": "Pouce", "Index": "Index",
-          "Middle": "Majeur", "Ring": "Annulaire", "Pinky": "Auriculaire"}
 DUTCH = {"Hips": "Heup", "Spine": "Rug1", "Spine1": "Rug2", "Spine2": "Borst", "Neck": "Nek", "Head": "Hoofd",
          "Shoulder": "Sleutelbeen", "Arm": "Bovenarm", "ForeArm": "Onderarm", "Hand": "Hand", "UpLeg": "Bovenbeen",
          "Leg": "Onderbeen", "Foot": "Voet", "ToeBase": "Tenen", "Thumb": "Duim", "Index": "Wijsvinger",
@@ -97,10 +94,9 @@ def test_the_head_of_rigify_is_the_end_of_its_spine_and_not_the_bun_on_it(tmp_pa
     assert retargeter.doubts == ()
 
 
-@pytest.mark.parametrize(("parts", "sides"), [(FRENCH, ("gauche", "droite")), (DUTCH, ("Links", "Rechts"))])
-def test_a_weapon_beyond_the_hand_is_no_hand_in_other_languages(parts: dict[str, str], sides: tuple[str, str],
-                                                                tmp_path: Path) -> None:
-    body = figure(spelled(parts, "{part}_{side}", sides), "A", FINGERS)
+@pytest.mark.parametrize("names", [STYLES["french"], spelled(DUTCH, "{part}_{side}", ("Links", "Rechts"))])
+def test_a_weapon_beyond_the_hand_is_no_hand_in_other_languages(names: Callable[[str], str], tmp_path: Path) -> None:
+    body = figure(names, "A", FINGERS)
     body.beside("Hache", "RightHand", (-0.1, 0.0, 0.3), 0.06)
     body.beside("Hache_bout", "Hache", (0.0, 0.0, 0.5), 0.06)
     retargeter = moved(tmp_path / "rig.glb", body)
@@ -145,12 +141,9 @@ def test_sides_are_those_of_the_names_although_nothing_else_in_them_is_known(tur
                                                                              ) -> None:
     """A robot whose joints are called l_shoulder_pan and l_wrist_flex was given the right arm for the left one: limbs
     that are found by position were taken to face +Z, and without feet nothing showed that they do not."""
-    body = figure(unknown_words(), "T", toes=legs)
-    turn = Rotation.from_euler("Y", turned, degrees=True)
-    body.places = {key: turn.apply(place) for key, place in body.places.items()}
+    body = figure(unknown_words(), "T", toes=legs).turned(Rotation.from_euler("Y", turned, degrees=True))
     if not legs:
-        for key in [key for key in body.places if key.endswith(("Leg", "Foot"))]:
-            del body.places[key], body.parents[key]
+        body.without("Leg", "Foot")
     found = find_joints(read_character(write(tmp_path / "rig.glb", body)))
     names = read_character(tmp_path / "rig.glb").names
     wanted = {key: body.names(key) for key in body.places if key[-3:] in ("Arm", "and") or key.endswith("Leg")}
@@ -186,9 +179,7 @@ def test_ears_wings_and_a_tail_are_no_limbs(tmp_path: Path) -> None:
 
 def test_the_legs_of_another_skeleton_in_the_file_are_not_those_of_the_character(tmp_path: Path) -> None:
     """A rider without shins was given the legs of the horse beside it, and refused for standing on four legs."""
-    body = figure(spelled({}, "{part}_{side}"), "A", FINGERS)
-    for key in [key for key in body.places if key.endswith(("Leg", "Foot", "ToeBase"))]:
-        del body.places[key], body.parents[key]
+    body = figure(spelled({}, "{part}_{side}"), "A", FINGERS).without("Leg", "Foot", "ToeBase")
     body.above = [("scene", UPRIGHT, 1.0)]
     body.add("Horse", None, (0.0, 1.0, -2.0))
     for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
@@ -210,11 +201,8 @@ def test_the_legs_of_another_skeleton_in_the_file_are_not_those_of_the_character
 def test_a_bird_is_refused_and_half_a_body_is_not(lies: bool, tmp_path: Path) -> None:
     """Its wings are arms by the names of their bones, and it has no legs: it was set upright and gestured."""
     body = figure(spelled({"Arm": "Humerus", "ForeArm": "Ulna", "Hips": "Body"}, "{part}_{side}", ("L", "R")), "T",
-                  toes=False)
-    turn = Rotation.from_euler("X", 90.0 if lies else 0.0, degrees=True)
-    body.places = {key: turn.apply(place) for key, place in body.places.items()}
-    for key in [key for key in body.places if key.endswith(("Leg", "Foot"))]:
-        del body.places[key], body.parents[key]
+                  toes=False).without("Leg", "Foot")
+    body = body.turned(Rotation.from_euler("X", 90.0 if lies else 0.0, degrees=True))
     character = read_character(write(tmp_path / "rig.glb", body))
     if lies:
         with pytest.raises(InputError, match="its trunk lies and no legs are found"):
@@ -241,28 +229,15 @@ def test_limbs_that_are_only_numbered_are_counted_from_the_trunk(pattern: str, t
 
 def test_an_axis_along_which_no_legs_are_found_is_not_surer_for_it(tmp_path: Path) -> None:
     """Hands by name and all else by shape: the mean over the joints found was greater without the legs."""
-    words = iter("abcdefghijklmnopqrstuvwxyz")
-    plain: dict[str, str] = {}
-
-    def name(key: str) -> str:
-        if key in ("LeftHand", "RightHand"):
-            return f"Hand_{key[0]}"
-        side = next((side[0] for side in SIDES if key.startswith(side)), "")
-        part = key.removeprefix("Left").removeprefix("Right")
-        if part not in plain:
-            plain[part] = f"q{next(words)}z"
-        return f"{plain[part]}_{side}" if side else plain[part]
-
-    found = find_joints(read_character(write(tmp_path / "rig.glb", figure(name, "T"))))
+    unknown = unknown_words()
+    body = figure(lambda key: f"Hand_{key[0]}" if key in ("LeftHand", "RightHand") else unknown(key), "T")
+    found = moved(tmp_path / "rig.glb", body).mapping
     assert found.legs and "legs" not in " ".join(found.doubts)
-    moved(tmp_path / "rig.glb", figure(name, "T"))
 
 
 def test_hands_without_arms_are_refused_with_what_is_missing_alone(tmp_path: Path) -> None:
     """Half bodies for headsets: head and hands float, and hips and head are there."""
-    body = figure(spelled({}, "{side}{part}"), "A")
-    for key in [key for key in body.places if key.endswith(("Shoulder", "Arm", "Leg", "Foot", "ToeBase"))]:
-        del body.places[key], body.parents[key]
+    body = figure(spelled({}, "{side}{part}"), "A").without("Shoulder", "Arm", "Leg", "Foot", "ToeBase")
     body.parents |= {"LeftHand": "Spine2", "RightHand": "Spine2"}
     with pytest.raises(InputError, match=r"could be LeftArm, LeftForeArm, RightArm, RightForeArm \("):
         Retargeter(read_character(write(tmp_path / "half.glb", body)))
@@ -274,9 +249,7 @@ def test_hands_without_arms_are_refused_with_what_is_missing_alone(tmp_path: Pat
 def test_a_missing_arm_is_named_and_no_leg_taken_for_it(missing: tuple[str, ...], named: str, tmp_path: Path) -> None:
     """One refusal said that a thigh was both the left arm and the right thigh."""
     body = figure(spelled({}, MIXAMO), "A", FINGERS)
-    for key in [key for key in body.places if key.startswith("Right") and (
-            key.removeprefix("Right") in missing or key.startswith("RightHand"))]:
-        del body.places[key], body.parents[key]
+    body.without(*(key for key in body.places if key.startswith(("RightHand", *("Right" + part for part in missing)))))
     with pytest.raises(InputError, match=f"has the left arm, but no joint that could be {named}; gestures need both"):
         Retargeter(read_character(write(tmp_path / "one_arm.glb", body)))
 

@@ -67,15 +67,11 @@ def test_only_joints_that_move_count_at_any_frame_rate() -> None:
 
 def test_perfect_input_and_its_chance() -> None:
     beats = motion_joint_beats(waving())
-    got = consistency(beats, beats[0], 20.0, 0.1)
-    assert got.score == pytest.approx(1.0, abs=0.01) and got.chance < 0.6 and got.above_chance > 0.9
-    assert got == consistency(beats, beats[0], 20.0, 0.1)
-
-
-def test_undefined_with_a_reason() -> None:
-    assert consistency([], np.array([1.0]), 5.0).reason == "no joint moves"
-    silent = consistency([np.array([1.0])], np.zeros(0), 5.0)
-    assert np.isnan(silent.score) and silent.reason == "the sound has no onset"
+    score, chance = consistency(beats, beats[0], 20.0, 0.1)
+    assert score == pytest.approx(1.0, abs=0.01) and chance < 0.6
+    assert (score, chance) == consistency(beats, beats[0], 20.0, 0.1)
+    for joints, onsets in (([], np.array([1.0])), ([np.array([1.0])], np.zeros(0))):
+        assert np.isnan(consistency(joints, onsets, 5.0)).all()
 
 
 def test_jitter_beats_the_motion_itself_with_any_sound() -> None:

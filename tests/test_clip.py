@@ -11,7 +11,7 @@ import pytest
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, from_vector
 from data_module.types import Motion, Speech
-from eval.clip.measure import ClipMeasurement, measure, rhythm
+from eval.clip.measure import ClipMeasurement, measure
 
 
 def moving(fps: float, seconds: float = 3.0) -> Motion:
@@ -26,7 +26,7 @@ def test_speeds_in_speech_and_in_silence() -> None:
     beats = np.array([0.5, 1.0, 1.5])
     clip = ClipMeasurement(beats, beats, 3.0, speed, silent)
     assert clip.speech_speed == 2.0
-    assert clip.rhythm(seed=0).above_chance == pytest.approx(100.0)
+    assert clip.rhythm()[2] == pytest.approx(100.0)
     assert math.isnan(dataclasses.replace(clip, silent=np.ones(3, bool)).speech_speed)
 
 
@@ -53,8 +53,9 @@ def test_speeds_are_metres_per_second_and_silence_is_told_apart() -> None:
 
 def test_motion_in_time_is_above_chance_and_motion_at_random_is_not() -> None:
     onsets = np.cumsum(np.random.default_rng(0).uniform(0.2, 0.6, 100))
-    found = rhythm(onsets + 0.02, onsets, 60.0)
-    assert found.pmb == 100.0 and found.above_chance == pytest.approx(100.0) and found.p_value < 0.01
-    other = rhythm(np.cumsum(np.random.default_rng(1).uniform(0.2, 0.6, 100)), onsets, 60.0)
-    assert abs(other.above_chance) < 15 and other.p_value > 0.01
-    assert math.isnan(rhythm(np.zeros(0), onsets, 60.0).above_chance)
+    none = np.zeros((1, 2)), np.zeros(1, bool)
+    percent, _, above = ClipMeasurement(onsets, onsets + 0.02, 60.0, *none).rhythm()
+    assert percent == 100.0 and above == pytest.approx(100.0)
+    random = np.cumsum(np.random.default_rng(1).uniform(0.2, 0.6, 100))
+    assert abs(ClipMeasurement(onsets, random, 60.0, *none).rhythm()[2]) < 15
+    assert math.isnan(ClipMeasurement(onsets, np.zeros(0), 60.0, *none).rhythm()[2])

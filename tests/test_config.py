@@ -42,7 +42,7 @@ def test_settings_reach_every_depth_and_keep_types() -> None:
     assert config.rhythm.beats.d_max == 1.0 and isinstance(config.rhythm.beats.d_max, float)
     assert config.lexicon.widths == (4, 5, 6, 7) and config.lexicon.quantizer == "vq-vae"
     assert config.silence.hint is False
-    assert preset("tiny").lexicon.codebook == "ema", "presets are values, not shared state"
+    assert preset("tiny").lexicon.quantizer == "k-means", "presets are values, not shared state"
 
 
 @pytest.mark.parametrize("setting", ["lexicon.size", "lexicon.nothing=3", "nothing.size=3", "lexicon.size=many",

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from untrained import PLAIN, untrained
+from untrained import PLAIN, sampled_blocks, untrained
 
 from data_module.blocks import cut
 from data_module.motion.skeletons import CHARACTERS
@@ -151,7 +151,7 @@ def test_the_motion_of_a_block_depends_on_its_lexeme(system: Gesticulator, recor
         bundle = system.bundle
         setup = Setup(system.bundle.interpreter_named("lstm"), 0, temperature=1.0, seed=0)
         requests = [Request(encoded.block(i), lexeme=lexeme) for i in range(len(encoded))]
-        return loop.motion_of(bundle, setup, loop.run(bundle, setup, requests, encoded.text is not None))
+        return loop.motion_of(bundle, setup, sampled_blocks(bundle, setup, requests, encoded.text is not None))
 
     # Neither is silent: hands rest in a silent lexeme. It reaches the head through the code alone, which has learned
     # little in 60 steps.

@@ -61,30 +61,6 @@ def test_explanation_tiles_the_sound(seed: int, seconds: float) -> None:
     assert [block["silent"] for block in blocks] == performance.blocks.silent.tolist()
 
 
-def test_plan_file_is_the_explanation(tmp_path: Path) -> None:
-    performance = perform()
-    write(tmp_path / "plan.json", performance)
-    assert json.loads((tmp_path / "plan.json").read_text()) == performance.explain()
-
-
-@pytest.mark.parametrize(("change", "message"), [
-    ({"lexemes": np.zeros(2, np.int64)}, "lexemes"),
-    ({"scores": "rising"}, "fall"),
-    ({"scores": "nan"}, "finite"),
-    ({"speech": Speech(np.zeros(RATE, np.float32), RATE)}, "tile"),
-])
-def test_a_performance_that_contradicts_itself_is_refused(change: dict, message: str) -> None:
-    whole = perform()
-    if "scores" in change:
-        first = whole.decided.blocks[0]
-        choices = first.alternatives[::-1] if change["scores"] == "rising" else \
-            (replace(first.alternatives[0], score=np.nan), *first.alternatives[1:])
-        blocks = (replace(first, alternatives=choices), *whole.decided.blocks[1:])
-        change = {"decided": replace(whole.decided, blocks=blocks)}
-    with pytest.raises(ValueError, match=message):
-        replace(whole, **change)
-
-
 @pytest.mark.parametrize("name", ["out.max", "out", "archive.bvh.gz"])
 def test_unknown_suffix_lists_the_known_ones(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError) as caught:
@@ -132,13 +108,6 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_else(tmp_path: Path, suffix
         write(target, perform())
     assert target.read_text() == "the file that was there"
     assert list(tmp_path.iterdir()) == [target]
-
-
-@pytest.mark.parametrize("suffix", sorted(WRITERS))
-def test_a_missing_folder_is_the_systems_error(tmp_path: Path, suffix: str) -> None:
-    skip_without_its_tool(suffix)
-    with pytest.raises(OSError, match="No such file"):
-        write(tmp_path / "nowhere" / f"x{suffix}", perform())
 
 
 def test_compressed_sound_is_in_time_and_decodes_whole() -> None:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import copy
 import json
-import struct
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from gltf_reader import GlbFile
+from gltf_reader import GlbFile, save
 from performances import perform, write
 from small_characters import write_character
 
@@ -21,8 +20,6 @@ from data_module.motion.skeletons import FINGERED, WHOLE_BODY
 from data_module.types import Array
 from gesticulator.characters.retarget import retarget
 from gesticulator.characters.rig import CharacterMotion
-from gesticulator.export.clip import EVERY_FRAME
-from gesticulator.export.glb import character_glb
 from gesticulator.performance import Performance
 
 
@@ -76,7 +73,7 @@ def test_nodes_with_a_matrix_become_nodes_that_can_turn(tmp_path: Path) -> None:
         for name in ("translation", "rotation", "scale"):
             node.pop(name, None)
         node["matrix"] = local.T.ravel().tolist()
-    other = _save(glb, tmp_path / "matrix.glb")
+    other = save(tmp_path / "matrix.glb", glb.document, glb.binary)
     one, two = (GlbFile.parse(write(tmp_path / f"{path.stem}_out.glb", on(path)).read_bytes())
                 for path in (plain, other))
     np.testing.assert_allclose(two.worlds(0), one.worlds(0), atol=1e-5)
@@ -106,7 +103,7 @@ def test_buffers_and_pictures_beside_a_gltf_are_put_inside(tmp_path: Path) -> No
     moved = on(tmp_path / "her.gltf")
     (tmp_path / "skin 1.png").unlink()
     with pytest.raises(InputError, match=r"lacks skin%201\.png"):
-        character_glb(played(moved), EVERY_FRAME)
+        write(tmp_path / "lacking.glb", moved)
 
 
 @pytest.mark.parametrize("vrm", ["", "0.x", "1.0"])
@@ -143,11 +140,3 @@ def _locals(glb: GlbFile) -> list[np.ndarray]:
     world = glb.worlds()[0]
     parents = {child: index for index, node in enumerate(glb.document["nodes"]) for child in node.get("children", ())}
     return [np.linalg.inv(world[parents[index]]) @ own if index in parents else own for index, own in enumerate(world)]
-
-
-def _save(glb: GlbFile, path: Path) -> Path:
-    text = json.dumps(glb.document).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(glb.binary), 0x004E4942)
-    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks) + len(glb.binary)) + chunks + glb.binary)
-    return path

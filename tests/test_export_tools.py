@@ -26,7 +26,7 @@ from data_module.motion.skeletons import CHARACTERS, FINGERED, WHOLE_BODY, stand
 from data_module.types import Array
 from gesticulator.characters.blender import check_blender, run_in_blender
 from gesticulator.characters.retarget import retarget
-from gesticulator.export.own_fbx import SCRIPT
+from gesticulator.export.fbx import SCRIPT
 from gesticulator.export.vrma import BONES, humanoid
 from gesticulator.performance import Performance
 

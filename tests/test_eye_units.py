@@ -120,15 +120,6 @@ def test_an_arm_is_before_the_face_where_its_hand_covers_it() -> None:
     assert posture.figures(replace(body, points=points))["eye_face"] == pytest.approx(50.0, abs=1.0)
 
 
-def test_one_splayed_arm_is_half_of_the_time_and_never_both() -> None:
-    both, none = arms_ahead(30.0), arms_ahead(0.0)
-    rotations = both.rotations.copy()
-    for name in ("RightArm", "RightForeArm"):
-        rotations[:, both.skeleton.index(name)] = none.rotations[:, both.skeleton.index(name)]
-    found = posture.figures(common_body(replace(both, rotations=rotations)))
-    assert found["eye_splay"] == 50.0 and found["eye_splay_both"] == 0.0
-
-
 def test_fingers_that_bend_alike_have_no_difference_between_them() -> None:
     rng = np.random.default_rng(0)
     motion = posed(3.0, lambda time: {})
@@ -203,27 +194,6 @@ def test_motion_that_is_frozen_in_pauses_is_seen() -> None:
     frozen = units.sound_figures(common_body(controls.frozen_in_pauses([motion], [voice.silent])[0]), voice)
     assert free["eye_pause_moving"] > 60 > 15 > frozen["eye_pause_moving"]
     assert free["eye_pause_speed"] > 0.7 and frozen["eye_pause_speed"] < 0.3
-
-
-def test_forearms_that_are_turned_outward_are_seen() -> None:
-    motion = arms_ahead(0.0)
-    turned = posture.figures(common_body(controls.splayed([motion])[0]))
-    assert turned["eye_azimuth"] == pytest.approx(20.0, abs=0.5) and turned["eye_splay"] == 100.0
-
-
-def test_real_forearms_turned_outward_leave_the_range_of_people(take: tuple[Path, Motion, Path]) -> None:
-    real = posture.figures(common_body(take[1]))
-    turned = posture.figures(common_body(controls.splayed([take[1]])[0]))
-    assert real["eye_splay"] <= 15 and -35 <= real["eye_azimuth"] <= 5
-    assert turned["eye_splay"] > 15 and turned["eye_azimuth"] > 5
-
-
-def test_a_pose_that_is_held_has_no_life_in_any_part() -> None:
-    held = common_body(controls.mean_pose([wandering(20.0)])[0])
-    found = {**posture.figures(held), **together.figures(held), **units.figures(held)}
-    assert found["eye_shoulder"] == pytest.approx(0.0, abs=1e-6) and found["eye_units"] == 0.0
-    assert found["eye_head_travel"] == pytest.approx(0.0, abs=1e-6)
-    assert math.isnan(found["eye_head_with_hands"]) and math.isnan(found["eye_variation"])
 
 
 # ------------------------------------------------------------------------------------------------------ stability

@@ -18,7 +18,7 @@ from gesticulator.characters.blender import check_blender, run_in_blender
 from gesticulator.characters.gltf_file import read_gltf
 from gesticulator.characters.retarget import retarget
 from gesticulator.export.face import FaceWarning
-from gesticulator.export.own_fbx import SCRIPT
+from gesticulator.export.fbx import SCRIPT
 from gesticulator.face.shapes import ARKIT, arkit, jaw_angles
 from gesticulator.performance import Performance
 

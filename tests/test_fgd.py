@@ -19,7 +19,6 @@ from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.representation import bone_directions, ted_positions
 from data_module.motion.skeletons import CHARACTER
-from data_module.store import Store
 from data_module.types import Array, Motion
 from eval.baselines import controls
 from eval.metrics import fgd
@@ -58,13 +57,6 @@ def test_the_distance_is_scipys_matrix_root_of_the_product(first: int, second: i
     assert distance(a, b) == pytest.approx(distance(b, a), rel=1e-10)
 
 
-def test_identical_sets_are_at_zero() -> None:
-    for count in (4, 80):  # of few the covariance is singular
-        a = some_features(0, count, 12)
-        assert distance(a, a) == pytest.approx(0.0, abs=1e-10 * float(np.trace(np.cov(a, rowvar=False))))
-        assert distance(a, a) >= 0.0
-
-
 def test_gaussians_of_known_distance() -> None:
     one = Gaussian(np.zeros(3), np.diag([1.0, 4.0, 9.0]))
     # diagonal: the sum of squared differences of deviations
@@ -86,15 +78,8 @@ def test_singular_covariances_give_a_finite_distance() -> None:
     assert frechet_distance(Gaussian(np.zeros(2), line), Gaussian(np.zeros(2), across)) == pytest.approx(5.0)
     few = distance(some_features(1, 6, 20), some_features(2, 6, 20))
     assert math.isfinite(few) and few > 0
-    still = np.ones((10, 4))
-    assert distance(still, still) == 0.0
-
-
-def test_turning_or_moving_both_sets_changes_nothing() -> None:
-    a, b = some_features(3), some_features(4)
-    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(5, 5)))[0]
-    assert distance(a @ turn + 7, b @ turn + 7) == pytest.approx(distance(a, b), rel=1e-8)
-    assert distance(3 * a, 3 * b) == pytest.approx(9 * distance(a, b), rel=1e-8)
+    for same in (np.ones((10, 4)), some_features(0, 4, 12), some_features(0, 80, 12)):
+        assert 0.0 <= distance(same, same) == pytest.approx(0.0, abs=1e-10 * max(1.0, float(same.var())))
 
 
 def test_the_bias_of_the_sample_is_what_sampling_gives() -> None:
@@ -190,8 +175,6 @@ def test_windows_are_unit_directions_at_the_rate_asked_for() -> None:
     np.testing.assert_array_equal(cut[3], own[30:50])
     assert networks.windows(motion, 20, 15.0, stride=1).shape == (41, 20, 27)
     assert networks.windows(motion, 61, 15.0).shape == (0, 61, 27)
-    with pytest.raises(ValueError):
-        networks.windows(motion, 20, 15.0, stride=0)
 
 
 def test_raw_features_are_the_directions_themselves() -> None:
@@ -293,14 +276,10 @@ def test_training_lowers_the_loss(own: networks.Autoencoder, tmp_path: Path) -> 
     assert set(own.weights) == set(own.losses(unseen)) and not own.training
 
 
-def test_training_is_a_matter_of_the_seed(own: networks.Autoencoder, tmp_path: Path) -> None:
+def test_saved_and_loaded_it_is_the_same_and_pinned(own: networks.Autoencoder, tmp_path: Path) -> None:
     again, other = (networks.train(FakeStore(), tmp_path / str(seed), AutoencoderConfig(frames=20),  # type: ignore
                                    QUICK, seed=seed, progress=False) for seed in (3, 4))
-    assert networks.as_features(again).sha256 == networks.as_features(own).sha256
-    assert networks.as_features(other).sha256 != networks.as_features(own).sha256
-
-
-def test_saved_and_loaded_it_is_the_same_and_pinned(own: networks.Autoencoder, tmp_path: Path) -> None:
+    assert networks.as_features(again).sha256 == networks.as_features(own).sha256 != networks.as_features(other).sha256
     sha = networks.save(own, tmp_path)
     loaded = networks.load(tmp_path)
     seen = networks.as_features(loaded)
@@ -332,14 +311,6 @@ def test_windows_too_short_for_the_network_or_the_store_are_refused(tmp_path: Pa
     with pytest.raises(InputError):
         networks.train(FakeStore(), tmp_path, AutoencoderConfig(frames=400),  # type: ignore[arg-type]
                        QUICK, progress=False)
-
-
-def test_on_a_real_store(tiny_store: Path, tmp_path: Path) -> None:
-    store = Store.open(tiny_store)
-    network = networks.train(store, tmp_path, AutoencoderConfig(frames=30), replace(QUICK, steps=5), progress=False)
-    motions = [store.load(info.name).motion for info in store.of_split("test")]
-    got = fgd.fgd(motions, motions, networks.as_features(network), paired=True)
-    assert got.distance == pytest.approx(0.0, abs=1e-6) and got.frames == 30
 
 
 # --- the report

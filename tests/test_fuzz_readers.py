@@ -53,7 +53,7 @@ NO_CASE = {
     "a file that this process, its worker or its child wrote a moment ago": """
         data_module/files.py:lock
         gesticulator/characters/fbx_rig.py:read_fbx_character
-        gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:* gesticulator/export/own_fbx.py:write_animated
+        gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:* gesticulator/export/fbx.py:write_animated
         gesticulator/export/usd.py:write_usd gesticulator/serve/metrics.py:read_figures
         eval/probes/stability.py:_as_mp3""",
     "messages of another process of the same server": """

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from data_module.motion import rotation
 from data_module.types import Array, Motion, Speech
 from eval import stats
 from eval.acceptance import bounds, rest, stimuli, timing, voices
@@ -164,14 +163,6 @@ def test_what_a_motion_or_a_voice_lacks_is_left_out_and_what_it_should_have_is_n
     assert table(eye_pause_moving=math.nan)["eye_pause_moving"].holds is None
 
 
-def test_systems_stand_side_by_side_with_what_they_miss() -> None:
-    shown = voices.comparison("x", {"ours": {"eye_splay": Interval.exact(51.0, 1)}, "theirs": {
-        "eye_splay": Interval.exact(12.0, 1), FIRST: Interval.exact(70.0, 9)}})
-    splay, first = (shown.rows[title] for title in ("forearm outward, of the time, %", timing.TITLES[FIRST]))
-    assert (splay["bound"], splay["ours"], splay["theirs"]) == ("at most 15", "51 !", "12")
-    assert (first["bound"], first["ours"], first["theirs"]) == ("", None, "70")
-
-
 # ------------------------------------------------------------------------------------------------ pooled, with sound
 
 def spoken(seed: int, seconds: float = 26.0) -> tuple[Speech, NDArray[np.float64], NDArray[np.float64]]:
@@ -266,15 +257,3 @@ def test_who_goes_on_at_one_pace_does_not_wax_and_wane() -> None:
     for body, holds in ((even, False), (rising, True)):
         results = {("variation", rest.UNBROKEN): Measured(rest.variation([body], ["a"]))}
         assert [verdict.holds for verdict in bounds.judge(bounds.table()["rest"], results)] == [holds]
-
-
-def test_a_wrist_that_is_rigid_follows_its_forearm_and_a_paddle_has_one_angle(character: Motion) -> None:
-    paddle = one_curl([character])[0]
-    names = character.skeleton.names
-    for side in ("Left", "Right"):
-        fingers = [joint for joint, name in enumerate(names) if name.startswith(f"{side}Hand") and name[-1].isdigit()]
-        angles = rotation.angle_between(paddle.rotations[:, fingers[0], None], paddle.rotations[:, fingers])
-        assert len(fingers) == 15 and angles.max() < 1e-6
-    stiff = rigid_wrists([character])[0]
-    assert set(np.flatnonzero((stiff.rotations != character.rotations).any(axis=(0, 2)))) == {
-        names.index("LeftHand"), names.index("RightHand")}

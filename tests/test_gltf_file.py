@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import struct
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gltf_reader import GlbFile
+from gltf_reader import GlbFile, save
 from rigs import as_glb, draw
 
 from data_module.errors import InputError
@@ -38,13 +37,7 @@ def _changed_glb(folder: Path, change: Change) -> Path:
     """A character whose document was changed."""
     parsed = GlbFile.parse(as_glb(draw(3, "mixamo", "A")))
     change(parsed.document)
-    text = json.dumps(parsed.document).encode()
-    text += b" " * (-len(text) % 4)
-    body = struct.pack("<II", len(text), 0x4E4F534A) + text
-    body += struct.pack("<II", len(parsed.binary), 0x004E4942) + parsed.binary
-    file = folder / "a.glb"
-    file.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body)
-    return file
+    return save(folder / "a.glb", parsed.document, parsed.binary)
 
 
 # ---------------------------------------------------------------------------------------------------- numbers

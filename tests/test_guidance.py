@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from untrained import SILENT, untrained
+from untrained import SILENT, sampled_blocks, untrained
 
 from data_module.types import Speech
 from gesticulator.bundle.bundle import Bundle
@@ -34,7 +34,8 @@ def played(bundle: Bundle, guidance: float, asked: bool = True, noise: float = 0
     blocks = len(encoded.blocks)
     rows = np.ones((blocks, own.frames, 6), np.float32) if asked else None
     setup = Setup(system.bundle.interpreter_named("lstm"), 0, temperature=0.0, seed=0)
-    made = loop.run(own, setup, [Request(encoded.block(i), None if rows is None else rows[i]) for i in range(blocks)])
+    made = sampled_blocks(own, setup, [Request(encoded.block(i), None if rows is None else rows[i])
+                                       for i in range(blocks)])
     return GeneratedMotion(encoded.blocks, made, loop.motion_of(own, setup, made))
 
 

@@ -1,4 +1,4 @@
-"""The map of the lexicon: what goes with a lexeme, and a page that works."""
+"""The map of the lexicon: what is counted of a lexeme, and the files of the command."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter
-from data_module.truth import PlayedStroke, Truth
-from data_module.types import Blocks, Motion, Speech, Word
+from data_module.types import Blocks, Motion, Speech
 from eval.commands import PLOT
 from eval.metrics.encode import EncodedMotion, encode_motion
 from eval.pictures import embedding
@@ -27,62 +26,9 @@ from eval.pictures.lexicon_sheet import in_words
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.bundle import Bundle
 
-# ------------------------------------------------------------------------------------------ what goes with a lexeme
-
-def test_distinctive_words_are_the_planted_ones() -> None:
-    rng = np.random.default_rng(0)
-    vocabulary = ["the", "of", "stop", "me", "rare"]
-    counts = rng.multinomial(200, [0.5, 0.5, 0, 0, 0], size=12)
-    counts[:, 2] = 2
-    counts[3, 2] = 40
-    counts[7, 3], counts[7, 4] = 25, 4  # one that stands nowhere else, and one too few to tell
-    got = maps.distinctive(counts, vocabulary)
-    assert [[word.text for word in own] for own in got] == [
-        ["stop"] if i == 3 else ["me"] if i == 7 else [] for i in range(12)]
-    assert got[3][0].count == 40
-
-
-def test_distinctive_is_the_log_odds_by_hand() -> None:
-    counts = np.array([[30, 70], [20, 380]])
-    word = maps.distinctive(counts, ["a", "b"], sure=0.0)[0][0]
-    prior = maps.PRIOR * 50 / 500
-    odds = [math.log((y + prior) / (n + maps.PRIOR - y - prior)) for y, n in ((30, 100), (20, 400))]
-    assert (word.text, word.count) == ("a", 30)
-    assert word.z == pytest.approx((odds[0] - odds[1]) / math.sqrt(1 / (30 + prior) + 1 / (20 + prior)))
-
-
-def test_words_by_chance_hardly_ever_stand_out() -> None:
-    rng = np.random.default_rng(1)
-    shares = 1 / np.arange(1, 301)
-    counts = rng.multinomial(400, shares / shares.sum(), size=50)
-    found = sum(len(own) for own in maps.distinctive(counts, [str(i) for i in range(300)], most=300))
-    assert found < 0.005 * (counts >= maps.LEAST).sum()
-
 
 def still(seconds: float, fps: float = 20.0) -> Motion:
-    count = round(seconds * fps)
-    unit = np.tile([1.0, 0, 0, 0], (count, len(CHARACTER), 1))
-    return Motion(CHARACTER, unit, np.zeros((count, 3)), fps)
-
-
-def take(motion: Motion, words: tuple[Word, ...] = (), strokes: tuple[PlayedStroke, ...] = (), name: str = "take"
-         ) -> Recording:
-    speech = Speech(np.zeros(round(motion.duration * 16000), np.float32), 16000, words)
-    return Recording(RecordingInfo(name, "train", "ann", "tone", "en"), speech, motion, Truth(strokes))
-
-
-def stroke(kind: str, start: float, end: float) -> PlayedStroke:
-    return PlayedStroke(kind, "clip", "both", start, (start + end) / 2, end, end, start, 1.0, False)
-
-
-def test_words_and_strokes_find_their_blocks() -> None:
-    words = (Word("Well,", 0.0, 0.4), Word("", 0.4, 0.6), Word("»Nein!«", 0.9, 1.2), Word("late", 3.0, 3.5),
-             Word("…", 0.1, 0.2), Word("don't", 0.6, 1.4))
-    own = take(still(2.0), words, (stroke("Point", 0.7, 1.3), stroke("Me", 1.9, 2.0)))
-    edges = np.array([0.0, 0.5, 1.0, 1.5, 2.0])
-    assert maps.words_on_blocks(own, edges) == [(0, "well"), (2, "nein"), (2, "don't")]
-    assert maps.strokes_on_blocks(own, edges) == [maps.NO_STROKE, "Point", "Point", maps.NO_STROKE]
-    assert maps.strokes_on_blocks(take(still(2.0)), edges) == []
+    return turning(seconds, fps, np.zeros(round(seconds * fps)))
 
 
 def turning(seconds: float, fps: float, turn: np.ndarray) -> Motion:
@@ -102,19 +48,18 @@ def test_survey_counts_and_measures() -> None:
     edges = np.arange(9) / 2
     blocks = Blocks(edges, np.ones(8, np.int8), np.array([1, 1, 0, 0, 0, 0, 0, 0], bool), 10, 20.0)
     labels = np.array([2, 2, 2, 2, 0, 0, 0, 1])
-    own = take(turning(4.0, fps, turn), (Word("go", 2.1, 2.3),), (stroke("Wave", 2.0, 3.5),))
+    speech = Speech(np.zeros(4 * 16000, np.float32), 16000)
     survey = maps.Survey(4)
-    survey.add(own, blocks, labels)
-    entries = survey.entries([2], np.full(4, 7.0))
-    assert [e.blocks for e in entries] == [3, 1, 4, 0]
-    assert [e.silent for e in entries] == [False, False, True, False]
-    assert [e.shares["ann"] for e in entries] == [e.share for e in entries] == [3 / 8, 1 / 8, 0.5, 0]
-    assert [e.in_silence for e in entries] == [0, 0, 0.5, 0]
-    # One of two hands moves, at rate times its distance from the axis.
-    assert entries[0].hand_speed == pytest.approx(rate * radius / 2, rel=1e-3)
-    assert entries[2].hand_speed == pytest.approx(0, abs=1e-6)
-    assert math.isnan(entries[3].hand_speed) and entries[3].decoded_speed == 7.0
-    assert entries[0].strokes == {"Wave": 1.0} and entries[2].strokes == {maps.NO_STROKE: 1.0}
+    survey.add(Recording(RecordingInfo("take", "train", "ann", "tone", "en"), speech, turning(4.0, fps, turn)), blocks,
+               labels)
+    rows = survey.table([2], ["rests"] * 4)
+    columns = {name: [row[name] for row in rows] for name in rows[0]}
+    assert columns["blocks"] == ["3", "1", "4", "0"] and columns["silent"] == ["0", "0", "1", "0"]
+    assert columns["share"] == columns["share of ann"] == ["0.3750", "0.1250", "0.5000", "0.0000"]
+    assert columns["in_silence"] == ["0.000", "0.000", "0.500", "0.000"]
+    # One of two hands moves, at rate times its distance from the axis; a lexeme without blocks has no speed.
+    assert columns["hand_speed"][2:] == ["0.000", ""]
+    assert [float(speed) for speed in columns["hand_speed"][:2]] == pytest.approx([rate * radius / 2] * 2, abs=0.002)
 
 
 @pytest.mark.parametrize(("end", "says"), [(-0.6, "up"), (0.6, "down"), (-1.5, "up and in"), (1.5, "down and in")])
@@ -167,12 +112,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     names = []
     for index, speaker in enumerate((bundle.speakers[0], "somebody <else>")):
         own = perform(6.0, seed=index, fps=50.0)
-        # A hostile word, often enough on one block to be listed with its lexeme.
-        words = (Word("</script><b>", 0.02, 0.04),) * 400 + (Word("fine", 3.0, 3.1),) * 400
-        speech = Speech(own.speech.samples, own.speech.sample_rate, words)
         names.append(f"take{index}")
-        writer.add(Recording(RecordingInfo(names[-1], "train", speaker, "tone", "en"), speech, own.motion,
-                             Truth((stroke("Point", 0.0, 3.0),))))
+        writer.add(Recording(RecordingInfo(names[-1], "train", speaker, "tone", "en"), own.speech, own.motion))
     writer.finish(names)
     shutil.copytree(bundles.SHIPPED, folder / "my bundle")
     assert PLOT.main("gesticulator plot", [
@@ -190,7 +131,6 @@ def test_the_table_and_the_sheet_hold_the_lexicon(made: Path) -> None:
     rows, bundle = table(made), bundles.load(made / "my bundle")
     assert [int(row["lexeme"]) for row in rows] == list(range(bundle.config.lexicon.size))
     assert [int(row["lexeme"]) for row in rows if row["silent"] == "1"] == bundle.silent.tolist()
-    assert any("</script><b> (400)" in row["words"].split("; ") for row in rows)
     assert sum(float(row["share"]) for row in rows) == pytest.approx(1.0, abs=0.01)
     assert "share of somebody <else>" in rows[0] and all(row["does"] for row in rows)
     assert (made / "map" / "lexemes.png").read_bytes().startswith(b"\x89PNG")

@@ -18,8 +18,8 @@ from recogniser_samples import FILES, Words
 from data_module.errors import InputError
 from data_module.motion.rotation import conjugate, multiply
 from data_module.speech.audio import load_speech
-from data_module.text.marks import EMOJI, mark_name, marked_text, marked_words
-from data_module.text.transcript import as_transcript, read_transcript, with_transcript
+from data_module.text.marks import mark_name, marked_text, marked_words
+from data_module.text.transcript import read_transcript, with_transcript
 from data_module.types import Speech, Word
 from gesticulator.directing.cues import stroke_of_word
 from gesticulator.directing.marks import (
@@ -77,11 +77,6 @@ def test_tags_of_ssml_are_not_spoken() -> None:
     plain, marks = marked_text(text)
     assert plain.split() == ["Well", "no", "idea"] and [name for _, name in marks] == ["shrug"]
     assert plain[marks[0][0]:].split()[0] == "idea"
-
-
-def test_twelve_emoji() -> None:
-    assert len(EMOJI) == len(set(EMOJI.values())) == 12
-    assert {"shrug", "wave", "stop", "open palms"} <= set(EMOJI.values()) & set(GESTURES)
 
 
 def test_a_mark_in_pieces() -> None:
@@ -182,26 +177,6 @@ def test_subtitles_have_marks_and_no_other_brackets(kind: str, tmp_path: Path) -
         ("I", ()), ("have", ()), ("no", ()), ("idea", ("shrug",)), ("at", ("nod",)), ("all", ("wave",))]
 
 
-def test_a_text_in_another_language_has_marks(tmp_path: Path) -> None:
-    words = _read(tmp_path, ".txt", "Größe [size:big] läßt grüßen [nod]")
-    assert [(word.text, word.marks) for word in words] == [
-        ("Größe", ()), ("läßt", ("size big",)), ("grüßen", ("nod",))]
-
-
-def test_marks_do_not_change_what_the_aligner_hears(outside_data: Path) -> None:
-    pytest.importorskip("pocketsphinx")
-    speech = load_speech(outside_data / "speech" / "en_austen_0870.flac")
-    spoken = (outside_data / "speech" / "en_austen_0870.txt").read_text(encoding="utf-8")
-    plain = with_transcript(speech, as_transcript(spoken, speech))[0].words or ()
-    at = [match.start() for match in re.finditer(r"\b[a-z]+\b", spoken)][5]
-    marked, timing = with_transcript(speech, as_transcript(spoken[:at] + "[shrug] " + spoken[at:], speech))
-    words = marked.words or ()
-    assert timing.how == "heard"
-    assert [(w.text, w.start, w.end) for w in words] == [(w.text, w.start, w.end) for w in plain]
-    (place,) = [n for n, word in enumerate(words) if word.marks]
-    assert words[place].marks == ("shrug",) and spoken[at:].startswith(words[place].text)
-
-
 # ------------------------------------------------------------------------------------------------------- gestures
 
 def _marked(*marks: tuple[str, ...]) -> tuple[Word, ...]:
@@ -238,11 +213,6 @@ def test_the_prompt_of_the_page_lists_the_gestures_that_talk_often_calls_for() -
     marks = page[page.index("Use these marks and no others"):page.index("## Transcripts")]
     named = {gesture_of_mark(mark[1:-1]) for mark in re.findall(r"\[[^\]]+\]", marks)}
     assert named == {name for name, gesture in REPERTOIRE.items() if gesture.core}
-
-
-def test_the_page_shows_every_emoji() -> None:
-    page = (ROOT / "docs" / "marks.md").read_text(encoding="utf-8")
-    assert [sign for sign in EMOJI if f"| {sign} | {EMOJI[sign]} |" not in page] == []
 
 
 # ------------------------------------------------------------------------------------------ a performance, a stream

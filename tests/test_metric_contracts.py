@@ -169,6 +169,7 @@ def test_it_says_its_unit_its_direction_and_what_it_takes(name: str) -> None:
     assert metric.unit in UNITS and metric.good in get_args(Direction) and 0 <= metric.digits <= 3
     assert set(metric.inputs) <= INPUTS and metric.part in tables._PARTS
     assert not metric.fooled_by or metric.good, "a figure without a direction has no controls that pass"
+    assert ("set" in metric.inputs) == (metric.part in ("sets", "fgd"))
     chapter = importlib.import_module(f"eval.metrics.{metric.chapter}")
     assert METRICS.load(name).__doc__ and len(chapter.__doc__ or "") > 300, "its chapter tells its theory"
 

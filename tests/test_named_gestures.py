@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -294,21 +293,6 @@ def test_the_verb_lists_all_gestures(capsys: pytest.CaptureFixture[str]) -> None
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == len(REPERTOIRE)
     assert any(line.startswith("wave hello (or wave): A speaker waves") for line in lines)
-
-
-def test_the_page_tells_what_the_verb_lists() -> None:
-    """docs/gestures.md has a row for every gesture, with its names, meaning, kinds and seconds."""
-    page = (Path(__file__).parents[1] / "docs" / "gestures.md").read_text(encoding="utf-8")
-    rows = {line.split("`")[1]: [cell.strip() for cell in line.strip("|").split("|")]
-            for line in page.splitlines() if line.startswith("| `")}
-    assert list(rows) == NAMES
-    for name, (names, meaning, hands, kinds, seconds) in rows.items():
-        gesture, phases = REPERTOIRE[name], longest(name)
-        assert names.replace("`", "").split(", ") == [name, *(alias for alias, of in ALIASES.items() if of == name)]
-        assert (meaning, hands) == (gesture.meaning, gesture.hands)
-        assert kinds.split(", ") == ([kind for kind in ("core", "weak", "offensive") if getattr(gesture, kind)] or [""])
-        np.testing.assert_allclose([float(one) for one in seconds.split(", ")],
-                                   [phases.before, phases.hold, phases.retraction], atol=0.006)
 
 
 # ------------------------------------------------------------------------------------------- head and speed

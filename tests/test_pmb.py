@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 
-import mir_eval
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
@@ -52,15 +51,8 @@ def test_greedy_in_order_finds_as_many_as_any_matching(beats: Array, onsets: Arr
 @given(beats=TIMES, onsets=TIMES)
 def test_a_wider_tolerance_never_matches_less(beats: Array, onsets: Array) -> None:
     curve = delta_curve(beats, onsets)
-    assert (np.diff(curve.percent) >= 0).all()
-    assert 0 <= curve.area <= curve.percent[-1] <= 100
-    assert curve.percent[3] == pmb(beats, onsets, DELTAS[3])
-
-
-def test_the_area_is_the_mean_height() -> None:
-    curve = delta_curve(np.array([1.0, 2.0]), np.array([1.0, 2.1]), (0.05, 0.1, 0.2))
-    assert curve.percent.tolist() == [50, 50, 100]
-    assert curve.area == pytest.approx((0.05 * 25 + 0.05 * 50 + 0.1 * 75) / 0.2)
+    assert (np.diff(curve) >= 0).all() and curve[0] >= 0 and curve[-1] <= 100
+    assert curve[3] == pmb(beats, onsets, DELTAS[3])
 
 
 @pytest.mark.parametrize(("delta", "expected"), [(0.05, 28), (0.1, 56), (0.2, 95)])
@@ -69,8 +61,7 @@ def test_chance_is_what_unrelated_beats_reach(delta: float, expected: float) -> 
     onsets = np.cumsum(rng.uniform(0.2, 0.5, 1500))
     beats = np.cumsum(rng.uniform(0.5, 1.5, 500))
     level = chance(beats[beats < onsets[-1]], onsets, float(onsets[-1]), delta, shifts=40)
-    assert abs(level.mean - expected) < 4
-    assert level.p_value > 0.02
+    assert abs(level - expected) < 4
 
 
 def test_beats_in_time_stand_out_and_the_seed_decides() -> None:
@@ -81,9 +72,7 @@ def test_beats_in_time_stand_out_and_the_seed_decides() -> None:
     level = chance(beats, onsets, duration)
     assert level == chance(beats, onsets, duration)
     assert level != chance(beats, onsets, duration, seed=1)
-    assert level.p_value == 1 / 201
-    assert above_chance(pmb(beats, onsets), level.mean) > 0.8
-    assert math.isnan(chance(np.zeros(0), onsets, duration).mean)
+    assert above_chance(pmb(beats, onsets), level) > 0.8
 
 
 def test_above_chance_by_hand() -> None:
@@ -92,13 +81,6 @@ def test_above_chance_by_hand() -> None:
     assert above_chance(100.0, 50.0) == 1.0
     assert math.isnan(above_chance(100.0, 100.0))
     assert math.isnan(above_chance(float("nan"), 50.0))
-
-
-@given(beats=TIMES, onsets=TIMES, delta=st.sampled_from([0.05, 0.1, 0.2]))
-def test_as_many_as_mir_eval_matches(beats: Array, onsets: Array, delta: float) -> None:
-    # Its window has its edges in, ours has not: a pair on the edge is no question of matching.
-    assume(np.abs(np.abs(beats[:, None] - onsets[None]) - delta).min() > 1e-9)
-    assert np.count_nonzero(matched(beats, onsets, delta) >= 0) == len(mir_eval.util.match_events(onsets, beats, delta))
 
 
 @pytest.mark.parametrize(("mode", "at"), [("A", (3 + math.sqrt(3)) / 6), ("B", 1.0)])
@@ -120,8 +102,8 @@ def test_the_beats_of_either_mode_are_where_a_known_movement_has_them(mode: str,
 
 def test_undefined_is_nan_and_without_onsets_it_is_zero() -> None:
     none, some = np.zeros(0), np.array([1.0, 2.0])
-    assert math.isnan(chance(none, some, 5.0).p_value) and math.isnan(delta_curve(none, some).area)
-    assert delta_curve(some, none).area == chance(some, none, 5.0).mean == 0.0
+    assert math.isnan(chance(none, some, 5.0)) and np.isnan(delta_curve(none, some)).all()
+    assert not delta_curve(some, none).any() and chance(some, none, 5.0) == 0.0
 
 
 def test_nonsense_is_refused() -> None:

@@ -9,7 +9,6 @@ import os
 import re
 import shutil
 import subprocess
-from dataclasses import replace
 from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
@@ -144,12 +143,6 @@ def test_a_name_of_bytes_that_are_no_text_is_written(tmp_path: Path) -> None:
     target = tmp_path / os.fsdecode(b"caf\xe9 \xc3\xa9.html")
     write(target, perform())
     assert "<title>caf\ufffd \u00e9 " in target.read_text(encoding="utf-8")
-
-
-def test_the_page_tells_what_a_score_is() -> None:
-    made = perform()
-    told = _data(_page(replace(made, decided=replace(made.decided, score_is="Q value"))))
-    assert told["takes"][0]["plan"]["score_is"] == "Q value"
 
 
 def test_two_takes_of_one_recording_make_one_page(tmp_path: Path) -> None:

@@ -236,13 +236,6 @@ GREETING = {"type": "hello", "protocol": 1, "stream": "a", "fps": 60.0, "output"
             "joints": [], "limits": {"message_bytes": 1e6}}
 
 
-def packet(first: int, count: int) -> bytes:
-    head = json.dumps({"type": "poses", "first": first, "count": count, "time": first / 60, "fps": 60.0, "joints": 1,
-                       "state": "idle", "received": 0.0}).encode()
-    head += b" " * (-len(head) % 4)
-    return len(head).to_bytes(4, "little") + head + bytes(28 * count)
-
-
 @settings(max_examples=50)
 @given(st.sampled_from([(8000, 60.0), (16000, 60.0), (22050, 30.0), (24000, 24.0)]),
        st.lists(st.integers(1, 400), min_size=1, max_size=8))

@@ -206,8 +206,6 @@ def test_rivals_are_more_negatives_of_the_audio_and_of_nothing_else() -> None:
     _, audio = net.embed(given_batch)
     second, _ = net.embed({**given_batch, "motion": rival[:, 1]})
     torch.testing.assert_close(net.against_rivals(marked, audio)[:, 1], (second * audio).sum(1))
-    everywhere = {**unmarked, "rivalled": torch.ones(4), "rival": given_batch["motion"][:, None].expand_as(rival)}
-    assert net.right_one(everywhere) == 0.0, "a tie is not a win"
 
 
 # Retrieval

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from eval.ablate.simulator import Choose, Replay, Simulator, collect
+from eval.ablate.simulator import Choose, Replay, Simulator
 from interpreters.episodes import Demonstration, EpisodeConfig, Episodes, SilentLexemes, build
 from interpreters.reward import RewardConfig, RewardModel
 from interpreters.reward_table import RewardTable
@@ -49,58 +49,58 @@ def at_random(seed: int) -> Choose:
     return lambda seen: torch.as_tensor(rng.integers(SIZE, size=len(seen["speaker"])))
 
 
+def acting(actions: list[list[int]]) -> Choose:
+    """Take these lexemes [T][B], whatever is seen."""
+    left = iter(actions)
+    return lambda seen: torch.tensor(next(left))
+
+
 def test_what_is_seen_is_what_was_recorded(simulator: Simulator) -> None:
-    seen = simulator.begin(np.array([0, 1]), np.array([3, 0]), 10)
-    assert seen.block.tolist() == [4, 21] and seen.speaker.tolist() == [0, 1] and seen.live.all()
-    assert seen.previous.tolist() == [takes()[0].lexemes[3], takes()[1].lexemes[0]]
-    seen, *_ = simulator.step(torch.tensor([2, 4]))
-    assert seen.block.tolist() == [5, 22] and seen.previous.tolist() == [2, 4]
-    assert seen.silent.tolist() == [takes()[0].silent[5], takes()[1].silent[2]]
+    batch = simulator.act(acting([[2, 4]]), np.array([0, 1]), np.array([3, 0]), 1)
+    assert batch["block"].tolist() == [[4, 5], [21, 22]] and batch["speaker"].tolist() == [0, 1]
+    assert batch["previous"].tolist() == [[takes()[0].lexemes[3], 2], [takes()[1].lexemes[0], 4]]
+    assert batch["silent"].tolist() == [takes()[0].silent[4:6].tolist(), takes()[1].silent[1:3].tolist()]
 
 
 def test_rewards_are_those_of_the_table_on_the_same_history(simulator: Simulator, table: RewardTable) -> None:
-    start = 6
-    acted = np.random.default_rng(4).integers(SIZE, size=8)
-    history = np.concatenate([takes()[0].lexemes[:start + 1], acted])
-    wanted = table.sequence(torch.as_tensor(history), torch.arange(len(history)))[start + 1:]
-    simulator.begin(np.array([0]), np.array([start]), 8)
-    got = torch.cat([simulator.step(torch.tensor([action]))[1] for action in acted])
-    torch.testing.assert_close(got, wanted)
-    other = takes()[0].lexemes[start + 1:start + 9]
-    assert not torch.allclose(got, table.sequence(torch.as_tensor(np.concatenate(
-        [takes()[0].lexemes[:start + 1], other])), torch.arange(len(history)))[start + 1:])
+    # From the middle, and from the first block, where windows are truncated on the left.
+    for number, start, count in ((0, 6, 8), (1, 0, 2)):
+        recorded, begin = takes()[number].lexemes, sum(LENGTHS[:number])
+        acted = np.random.default_rng(4).integers(SIZE, size=count)
+        history = np.concatenate([recorded[:start + 1], acted])
+        wanted = table.sequence(torch.as_tensor(history), begin + torch.arange(len(history)))[start + 1:]
+        batch = simulator.act(acting(acted[:, None].tolist()), np.array([number]), np.array([start]), count)
+        torch.testing.assert_close(batch["reward"][0, :count], wanted)
+
+
+def test_whoever_does_what_the_person_did_earns_what_the_data_say(simulator: Simulator, table: RewardTable) -> None:
+    offline = data(table).cut(np.array([0, 1]), np.array([2, 1]), 4)
+    batch = simulator.act(acting(offline["action"].T.tolist()), np.array([0, 1]), np.array([2, 1]), 4)
+    torch.testing.assert_close(batch["reward"][:, :4], offline["reward"][:, :4])
 
 
 def test_the_end_of_a_recording_is_terminal_and_the_horizon_truncates(simulator: Simulator) -> None:
     # 4, 5 and 6 are the last blocks of the second recording; the first has far to go.
-    simulator.begin(np.array([0, 1, 1]), np.array([0, 3, 2]), 4)
-    ends = []
-    for _ in range(4):
-        seen, reward, terminal = simulator.step(torch.zeros(3, dtype=torch.int64))
-        ends.append((terminal.tolist(), seen.live.tolist()))
-    no = [False] * 3
-    assert ends[:2] == [(no, [True] * 3)] * 2
-    assert ends[2] == ([False, True, False], [True, False, True])
-    assert ends[3] == ([False, False, True], no), "the horizon ends the first episode, its recording goes on"
-    assert reward[1] == 0 and (reward[[0, 2]] != 0).all()
-    assert seen.block[0] == 5  # what one bootstraps from
-    with pytest.raises(ValueError, match="reset"):
-        simulator.step(torch.zeros(3, dtype=torch.int64))
+    batch = simulator.act(lambda seen: torch.zeros(3), np.array([0, 1, 1]), np.array([0, 3, 2]), 4)
+    assert batch["terminal"].int().tolist() == [[0, 0, 0, 0, 0], [0, 0, 1, 0, 0], [0, 0, 0, 1, 0]]
+    assert batch["valid"].int().tolist() == [[1] * 5, [1, 1, 1, 0, 0], [1, 1, 1, 1, 0]]
+    assert (batch["reward"][1, 3:] == 0).all() and (batch["reward"][[0, 2], 3] != 0).all()
+    assert batch["block"][0, 4] == 5  # what one bootstraps from
 
 
 def test_an_episode_begins_where_something_follows(simulator: Simulator) -> None:
     with pytest.raises(ValueError, match="before the last block"):
-        simulator.begin(np.array([1]), np.array([6]), 4)
+        simulator.act(at_random(0), np.array([1]), np.array([6]), 4)
     with pytest.raises(ValueError):
-        simulator.reset(np.random.default_rng(0), 2, 0)
+        simulator.collect(at_random(0), np.random.default_rng(0), 2, 0)
     with pytest.raises(ValueError):
         Simulator(takes()[2:], simulator.score, WINDOW)
-    starts = torch.unique(simulator.reset(np.random.default_rng(0), 500, 5).block)
+    starts = torch.unique(simulator.collect(at_random(0), np.random.default_rng(0), 500, 5)["block"][:, 0])
     assert starts.tolist() == [*range(1, 16), 21, 22]
 
 
 def test_what_was_collected_is_laid_out_as_the_data(simulator: Simulator, table: RewardTable) -> None:
-    online, offline = (collect(simulator, at_random(0), np.random.default_rng(0), 16, 9),
+    online, offline = (simulator.collect(at_random(0), np.random.default_rng(0), 16, 9),
                        data(table).windows(np.random.default_rng(0), 16, 9))
     assert {key: (value.dtype, value.shape) for key, value in online.items()} == {
         key: (value.dtype, value.shape) for key, value in offline.items()}
@@ -122,7 +122,7 @@ def test_who_acts_is_shown_the_history_and_no_more(simulator: Simulator) -> None
         kept.append(seen["previous"])
         return torch.full((3,), len(widths) % SIZE)
 
-    batch = collect(simulator, choose, np.random.default_rng(0), 3, 4)
+    batch = simulator.collect(choose, np.random.default_rng(0), 3, 4)
     assert [width["block"] for width in widths] == [(3, i) for i in range(1, 5)]
     assert all(width["speaker"] == (3,) for width in widths)
     assert torch.equal(kept[-1], batch["previous"][:, :4])
@@ -130,7 +130,7 @@ def test_who_acts_is_shown_the_history_and_no_more(simulator: Simulator) -> None
 
 def test_the_ring_gives_the_layout_of_the_data(simulator: Simulator, table: RewardTable) -> None:
     memory = Replay(10)
-    memory.add(collect(simulator, at_random(0), np.random.default_rng(0), 4, 6))
+    memory.add(simulator.collect(at_random(0), np.random.default_rng(0), 4, 6))
     memory.add(data(table).windows(np.random.default_rng(0), 4, 6))  # either may go in
     drawn, offline = memory.windows(np.random.default_rng(1), 7), data(table).windows(np.random.default_rng(1), 7, 6)
     assert {key: (value.dtype, value.shape) for key, value in drawn.items()} == {

@@ -427,15 +427,6 @@ def test_videos_show_what_the_key_says(films: dict[str, Path], systems: dict[str
         assert len(heard) == 3 * RATE and np.corrcoef(heard[::3], said)[0, 1] > 0.6
 
 
-def test_videos_keep_ids_and_orders(films: dict[str, Path], systems: dict[str, Path], tmp_path: Path) -> None:
-    """Ratings of the drawn figures and of the videos may be put together."""
-    drawn = study.make(systems, tmp_path / "drawn", study.StudyOptions(clips=2, seconds=1, raters=12))
-    told, keys = _data(drawn), (tmp_path / "drawn" / "key.json", films["webm"] / "key.json")
-    own = _data(films["webm"] / "page" / "index.html")
-    assert keys[0].read_text() == keys[1].read_text()
-    assert own["orders"] == told["orders"] and own["study"] == told["study"]
-
-
 # ---------------------------------------------------------------- in a browser
 
 @pytest.fixture(scope="module")
@@ -496,47 +487,6 @@ def test_a_rater_goes_through_the_page(browser: Any, made: Path, tmp_path: Path)
     assert ratings[0].notes == () and ratings[0].raters == ("26",)
     for place, item in enumerate(order):
         assert ratings[0].values[0, *placed(key, told["items"][item]["id"]), 1] == 1 + (place + 1) % 5
-
-
-@pytest.mark.parametrize("kind", ["mp4", "webm"])
-def test_a_rater_goes_through_the_videos(browser: Any, films: dict[str, Path], tmp_path: Path,
-                                         kind: str) -> None:
-    path, complaints = films[kind] / "page" / "index.html", []
-    told = _data(path)
-    page = browser.new_page(viewport={"width": 1100, "height": 800})
-    page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.goto(path.as_uri() + "?rater=2")
-    codecs = {"mp4": "avc1.64001e, mp4a.40.2", "webm": "vp9, opus"}[kind]
-    if not page.evaluate(f"document.createElement('video').canPlayType('video/{kind}; codecs=\"{codecs}\"')"):
-        page.close()
-        pytest.skip(f"this Chromium plays no {kind}")
-    page.click("#begin button")
-    order = told["orders"][1]
-    for place, item in enumerate(order):
-        assert page.inner_text("#place") == f"Clip {place + 1} of 6"
-        assert page.is_visible("#film") and page.is_hidden("#figure")
-        name = f"/page/{told['items'][item]['id']}.{kind}"
-        # A browser chooses a video's source after the script that sets it has ended.
-        page.wait_for_function(f"() => $('film').currentSrc.endsWith('{name}')", timeout=20_000)
-        assert page.is_disabled("#next") and page.is_disabled("#questions input >> nth=0")
-        page.click("#play")
-        page.wait_for_function("() => trial.seen", timeout=20_000)
-        film = page.evaluate("[$('film').videoWidth, $('film').videoHeight, $('film').duration]")
-        assert film == [540, 720, pytest.approx(1.0, abs=0.03)]
-        for number, (name, _) in enumerate(told["questions"]):
-            page.check(f"input[name={name}][value='{1 + (place + number) % 5}']")
-        page.click("#next")
-    with page.expect_download() as saved:
-        page.click("#save-json")
-    saved.value.save_as(tmp_path / "ratings.json")
-    page.close()
-    assert complaints == []
-    key = anova.read_key(films[kind] / "key.json")
-    ratings = anova.gather(anova.read_answers([tmp_path / "ratings.json"], key), key)
-    assert ratings.notes == ()
-    for place, item in enumerate(order):
-        assert ratings.values[0, *placed(key, told["items"][item]["id"]), 0] == 1 + place % 5
 
 
 @pytest.mark.parametrize("change", [

@@ -19,7 +19,7 @@ from data_module.types import Motion, Speech, Word
 from eval.ablate import style_editing
 from eval.ablate.style_editing import FREE, REFERENCE, excerpts, figures, realised
 from eval.clip.excerpts import excerpt
-from eval.pictures.edited import figure_10
+from eval.pictures import plots
 
 FPS, RATE = 60.0, 16000
 SHOULDER_HEIGHT, ARM = 0.49, 0.53
@@ -114,7 +114,7 @@ def test_clips_are_long_test_recordings_of_different_groups(tmp_path: Path, monk
 
 def test_the_picture_shows_what_was_asked_and_what_came() -> None:
     told = figures(obedient, clips(), LEVEL_TABLE)  # type: ignore[arg-type]
-    axes = figure_10(told).axes
+    axes = plots.style_editing(told).axes
     over_time, boxes = axes[0], axes[1]
     levels = {round(float(line.get_ydata()[0]), 6) for line in over_time.lines if line.get_linestyle() == "--"}
     assert levels == {0.1, 0.3, 0.6}

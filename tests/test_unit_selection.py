@@ -102,16 +102,12 @@ def test_a_join_goes_on_from_where_the_pose_was_and_ends_on_the_new_piece() -> N
     np.testing.assert_allclose(out.reshape(60, -1)[faded:], pieces.reshape(60, -1)[faded:], atol=1e-6)
 
 
-def test_the_kept_database_is_the_same_and_a_damaged_one_is_made_again(store: Store, units: UnitDatabase,
-                                                                       tmp_path: Path) -> None:
-    made = UnitDatabase.of(store, work=tmp_path)
-    file = next(tmp_path.glob("units.*.npz"))
-    for _ in range(2):
-        again = UnitDatabase.of(store, work=tmp_path)
-        for left, right in ((made.poses, again.poses), (made.follower, again.follower),
-                            (made.sounds.contour, again.sounds.contour), (units.poses, again.poses)):
-            np.testing.assert_array_equal(left, right)
-        file.write_bytes(file.read_bytes()[:1000])
+def test_the_kept_database_is_the_same(store: Store, units: UnitDatabase, tmp_path: Path) -> None:
+    for _ in range(2):  # gathered, and read
+        kept = UnitDatabase.of(store, work=tmp_path)
+        for name in ("poses", "follower"):
+            np.testing.assert_array_equal(getattr(kept, name), getattr(units, name))
+        np.testing.assert_array_equal(kept.sounds.contour, units.sounds.contour)
     UnitDatabase.of(store, BlockSettings(fps=25.0), tmp_path)
     assert len(list(tmp_path.glob("units.*.npz"))) == 2
 
@@ -126,17 +122,10 @@ def test_the_score_has_a_row_of_it(store: Store, tmp_path: Path) -> None:
     tables = {table.title: table for table in load(out)}
     row = tables["Perceptual figures: two hands"].rows
     expected = figures(UnitSelection(UnitDatabase.of(store))(test.speech, seed=3).motion)
-    for name, title in (("eye_hand_speed_correlation", "unit selection"), ("eye_speed_95", "unit selection")):
-        cell = row[title][name]
+    for name in ("eye_hand_speed_correlation", "eye_speed_95"):
+        cell = row["unit selection"][name]
         assert isinstance(cell, Marked) and isinstance(cell.value, Interval)
         assert cell.value.mean == pytest.approx(expected[name], rel=0.02)
-    same, truth = row["same"]["eye_speed_50"], row["truth"]["eye_speed_50"]
-    assert isinstance(same, Marked) and isinstance(truth, Marked)
-    assert isinstance(same.value, Interval) and isinstance(truth.value, Interval)
-    assert same.value.mean == pytest.approx(truth.value.mean, rel=1e-3)
-    # What is known to be wrong and passes is marked in the heading of its figure.
-    assert tables["Perceptual figures: synchrony"].columns["eye_above_1"].title.endswith("(!)")
-    assert {"mirrored", "bobbing", "still", "jitter", "reversed"} <= set(row)
 
 
 def test_a_store_without_training_split_is_refused(tmp_path: Path) -> None:

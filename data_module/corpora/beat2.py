@@ -40,6 +40,7 @@ class Beat2:
         self._notes: list[str] = []
         kinds: Counter[str] = Counter()
         self._splits: dict[str, Split] = {}
+        # The published list decides what there is; files that are missing are noted, not an error.
         for name, kind in _listed(source / _LIST):
             missing = [file for file in self._files(name)[:2] if not file.is_file()]
             if missing:
@@ -66,6 +67,7 @@ class Beat2:
         return [file.stat().st_size for file in self._files(name) if file.is_file()]
 
     def settings(self) -> Mapping[str, Any]:
+        # The split is part of the settings, because an edited list gives another store.
         sizes = {name: [split, *self._sizes(name)] for name, split in self._splits.items()}
         return {"files": sizes, "motion_fps": self._options.fps}
 
@@ -94,6 +96,7 @@ def _listed(path: Path) -> list[tuple[str, str]]:
         raise InputError(path, "does not exist", "--source is BEAT2's folder beat_english_v2.0.0")
     rows = [(row.get("id") or "", row.get("type") or "") for _, row in read_table(path, "fetch it again")]
     wrong = [name or kind or "an empty line" for name, kind in rows if kind not in _SPLITS or not NAME.fullmatch(name)]
+    # A recording that is listed twice could be in two splits.
     if not rows or wrong or len({name for name, _ in rows}) != len(rows):
         raise InputError(path, f"has invalid entries ({', '.join(wrong[:3])})" if wrong else
                          "is empty or lists a recording twice", "its columns are id and type")

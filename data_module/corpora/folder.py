@@ -70,11 +70,13 @@ class Folder:
         self._options = options if isinstance(options, FolderOptions) else FolderOptions(options.fps, options.unit)
         self._pairs: dict[str, tuple[Path, Path]] = {}
         self._alone: list[str] = []
+        # Names with their suffix: a dot may be part of a recording's name.
         files = {file.name: file for file in sorted(source.iterdir()) if file.is_file()}
         texts = {(file.stem, file.suffix.lower()): file for file in files.values() if file.suffix.lower() in TEXTS}
         for name, file in files.items():
             if file.suffix.lower() != ".bvh":
                 continue
+            # The first of these kinds that is there: the lossless ones come first.
             sound = next((files[file.stem + suffix] for suffix in SOUNDS if file.stem + suffix in files), None)
             if sound is None:
                 self._alone.append(name)
@@ -100,8 +102,10 @@ class Folder:
     def _listed(self) -> list[RecordingInfo]:
         beside = {name: self._fields(name) for name in self._pairs}
         self._guessed = not self._options.speaker and any(not fields.get("performer") for fields in beside.values())
+        # Only recordings without a split of their own are spread, so that a written split is never changed.
         open_ = [name for name in self._pairs if not beside[name].get("split")]
         splits = dict(zip(open_, spread_by(self._options.split, open_), strict=True))
+        # Guessed from all names together: one name alone says nothing about which part is the speaker.
         speakers = speakers_by(self._options.speaker, list(self._pairs), self._source)
         infos = []
         for name, fields in beside.items():
@@ -122,6 +126,7 @@ class Folder:
             motion, unit = read_motion(bvh, self._options)
             fields = self._fields(name)
             speech, timing = self._with_words(name, replace(load_speech(sound), speaker=item.info.speaker), fields)
+            # The strokes of a scripted performance mark a file that the build wrote itself.
             truth = Truth.from_json(fields) if "strokes" in fields else None
         except InputError as error:
             raise DroppedError(str(error)) from None
@@ -139,6 +144,7 @@ class Folder:
                   for split, what in (("train", "nothing can be trained"), ("test", "nothing can be scored"))
                   if split not in there]
         speakers = {info.speaker for info in self._infos}
+        # Both extremes are usually a wrong guess: everyone the same speaker, or everyone another.
         if self._guessed and len(self._infos) > 1 and len(speakers) in (1, len(self._infos)):
             lines.append(f"every recording has {'the same' if len(speakers) == 1 else 'another'} speaker; "
                          "if that is wrong, --speaker '^([^_]+)' takes the part of the name before '_'")
@@ -172,6 +178,7 @@ def spread_by(option: str, names: Sequence[str]) -> Sequence[Split]:
     """The split of each name. option: shares such as "80/10/10" (the default), or a file of lines NAME,SPLIT.
     InputError for anything else, and for a name that is not in the file."""
     shares = (option or DEFAULT_SPLIT).split("/")
+    # Digits only: float() would accept nan, inf and 1e999.
     if len(shares) == 3 and all(re.fullmatch(r"\d{1,3}(\.\d{1,3})?", share) for share in shares):
         train, val, test = map(float, shares)
         if train + val + test > 0:
@@ -181,6 +188,7 @@ def spread_by(option: str, names: Sequence[str]) -> Sequence[Split]:
         raise InputError(f"--split {option}", "is neither three shares nor a file", f"give for example {DEFAULT_SPLIT}")
     splits: dict[str, Split] = {}
     for number, line in enumerate(read_text(file, "write NAME,train in each line").split("\n"), 1):
+        # From the right: a name may hold commas.
         name, _, word = (part.strip() for part in line.rpartition(","))
         split = next((split for split in SPLITS if split == word), None)
         if split is not None and name:
@@ -203,6 +211,7 @@ def speakers_by(option: str, names: Sequence[str], folder: Path) -> dict[str, st
         if len(set(guess.values())) < len(names) or len(names) == 1:
             return guess
         return dict.fromkeys(names, folder.resolve().name or "speaker")
+    # Without a group it cannot be a pattern that names speakers, so it is one speaker's name.
     if "(" not in option:
         return dict.fromkeys(names, option)
     out = {}

@@ -39,6 +39,7 @@ def deserialise(data: bytes | memoryview, *, arrays: bool = True, source: object
             raise broken
         stream = pyarrow.ipc.open_stream(reader)
         batch = stream.read_next_batch()
+        # Without it a damaged offset would make pyarrow read beyond its buffers.
         batch.validate(full=True)
         # To the end of the stream, behind which the arrays stand.
         for _ in stream:
@@ -59,6 +60,7 @@ def _array_count(header: NDArray[np.int32]) -> int | None:
     if len(header) != 4 or (header < 0).any():
         return None
     tensors, second, third, fourth = header.tolist()
+    # Other kinds (pickled objects, tensors of other libraries) are refused: reading them could run code.
     if tensors or fourth or (second and third):
         return None
     return second or third
@@ -67,6 +69,7 @@ def _array_count(header: NDArray[np.int32]) -> int | None:
 def _tensor(reader: Any) -> NDArray[Any]:
     import pyarrow
 
+    # Arrays begin at multiples of the alignment; the double negation rounds up.
     reader.seek(-(-reader.tell() // _ALIGNMENT) * _ALIGNMENT)
     array: NDArray[Any] = pyarrow.ipc.read_tensor(reader).to_numpy()
     return array
@@ -79,17 +82,20 @@ def _column(column: Any, arrays: list[NDArray[Any] | None]) -> list[Any]:
     if len(column) == 0:
         return []  # an empty union has no buffers, and pyarrow crashes when they are accessed
     if pyarrow.types.is_union(kind):
+        # A value of any type is a union; each entry says which child column holds it, and at what offset.
         place = {code: _column(column.field(index), arrays) for index, code in enumerate(kind.type_codes)}
         return [place[code][offset] for code, offset in
                 zip(column.type_codes.to_pylist(), column.offsets.to_pylist(), strict=True)]
     if pyarrow.types.is_list(kind):
         edges = column.offsets.to_pylist()
         spans = list(zip(edges[:-1], edges[1:], strict=True))
+        # A dict is a list of key and value pairs.
         if pyarrow.types.is_struct(kind.value_type):
             keys, values = (_column(column.values.field(index), arrays) for index in (0, 1))
             return [dict(zip(keys[a:b], values[a:b], strict=True)) for a, b in spans]
         values = _column(column.values, arrays)
         return [values[a:b] for a, b in spans]
+    # An integer of this width is a reference: the number of an array behind the stream.
     if pyarrow.types.is_int32(kind):
         return [arrays[number] for number in column.to_pylist()]
     plain: list[Any] = column.to_pylist()

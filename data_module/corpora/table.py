@@ -51,6 +51,7 @@ def reader_of(name: str) -> Any:
 def open_corpus(name: str, source: Path | None, options: Options) -> Reader:
     """The reader `name` on the folder `source`; `InputError` for an unknown reader or a missing folder."""
     reader = reader_of(name)
+    # Checked here for all readers, so that each begins with a folder that is there.
     if source is not None and not source.is_dir():
         raise InputError(source, "is not a folder" if source.exists() else "does not exist", "check --source")
     return cast("Reader", reader(source, options))

@@ -11,8 +11,9 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from data_module.corpora.base import DroppedError, Imported, Options
+from data_module.corpora.base import DroppedError, Imported, Item, Options
 from data_module.errors import InputError
 from data_module.motion import skeletons
 from data_module.motion.bvh import CENTIMETRES, FRAME_RATE_ADVICE, BvhWarning, read_bvh
@@ -53,11 +54,13 @@ def find_takes(source: Path, name: re.Pattern[str], *, texts: Sequence[str] = TE
         if kind not in kinds or not name.fullmatch(file.stem) or not file.is_file():
             continue
         files = files_of.setdefault(file.stem, {})
+        # Copies in two folders could differ, and which one is read would depend on the order of the listing.
         if kind in files:
             raise InputError(file, f"is there twice (also {files[kind]})", "remove one of them")
         files[kind] = file
     takes: dict[str, Take] = {}
     notes: list[str] = []
+    # A take without sound or motion is noted by the path where the file should be, and left out.
     for stem, files in sorted(files_of.items()):
         missing = [_expected(files, stem, kind, folders or {}) for kind in (".bvh", ".wav") if kind not in files]
         if missing:
@@ -99,6 +102,38 @@ def read_take(info: RecordingInfo, take: Take, options: Options, *, unit: float 
     return Imported(info, speech, motion, unit=unit_note, words=timing)
 
 
+class TakeReader:
+    """A reader of takes in BVH and WAV files; a data set derives from it and says which takes there are."""
+
+    licence: str
+    unit: float | None = None
+    """Metres per unit, as published; None: guessed."""
+    fps: float | None = None
+    """Frames per second, as published; None: those of the header."""
+
+    def __init__(self, options: Options, takes: Mapping[str, Take], infos: Sequence[RecordingInfo],
+                 notes: Sequence[str]) -> None:
+        self._options, self._takes, self._infos, self._notes = options, takes, infos, notes
+
+    def settings(self) -> Mapping[str, Any]:
+        """See `Reader.settings`."""
+        # The sizes of the files stand for their content: hashing hours of sound would take minutes.
+        return {"files": {info.name: [info.split, *self._takes[info.name].sizes()] for info in self._infos},
+                "motion_fps": self._options.fps, "unit": self._options.unit}
+
+    def items(self) -> Sequence[Item]:
+        """See `Reader.items`."""
+        return [Item(info, index, size=sum(self._takes[info.name].sizes())) for index, info in enumerate(self._infos)]
+
+    def read(self, item: Item) -> Imported:
+        """See `Reader.read`."""
+        return read_take(item.info, self._takes[item.info.name], self._options, unit=self.unit, fps=self.fps)
+
+    def notes(self) -> Sequence[str]:
+        """See `Reader.notes`."""
+        return self._notes
+
+
 def read_motion(path: Path, options: Options, published: float | None = None) -> tuple[Motion, str]:
     """A BVH file in metres, and a note on its unit: that of --unit, else the published one, else a guess by the length
     from hips to head."""
@@ -107,6 +142,7 @@ def read_motion(path: Path, options: Options, published: float | None = None) ->
         try:
             raw = read_bvh(path, fps=options.fps, unit=1.0)
         except InputError as error:
+            # The advice of the BVH reader names its argument; here that is an option.
             if error.advice == FRAME_RATE_ADVICE:
                 raise InputError(error.subject, error.wrong, "give the frame rate with --fps") from None
             raise
@@ -114,6 +150,7 @@ def read_motion(path: Path, options: Options, published: float | None = None) ->
         guess = skeletons.guess_unit(raw.skeleton, skeletons.find_table(raw.skeleton.names))
     except InputError:
         guess = None
+    # The user knows best, then the publisher; a guess by the body is right only for people of usual size.
     if options.unit is not None:
         unit, how = options.unit, "given by --unit"
     elif published is not None:

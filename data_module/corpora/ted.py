@@ -39,6 +39,7 @@ class Ted:
 
     def __init__(self, source: Path | None, options: Options) -> None:
         source = needed(source, "name the folder that holds lmdb_train, lmdb_val and lmdb_test")
+        # Checked before the folder is listed, so that the first error is the one that must be repaired first.
         if importlib.util.find_spec("lmdb") is None or not serialised.available():
             raise InputError("the TED databases", "need lmdb and pyarrow, which are not installed",
                              "pip install 'gesticulator[ted]'")
@@ -56,6 +57,7 @@ class Ted:
     def items(self) -> Sequence[Item]:
         items: list[Item] = []
         known: Counter[str] = Counter()
+        # Arrays are left out: listing all clips would otherwise read every pose and sample of the databases.
         for split, place in self._places.items():
             for key, value in _videos(place):
                 video = serialised.deserialise(value, arrays=False, source=f"{place}, key {key}")
@@ -64,6 +66,7 @@ class Ted:
                 speaker = str(video["vid"])
                 for number in range(len(video["clips"])):
                     name = f"ted_{speaker}_{number:03d}"
+                    # A video may have clips in several splits, and names are unique in a store.
                     known[name] += 1
                     name += f"_{known[name]}" if known[name] > 1 else ""
                     items.append(Item(RecordingInfo(name, split, speaker, speaker, "en", group=name), len(items),
@@ -81,6 +84,7 @@ class Ted:
             if lacking:
                 raise InputError(where, f"has no {', '.join(lacking)}", "take the published databases")
             begin, end = float(clip["start_time"]), float(clip["end_time"])
+            # Each clip has its own pose and sound; words have the times of the whole talk.
             motion = _motion(clip["skeletons_3d"], end - begin)
             speech = Speech(_sound(clip["audio_raw"]), SAMPLE_RATE, _words(clip["words"], begin), item.info.speaker)
         except InputError as error:
@@ -96,10 +100,12 @@ class Ted:
 def _motion(skeletons_3d: Any, seconds: float) -> Motion:
     """The clip on the 16-joint character, at the frame rate that fits its duration."""
     points: Array = np.asarray(skeletons_3d, dtype=np.float64)
+    # Some versions store each frame as one row of 30 numbers.
     if points.ndim == 2 and points.shape[1] == 30:
         points = points.reshape(-1, 10, 3)
     if points.shape[1:] != (10, 3) or len(points) < 2 or not np.isfinite(points).all():
         raise ValueError(f"skeletons_3d has shape {points.shape} or joints that are not numbers")
+    # The data name no frame rate, and videos have different ones: frames over seconds is the true one.
     fps = len(points) / seconds if seconds > 0 else 0.0
     if not _FPS_RANGE[0] <= fps <= _FPS_RANGE[1]:
         raise ValueError(f"{len(points)} frames in {seconds:.2f} s are not a plausible frame rate")
@@ -110,6 +116,7 @@ def _sound(audio: Any) -> Any:
     samples = np.asarray(audio)
     if samples.ndim != 1 or len(samples) == 0 or samples.dtype.kind not in "fi":
         raise ValueError(f"audio_raw is {samples.dtype} of shape {samples.shape}")
+    # Versions differ in the type of the samples: half precision from -1 to 1, or integers of full scale.
     scale = 1.0 if samples.dtype.kind == "f" else float(np.iinfo(samples.dtype).max)
     return np.clip(samples.astype(np.float32) / np.float32(scale), -1.0, 1.0)
 
@@ -125,6 +132,7 @@ def _database(place: Path) -> Iterator[Any]:
     import lmdb
 
     try:
+        # No lock: several workers read the database at once, and a published one may lie on a read-only disk.
         with (lmdb.open(str(place), readonly=True, lock=False, readahead=False, create=False) as environment,
               environment.begin() as transaction):
             yield transaction

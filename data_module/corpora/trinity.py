@@ -13,19 +13,16 @@ the ten test sequences for test.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from data_module.corpora.base import DroppedError, Imported, Item, Options, needed
-from data_module.corpora.takes import find_takes, read_take
+from data_module.corpora.takes import TakeReader, find_takes, read_take
 from data_module.errors import InputError
 from data_module.files import read_json
 from data_module.motion.bvh import CENTIMETRES
 from data_module.store import RecordingInfo, Split
 from data_module.types import Word
 
-FPS = 60.0
 SPLIT: dict[str, Split] = {
     **{f"Recording_{number:03d}": "val" if number == 8 else "train" for number in range(1, 24)},
     **{f"TestSeq{number:03d}": "test" for number in range(1, 11)},
@@ -37,44 +34,32 @@ _FOLDERS = {".bvh": "Motion", ".wav": "Audio", ".json": "Transcripts"}
 _TIME = re.compile(r"\d+(\.\d+)?s")
 
 
-class Trinity:
+class Trinity(TakeReader):
     """A reader of the GENEA 2020 release of Trinity Speech-Gesture."""
 
     licence = "that of Trinity Speech-Gesture (research, on a signed agreement); weights trained on it likewise"
+    unit, fps = CENTIMETRES, 60.0
 
     def __init__(self, source: Path | None, options: Options) -> None:
         source = needed(source, "name the folder GENEA_Challenge_2020_data_release")
-        self._options = options
-        takes, self._notes = find_takes(source, _NAME, texts=(".json",), folders=_FOLDERS)
-        self._notes += [f"left out {takes[name].motion}: it is not a recording of the published split"
-                        for name in takes if name not in SPLIT]
-        self._takes = {name: takes[name] for name in SPLIT if name in takes}
-        if not self._takes:
+        takes, notes = find_takes(source, _NAME, texts=(".json",), folders=_FOLDERS)
+        notes += [f"left out {takes[name].motion}: it is not a recording of the published split"
+                  for name in takes if name not in SPLIT]
+        infos = [RecordingInfo(name, split, "trinity", "trinity", "en", group=name) for name, split in SPLIT.items()
+                 if name in takes]
+        if not infos:
             raise InputError(source, "holds no Recording_NNN.bvh or TestSeqNNN.bvh with a .wav of the same name",
                              "name the folder GENEA_Challenge_2020_data_release")
-        noted = " ".join(self._notes)
-        absent = [name for name in SPLIT if name not in takes and name not in noted]
-        if absent:
-            self._notes.append(f"not there: {', '.join(absent)}")
-
-    def settings(self) -> Mapping[str, Any]:
-        return {"files": {name: take.sizes() for name, take in self._takes.items()},
-                "motion_fps": self._options.fps, "unit": self._options.unit}
-
-    def items(self) -> Sequence[Item]:
-        return [Item(RecordingInfo(name, SPLIT[name], "trinity", "trinity", "en", group=name), index,
-                     size=sum(take.sizes())) for index, (name, take) in enumerate(self._takes.items())]
+        super().__init__(options, takes, infos, notes)
 
     def read(self, item: Item) -> Imported:
+        """With the words of Google's recogniser, whose JSON no other reader takes."""
         take = self._takes[item.info.name]
         try:
             words = read_words(take.text) if take.text is not None else None
         except InputError as error:
             raise DroppedError(str(error)) from None
-        return read_take(item.info, take, self._options, unit=CENTIMETRES, fps=FPS, words=words)
-
-    def notes(self) -> Sequence[str]:
-        return self._notes
+        return read_take(item.info, take, self._options, unit=self.unit, fps=self.fps, words=words)
 
 
 def read_words(path: Path) -> tuple[Word, ...]:
@@ -87,12 +72,14 @@ def read_words(path: Path) -> tuple[Word, ...]:
     words: list[Word] = []
     for place, entry in enumerate(content):
         try:
+            # Only the first alternative: the others are less likely readings of the same sound.
             spoken = entry["alternatives"][0].get("words", []) if "alternatives" in entry else [entry]
             words += [Word(str(word["word"]), _seconds(word["start_time"]), _seconds(word["end_time"]))
                       for word in spoken]
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
             raise InputError(path, f"entry {place}: {error} (words have word, start_time and end_time)",
                              "fetch it again") from None
+    # Segments of two channels may overlap, and words must be in order of time.
     words.sort(key=lambda word: word.start)
     return tuple(words)
 

@@ -47,6 +47,7 @@ class Ablation:
         for name, seed in bar:
             bar.set_postfix_str(f"{name}, seed {seed}")
             self.cell(name, seed)
+        # Each paper's rows stand on their own hash, so a run of one alone must not open what the other needs.
         rg_names = [name for name in names if not is_racer(name)]
         shared = {True: self.racer.shared} if len(rg_names) < len(names) else {}
         if rg_names or not names:
@@ -56,6 +57,7 @@ class Ablation:
                     self.reference(name, split)
         for name, folder in systems.items():
             self.system(name, folder)
+        # Cells of settings that have changed since stay in the folder and out of the tables.
         cells = {row: {seed: cell for seed, cell in by_seed.items() if self._current(row, cell)}
                  for row, by_seed in self.cells.read(shared).items()}
         cells = {row: by_seed for row, by_seed in cells.items() if by_seed}

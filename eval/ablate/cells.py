@@ -66,6 +66,7 @@ class CellStore:
         for file in sorted((self.out / FOLDER).glob("*.json")):
             cell = _read(file)
             group = is_racer(cell["row"])
+            # RACER's rows stand on a bundle of their own and are never compared with the others.
             if shared is None or cell["shared"] == shared.get(group, cell["shared"]):
                 stands.setdefault(group, set()).add(cell["shared"])
                 cells.setdefault(cell["row"], {})[int(cell["seed"])] = cell
@@ -114,6 +115,7 @@ def pairs(first: Mapping[int, Cell], second: Mapping[int, Cell], key: str) -> tu
         return [], np.zeros((0, 0))
     sides = [[{clip["name"]: clip.get(key, np.nan) for clip in cells.get(seed, cells.get(0, {"clips": []}))["clips"]}
               for seed in shared] for cells in (first, second)]
+    # Pairs only: a clip that some seed of either row lacks is left out of all.
     names = [name for name in sides[0][0] if all(name in values for side in sides for values in side)]
     one, other = (np.array([[values[name] for name in names] for values in side], dtype=np.float64) for side in sides)
     return shared, np.asarray(one - other)
@@ -141,7 +143,7 @@ def summaries(cells: Cells) -> dict[str, dict[str, Any]]:
     rows: dict[str, dict[str, Any]] = {}
     for name, by_seed in cells.items():
         every = list(by_seed.values())
-        first = every[0]
+        first = every[0]  # settings and question are those of the row, the same at every seed
         curves = [cell["sets"]["pmb_curve"]["percent"] for cell in every if "pmb_curve" in cell["sets"]]
         rows[name] = {
             "settings": first["settings"], "question": first["question"], "kind": first.get("kind", "row"),

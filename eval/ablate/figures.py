@@ -30,7 +30,7 @@ from eval.clip.excerpts import evenly
 from eval.metrics import audio_clusters, pmb
 from eval.metrics.encode import EncodedMotion, latents_of
 from eval.metrics.evaluate import WIDE
-from eval.pictures.edited import figure_10
+from eval.pictures import plots
 from eval.pictures.embedding import NEIGHBOURS, embed, embedding_panels, joint_embedding, neighbours_agree
 from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curves, overview, size_sweep
 from eval.pictures.strips import STRIP, Source, draw_page, frame_times, save_strip
@@ -117,6 +117,7 @@ def strip(name: str) -> Draw:
     """RG Fig. 9, of a row or of the performer."""
     def drawn(rg: RgRows, rows: Summaries) -> Drawn:
         recording, motion = shown_recording(rg), rg.motions(name)[0]
+        # Nine figures over four seconds: close enough to see a stroke, few enough to tell them apart.
         times = frame_times(motion, start_of(recording), STRETCH / 2, 9)
         return draw_page([Source("", motion)], times, recording.speech, find_beats(recording.speech),
                          layout=replace(STRIP, views=("front",))), (
@@ -130,7 +131,7 @@ def edited(rg: RgRows, rows: Summaries) -> Drawn:
     bundle, _ = rg.trained("style-editing", SHOWN_SEED)
     assert bundle.levels is not None
     clips = style_editing.excerpts(rg.context.store)
-    return figure_10(style_editing.figures(Gesticulator(bundle), clips, bundle.levels)), (
+    return plots.style_editing(style_editing.figures(Gesticulator(bundle), clips, bundle.levels)), (
         "Motion for the same speech when low, middle and high values of each feature are asked for.")
 
 
@@ -152,6 +153,7 @@ def clusters(rg: RgRows, rows: Summaries) -> Drawn:
     spoken = [~np.asarray(corpus.silent)[numbers].astype(bool) for numbers in blocks]
     every = np.concatenate([numbers[voiced] for numbers, voiced in zip(blocks, spoken, strict=True)])
     place = np.repeat(np.arange(len(blocks)), [int(voiced.sum()) for voiced in spoken])
+    # Features hold the block before and the one after it too; the block itself is the middle third.
     levels = {f"{kind} level": audio_clusters.cluster(
         features[every][:, frames:2 * frames].float().mean(dim=1).numpy())
         for kind, features in (("low", corpus.low), ("high", corpus.high))}

@@ -37,6 +37,7 @@ EPISODE = 15
 
 def episode_return(rewards: Array, steps: int = EPISODE) -> float:
     """The sum of r over `steps` decisions, the mean over all such windows of rewards [n]; NaN for fewer than that."""
+    # A take that is shorter than an episode has no return of one; a sum over fewer steps would only look small.
     if len(rewards) < steps:
         return float("nan")
     return float(np.lib.stride_tricks.sliding_window_view(rewards, steps).sum(axis=1).mean())
@@ -67,6 +68,7 @@ class Decisions:
     @classmethod
     def of(cls, bundle: bundles.Bundle, corpus: Corpus, labels: Lexemes, limit: int | None = None) -> Decisions:
         """The first `limit` test recordings that hold a decision, with lexemes from labels [N]."""
+        # The first lexeme is given, so a take of one block decides nothing.
         takes = [take for take in takes_of(corpus, labels, "test") if len(take.blocks) > 1]
         return cls(corpus, takes[:limit], bundle.silent, bundle.config.silence.mask, len(bundle.vectors))
 

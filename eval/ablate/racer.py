@@ -36,7 +36,7 @@ from eval.ablate.actor_critic import ActorCritic, ActorCriticConfig
 from eval.ablate.policy import Decisions, PolicyJudge, walk
 from eval.ablate.rows import RACER_PRESETS, RACER_SUPERVISED, ROWS
 from eval.ablate.run import RgRows
-from eval.ablate.simulator import Choose, Replay, Simulator, collect
+from eval.ablate.simulator import Choose, Replay, Simulator
 from eval.baselines.interpreters import ReplayInterpreter
 from eval.context import EvalContext, Lexemes, with_judges
 from gesticulator.bundle import bundle as bundles
@@ -111,9 +111,11 @@ class RacerRows:
         decisions = Decisions.of(bundle, corpus, labels, context.limit)
         if not decisions.takes:
             raise InputError(store.path, "has no test recording with a decision in it", "build the store again")
+        # The data are relabelled as the hint wants it: in silence the nearest silent lexeme is what was done.
         silent = SilentLexemes(bundle.silent, nearest_silent(bundle.vectors.double().numpy(), bundle.silent))
         takes = [replace(take, lexemes=silent.relabel(take)) for take in takes_of(corpus, labels, "train")]
         models = (lexicon, bundle.interpreter, bundle.reward, bundle.reward_judge, bundle.encoder)
+        # All that shapes episodes and rewards, so that a finished network of other models is never taken for this one.
         hashes = [weights_hash(model) for model in models if model is not None]
         shapes = configs.digest(VERSION, store.fingerprint, hashes, bundle.silent.tolist(), config.silence.mask)
         tables = {"": reward_table(bundle.reward, lexicon, corpus),
@@ -167,6 +169,7 @@ class RacerRows:
         chosen = [walk(policy, self.judge.decisions, take) for take in takes]
         clips = [{"name": self.corpus.names[take.recording], "decisions": len(take.blocks) - 1,
                   **self.judge.lexeme_values(take, lexemes)} for take, lexemes in zip(takes, chosen, strict=True)]
+        # Without a lexicon: lexemes that were chosen are known, and need not be read from the motion.
         scored = self.rg.scored([recording.info.name for recording in self.recordings], lexicon=False)
         motions = [self._played(*pair) for pair in zip(self.recordings, chosen, strict=False)]
         for clip, motion in zip(clips, self.rg.summary(scored, motions)["clips"], strict=False):
@@ -187,6 +190,7 @@ class RacerRows:
 
     def untrained(self, name: str, seed: int) -> QNetwork:
         """The network that a row begins with, the same for all rows of a seed."""
+        # Rows of a seed differ by what they learn, not by where they begin.
         torch.manual_seed(seed)
         return new_q_network(self.config(name), self.corpus, self.bundle.vectors, self.bundle.silent)
 
@@ -287,9 +291,9 @@ class Acting(ConservativeQ):
             rng = np.random.default_rng([self._seed, step, 1])  # not the numbers that the step's batch is drawn with
             epsilon = epsilon_at(step, self._config.schedules.cql.steps)
             with without_dropout(self.online):
-                self._memory.add(collect(self._simulator, epsilon_greedy(
-                    self.online, self._racer.corpus, epsilon, rng), rng, self._config.schedules.cql.batch,
-                    self._config.cql.decisions))
+                self._memory.add(self._simulator.collect(
+                    epsilon_greedy(self.online, self._racer.corpus, epsilon, rng), rng,
+                    self._config.schedules.cql.batch, self._config.cql.decisions))
 
     def batch(self, rng: np.random.Generator, size: int) -> fitting.Batch:
         """Windows of what it remembers."""
@@ -309,8 +313,8 @@ def actor_critic(racer: RacerRows, config: Config, network: QNetwork, seed: int)
     assert isinstance(supervised, QNetwork)
     model.begin_as(supervised)
     simulator = Simulator(racer.takes, racer.taught(config).rewards, racer.tables[""].window)
-    return model, lambda rng, size: q_batch(racer.corpus, collect(
-        simulator, sampled(model, racer.corpus, rng), rng, size, config.cql.decisions))
+    return model, lambda rng, size: q_batch(racer.corpus, simulator.collect(
+        sampled(model, racer.corpus, rng), rng, size, config.cql.decisions))
 
 
 TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
@@ -326,6 +330,7 @@ def trained(racer: RacerRows, name: str, seed: int) -> tuple[QNetwork | ActorCri
     network = racer.untrained(name, seed)
     if stages.finished(folder):
         policy: QNetwork | ActorCritic = network
+        # A stored actor-critic has a critic beside its network, so it is made before its weights are read.
         if row.train == "actor-critic":
             policy = ActorCritic(network, ActorCriticConfig(gamma=config.cql.gamma))
         policy.load_state_dict(load_file(folder / stages.WEIGHTS))

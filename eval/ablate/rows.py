@@ -93,6 +93,7 @@ class PaperTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def claims(self) -> Iterator[Claim]:
         """Every column of a sentence with every row that it compares."""
+        # "fgd: ours < no-style no-lexemes" is a claim by one column about each of two rows.
         for sentence in self.sentences:
             metrics, _, comparison = sentence.partition(": ")
             first, sign, *others = comparison.split()
@@ -153,6 +154,7 @@ def ablation() -> Config:
 def tiny() -> Config:
     """The `tiny` preset at half its steps, without what no row of the papers has: gate, style editing, Q-network."""
     base = presets.tiny()
+    # A test of the whole path, not of quality: every stage is trained, none for long.
     halved = {name: dataclasses.replace(schedule, steps=schedule.steps // 2)
               for name in ("speech", "contrast", "lexicon", "generator", "interpreter", "style")
               for schedule in [getattr(base.schedules, name)]}

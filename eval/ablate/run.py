@@ -157,6 +157,7 @@ class RgRows:
     def trained(self, name: str, seed: int) -> tuple[Bundle, RowRun]:
         """The bundle of a row, and its run; what is not in the work folder is trained."""
         before, run = self.runs(name, seed)
+        # The lexicon is trained by the other run, at the preset's seed, so its seconds are noted there.
         bundle = assemble(run)
         run.seconds["lexicon"] = before.seconds.get("lexicon", 0.0)
         return bundle, run
@@ -165,6 +166,7 @@ class RgRows:
         """Hash of everything that shapes a row's cell."""
         row, (_, run) = ROWS[name], self.runs(name, seed)
         config = run.config
+        # Beside the stages everything that is applied when they play: it changes the motion and no weights.
         return configs.digest(self.shared, run.key(LEXICON), [run.key(stage) for stage in wanted(config)], row.play,
                               row.style, config.selection, config.silence, config.motion,
                               self.names(row.split))
@@ -174,6 +176,7 @@ class RgRows:
     def names(self, split: str) -> list[str]:
         """Recordings of a split that are long enough for shares and speeds (all, where none is), `limit` at most."""
         every = [info for info in self.first.store.recordings if info.split == split]
+        # A store of short clips has none that is long enough; all of them are better than no table.
         long_enough = [info.name for info in every if info.seconds >= SHORTEST] or [info.name for info in every]
         if not long_enough:
             raise InputError(self.first.store.path, f"has no recording in its {split} split", "build the store again")
@@ -208,6 +211,7 @@ class RgRows:
     def summary(self, scored: ScoredClips, motions: Sequence[Motion]) -> dict[str, Any]:
         """"clips" and "sets" of a cell: the values of each clip, those of the whole set by the jackknife."""
         truth = scored.clips.motions[TRUTH]
+        # Other systems come with other rigs, rates and lengths; the performer's decide.
         fitting = [resample(to_character(motion), reference.fps).crop(0, len(reference))
                    for motion, reference in zip(motions, truth, strict=True)]
         row = scored.row("", "system", fitting)
@@ -216,7 +220,8 @@ class RgRows:
             if column.metric in row.sets:
                 values[key] = stats.jackknife(row.sets[column.metric], len(truth))
         values["fgd"] = self._distances(row, truth)
-        percent = [pmb.delta_curve(beats.modes["A"], track.onsets).percent
+        # The curve of RG Fig. 11 is a mean over clips whose speech is known.
+        percent = [pmb.delta_curve(beats.modes["A"], track.onsets)
                    for beats, track in zip(row.beats, scored.tracks, strict=True) if track is not None]
         return {"clips": [{"name": name, **{key: float(value[k]) for key, value in values.items()}}
                           for k, name in enumerate(scored.clips.names)],
@@ -311,6 +316,7 @@ class RgRows:
         take = real_take(FPS)
         if take is None:
             return None
+        # Its own motion is its truth, so whatever compares with the performer would be zero and is taken out.
         clips = ClipSet(["take"], ["take"], [take[1]], {TRUTH: [take[0]]}, take[0].fps)
         summary = self.summary(self._read(clips), [take[0]])
         summary["clips"][0] |= dict.fromkeys(("maje", "mad", "fgd"), float("nan"))

@@ -98,9 +98,11 @@ def paper_table(title: str, rows: Rows) -> Table:
     suffix = "" if table.split == "test" else f"-{table.split}"
     lines = _lines(table, rows, suffix)
     papers = {key for line in lines for key in line.paper}
+    # A table without references has no controls by which a column could be refuted.
     fooled = {key: beaten(rows, key, suffix) if table.references else {} for key in table.columns}
     columns: dict[str, Column] = {}
     for key in table.columns:
+        # The mark stands in the heading, since it is about the measure and not about a row.
         columns[key] = replace(_plain(key), title=COLUMNS[key].title + (" (!)" if fooled[key] else ""))
         if COLUMNS[key].paper in papers:
             columns[f"{key}, paper"] = Column(f"the paper's, {' / '.join(table.places)}")
@@ -216,6 +218,7 @@ def redraw(out: Path) -> None:
     cells = CellStore(out).read()
     if not cells:
         raise InputError(out, "holds no cells", "run the rows first")
+    # Cells carry figures alone; preset, store and provenance are those of the run that made them.
     tables, about = load_with_provenance(out / "table.json")
     facts = next(table.facts for table in tables if "store" in table.facts)
     write(cells, {**facts, "rows": summaries(cells)}, out, about, Provenance.now(COMMAND))

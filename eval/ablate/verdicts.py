@@ -203,6 +203,7 @@ def reading(claim: Claim, cells: Cells, column: str) -> Decision:
     if lacking:
         return Decision(UNDECIDED, f"not run: {', '.join(lacking)}")
     _, apart = pairs(cells[claim.first], cells[claim.second], column)
+    # A seed whose figure is undefined on every clip is no seed of this column.
     apart = apart[np.isfinite(apart).any(axis=1)] if apart.size else apart
     if not apart.size:
         return Decision(UNDECIDED, f"{COLUMNS[column].heading} was not measured of both")
@@ -214,6 +215,7 @@ def readings(claim: Claim, cells: Cells) -> tuple[Decision, Decision, str]:
     """The verdicts as published and valid, and the controls that beat the column of the latter."""
     table, published = TABLES[claim.where], COLUMNS[claim.metric].valid or claim.metric
     ours = OURS if table.split == "test" else claim.first
+    # On another split than the test split `ours` has no cell, and the claim's own row stands in for it.
     fooled = beaten_by(published, cells, table.split, ours)
     plain = reading(claim, cells, claim.metric)
     valid = plain if published == claim.metric else reading(claim, cells, published)

@@ -187,6 +187,7 @@ class Row:
         measured, other = figures[self.figure, on], figures.get((self.figure, self.over or self.limit))
         value, remark = measured.value, measured.remark
         lacking = measured.missing or self._lacking(on, figures)
+        # A ratio without its denominator is not measured; a limit without its set leaves a figure that is only shown.
         if self.over and other is None:
             lacking = lacking or LACKING["corpus"]
         if lacking:
@@ -225,6 +226,7 @@ def table() -> dict[str, tuple[Row, ...]]:
 
 def _row(entry: dict[str, Any], titles: Mapping[str, str]) -> Row:
     figure, on, high = entry.pop("figure"), entry.pop("on"), entry.pop("high", math.inf)
+    # An upper limit that is another set's figure is known only once both are measured.
     if isinstance(high, dict):
         entry |= {"limit": high.pop("of"), **high}
         high = math.inf

@@ -21,7 +21,6 @@ judged; what fools a figure stands in its metric's chapter.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,12 +28,10 @@ from pathlib import Path
 import torch
 
 from data_module.errors import InputError
-from data_module.files import write_text
-from data_module.motion.bvh import write_bvh
 from data_module.store import Store
 from eval.acceptance import lexicon, response, rest, voices
 from eval.acceptance.bounds import Results, Verdict, count, judge, summary, table, verdict_table
-from eval.acceptance.voices import OURS, REAL, WITHOUT_SOUND, renderings_on
+from eval.acceptance.voices import OURS, REAL, WITHOUT_SOUND
 from eval.baselines.unit_selection import NAME as UNITS
 from eval.clip.foreign import named
 from eval.clip.measure import real_take
@@ -104,8 +101,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help=f"run only these: {', '.join(GROUPS)}")
     add("--limit", type=int, metavar="N", help="maximum number of test recordings")
     add("--work", type=Path, metavar="DIR", help="work folder for renderings and units (default: STORE.work)")
-    add("--write", type=Path, metavar="DIR",
-        help="also write the bundle's motion as DIR/VOICE.SEED.bvh, for use as a --system later")
     add("--out", metavar="FILE.json", help="output file for the tables; a .md is written beside it")
 
 
@@ -126,8 +121,6 @@ def tables(arguments: argparse.Namespace) -> list[Table]:
             results, beside = GROUPS[name](acceptance)
             verdicts[name] = judge(table()[name], results)
             shown += [verdict_table(TITLES[name], verdicts[name]), *beside]
-    if arguments.write is not None:
-        _write(acceptance, arguments.write)
     return [_whole(acceptance, verdicts), *shown]
 
 
@@ -140,6 +133,7 @@ def _opened(arguments: argparse.Namespace) -> Acceptance:
     for name in (OURS, WITHOUT_SOUND, UNITS, CORPUS, REAL):
         if name in places:
             raise InputError(f"--system {name}", "is the name of another column", "choose another")
+    # Without a store nothing is kept between runs: the take's voice alone is rendered in minutes.
     store = Store.open(arguments.data) if arguments.data else None
     work = arguments.work or (None if store is None else Path(f"{store.path}.work") / "acceptance")
     cache = KeptRenderings(None if work is None else work / "renderings")
@@ -148,6 +142,7 @@ def _opened(arguments: argparse.Namespace) -> Acceptance:
     system.gesticulator.resolver.speaker(arguments.speaker)
     chosen = _voices(arguments, store, system)
     others = [system_at(name, Path(place), cache) for name, place in places.items()]
+    # First among the others: what it reaches without hearing anything is what the rest must beat.
     if WITHOUT_SOUND in system.gesticulator.interpreters:
         others.insert(0, system.asking(WITHOUT_SOUND, interpreter=WITHOUT_SOUND))
     if store is not None:
@@ -165,6 +160,7 @@ def _voices(arguments: argparse.Namespace, store: Store | None, system: BundleSy
         chosen += held_out_voices(store, arguments.limit, system.bundle.config.motion.joints)
     if not chosen:
         raise InputError("acceptance", "has no voice to gesture for", "give --data, or set GESTICULATOR_DATA")
+    # One speaker gestures for all voices, so that figures differ by the sound and not by the performer's habits.
     return [replace(voice, performer=arguments.speaker) for voice in chosen]
 
 
@@ -189,15 +185,3 @@ def _whole(acceptance: Acceptance, verdicts: dict[str, list[Verdict]]) -> Table:
                         for voice in acceptance.voices]}
     return Table("Acceptance of the motion", {"hold": Column("clauses that hold"), "of": Column("of")}, rows, "group",
                  notes, facts)
-
-
-def _write(acceptance: Acceptance, folder: Path) -> None:
-    """The bundle's motion as files that `--system NAME=folder` reads: every voice as in the group `motion`."""
-    folder.mkdir(parents=True, exist_ok=True)
-    rendered = renderings_on(acceptance.ours, acceptance.voices, acceptance.renderings)
-    for number, (voice, (rendering, _)) in enumerate(rendered):
-        stem = folder / f"{voice.name}.{number}"
-        write_bvh(stem.with_name(stem.name + ".bvh"), rendering.motion)
-        # By its plan a motion is judged at the edges of its own blocks when it is read back.
-        edges = [] if rendering.edges is None else rendering.edges.tolist()
-        write_text(stem.with_name(stem.name + ".json"), json.dumps({"edges": edges}))

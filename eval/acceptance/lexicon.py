@@ -147,6 +147,7 @@ def absent_figure(decoded: Sequence[Tensor], present: Tensor) -> Measured:
 def encode(bundle: Bundle, rendering: Rendering, speaker: int) -> NDArray[np.int64]:
     """[N] ranks of the requested lexemes: how many are nearer to each sampled block than the one that was requested."""
     lexicon = bundle.block_lexicon
+    # The blocks as the generator sampled them: rest and life are laid over later and are no answer to a lexeme.
     blocks, requested = torch.as_tensor(rendering.drawn), torch.as_tensor(rendering.lexemes)
     if isinstance(lexicon, Lexicon):
         return ranks_of(lexicon.quantizer.distances(lexicon.latents(blocks)), requested)
@@ -167,6 +168,7 @@ def obedience_figures(ranks: Sequence[NDArray[np.int64]], lexemes: Sequence[NDAr
     """Shares of all blocks, with intervals over recordings; ranks, lexemes: [N] of each."""
     sizes = [len(rank) for rank in ranks]
     every = np.concatenate(lexemes)
+    # A generator that plays one lexeme all the time obeys as often as that lexeme is requested.
     common = float(np.bincount(every).max() / len(every))
 
     def share(least: int) -> Interval:
@@ -203,9 +205,11 @@ def held_out(bundle: Bundle, store: Store) -> list[HeldOut]:
     for info in store.of_split("test"):
         recording = store.load(info.name, bundle.config.motion.joints)
         blocks = block_module.cut(recording.speech, bundle.config.rhythm)
+        # A single block has no block before it whose end it could hold.
         if len(blocks) < 2:
             continue
         poses = block_module.normalise_motion(recording.motion, blocks, representation)
+        # Every performer is centred on a pose of its own, as in training.
         known = info.speaker in statistics.speakers
         mean = statistics.mean_pose[statistics.speakers.index(info.speaker)] if known else poses.mean(axis=(0, 1))
         first = block_module.first_pose(recording.motion, representation)

@@ -105,6 +105,7 @@ def effort(system: BundleSystem, speaker: str | None, renderings: int) -> Result
         rows = [eye.figures(system.render(voice(name, speech), seed).motion, hear(speech)) for seed in seeds]
         return [float(np.mean([row[figure] for row in rows])) for figure in (SIZE, SPEED)]
 
+    # The same seed for both readings: only the sound differs.
     values = np.array([[size_and_speed(name, said_with(speech, manner)) for name, speech in sounds]
                        for manner in (LIVELY, SUBDUED)]).transpose(2, 0, 1)
     apart = []
@@ -173,6 +174,7 @@ def _words(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Results:
     spoken = [voice for voice in voices if any(word.text.strip() for word in voice.speech.words or ())]
     if len(spoken) < 2:
         return {("other_lexemes", "other words"): Measured(missing="fewer than two voices have words")}
+    # Each voice is given the words of the next one, so every text is right once and wrong once.
     spoken = spread_out(spoken, CLIPS)
     changed, fainter = [], []
     for voice, other in zip(spoken, [*spoken[1:], spoken[0]], strict=True):
@@ -193,6 +195,7 @@ def _interpreter(system: BundleSystem, voice: AcceptanceVoice, name: str) -> Mea
         performance = system.perform(voice, 0, interpreter=name)
     except InputError as error:
         return Measured(Interval.exact(0.0, 1), str(error))
+    # Half a take without an error is worse than an error, so the length counts.
     whole = abs(performance.motion.duration - performance.duration) <= 1.0 / performance.fps
     return Measured(Interval.exact(float(whole), 1),
                     f"{len(np.unique(performance.lexemes))} lexemes in {len(performance.lexemes)} blocks")
@@ -220,6 +223,7 @@ def same_take(system: BundleSystem, voices: Sequence[AcceptanceVoice], rendering
         for name, change in EXPORTS.items():
             again = system.render(replace(voice, name=f"{voice.name}, {name}", speech=change(voice.speech)), seed)
             values[name].append(moved(first, again))
+        # How far apart two takes of one sound are: without it "2 cm apart" says nothing.
         values["another seed"].append(moved(first, system.render(voice, seed + len(seeds))))
     rows = {name: {key: stats.mean_interval([row[key] for row in variants]) for key in COLUMNS}
             for name, variants in values.items()}
@@ -254,6 +258,7 @@ def moved_by_word(first: Rendering, again: Rendering, time: float) -> tuple[floa
     before = stability.difference(body.crop(0, frames), other.crop(0, frames)).hands if begin > 1.0 else math.nan
     if at + 2 >= len(units):
         return before, math.nan
+    # The unit of the word itself and the one after it may differ; from then on the take must be the old one.
     late = int(np.searchsorted(first.edges[:-1], units[at + 2][0]))
     rest = first.edges[late:], first.lexemes[late:]
     return before, stability.other_lexemes(rest, (again.edges, again.lexemes))

@@ -128,6 +128,7 @@ def seconds_of(motion: Motion) -> Array:
 
 def twitches(body: CommonBody) -> float:
     """Runs over 0.3 m/s of less than 0.15 s, a minute, of both hands' smoothed speeds."""
+    # Smoothed as everywhere else, so that noise of a single frame is no movement.
     fast = trunk.smoothed_speed(body.hands) > hands.MOVES
     turns = np.diff(np.pad(fast, ((1, 1), (0, 0))).astype(np.int8), axis=0).T
     short = sum(int((np.flatnonzero(hand < 0) - np.flatnonzero(hand > 0) < TWITCH * HZ).sum()) for hand in turns)
@@ -189,6 +190,7 @@ def waking_figures(wakes: Array, usual: Array | None) -> Results:
 
 def quiet_figures(rested: Sequence[Rested], on: str) -> Results:
     """Speed of the hands and time in which one moves, %, while nothing is said; the first second is left out."""
+    # The first second is the way from the initial pose into rest.
     speed = [stats.mean(rendering.between(1.0, rendering.body.duration)) for rendering in rested]
     moving = [100.0 * float((rendering.fastest[round(HZ):] > hands.MOVES).mean()) for rendering in rested]
     return {("quiet_speed", on): Measured(stats.mean_interval(speed)),
@@ -225,6 +227,7 @@ def shares_of(rendering: Rendering, silent: NDArray[np.int64], spoken: Flags) ->
     lasting = np.diff(rendering.edges) * spoken
     gesturing = ~np.isin(rendering.lexemes, silent)
     fastest = common_body(rendering.motion).hand_speed.max(axis=1)
+    # The block of every frame; frames after the last edge belong to the last block.
     at = np.clip(np.searchsorted(rendering.edges, np.arange(len(fastest)) / HZ, side="right") - 1, 0, len(spoken) - 1)
     talking = fastest[spoken[at]]
     moving = stats.mean((talking > hands.MOVES).astype(float))
@@ -249,6 +252,7 @@ def measure(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings:
         return [Rested.of(system.render(sound, seed).motion, sound.speech) for seed in seeds]
 
     first = chosen[0]
+    # Digital silence and hiss: the first has no level at all, the second could be taken for breath.
     silence = Speech(np.zeros(round(ALONE * SAMPLE_RATE), np.float32), SAMPLE_RATE)
     hiss = Speech(noise(ALONE, NOISE, SAMPLE_RATE).astype(np.float32), SAMPLE_RATE)
     for on, speech in zip(QUIET, (silence, hiss), strict=True):

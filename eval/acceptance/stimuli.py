@@ -96,6 +96,7 @@ def unbroken(speech: Speech) -> Speech:
     """A voice without pauses: of each of `GAP` seconds or more a short breath of `_BREATH` seconds is left. What is all
     silence stays as it is."""
     rate, pieces, begun = speech.sample_rate, [], 0
+    # By the judge's silences, not by the system's: speech without pauses must have none to either.
     quiet = stats.runs(hear(speech).silent) / TRACK_HZ
     for start, stop in quiet[quiet[:, 1] - quiet[:, 0] >= GAP].tolist():
         pieces.append(speech.samples[begun:round((start + _BREATH / 2) * rate)])
@@ -179,6 +180,7 @@ def said_with(speech: Speech, effort: VocalEffort) -> Speech:
 
 def tilted(samples: Array, rate: int, decibels: float) -> Array:
     """Samples [n] whose spectrum rises by so many dB an octave from 500 to 4000 Hz."""
+    # In the frequency domain: linear phase, so no onset moves.
     spectrum, frequencies = np.fft.rfft(samples), np.fft.rfftfreq(len(samples), 1.0 / rate)
     octaves = np.log2(np.clip(frequencies, _TILT_FROM, _TILT_TO) / _TILT_FROM)
     return np.asarray(np.fft.irfft(spectrum * 10.0 ** (decibels * octaves / 20.0), len(samples)))
@@ -261,6 +263,7 @@ def word_changed(speech: Speech) -> tuple[Speech, float]:
     """The longest word in the middle third becomes the longest other word of the transcript, at its time; and when it
     begins, seconds. ValueError if there are not two words."""
     words = [word for word in speech.words or () if word.text.strip()]
+    # Neither the first nor the last gesture units, which have nothing before or after them to compare.
     middle = words[len(words) // 3:max(2 * len(words) // 3, len(words) // 3 + 1)]
     chosen = max(middle, key=lambda word: len(word.text), default=None)
     others = [word.text for word in words if chosen is not None and word.text.lower() != chosen.text.lower()]

@@ -72,12 +72,14 @@ PAIRED: Mapping[str, Callable[[Timed], float]] = {
 def figures(timed: Sequence[Timed]) -> dict[str, Interval]:
     """The rows of `TITLES`. p-values are undefined for renderings of a single voice, that of pitch for fewer than
     `FEWEST`."""
+    # The same voice several times is one draw of its sound: p-values need different voices.
     pooled, voices = Leads.pooled([clip.first for clip in timed]), len({clip.name for clip in timed})
     count = len(pooled.seconds)
     coupled = coupling(timed)
     first = {FIRST: pooled.before, FIRST_CHANCE: pooled.chance, FIRST_P: pooled.p if voices > 1 else math.nan}
     out = {name: Interval.exact(value, count) for name, value in first.items()}
     if coupled is not None:
+        # Of few voices most exchanges are the identity for some, and the test cannot reject.
         exchanged = float(np.percentile(coupled.chance, 95)) if voices >= FEWEST and len(coupled.chance) else math.nan
         out |= {name: Interval.exact(value, len(timed)) for name, value in (
             (PITCH, coupled.best), (PITCH_LAG, coupled.lag), (PITCH_CHANCE, exchanged),

@@ -48,6 +48,7 @@ def own_motion(voices: Sequence[AcceptanceVoice], space: ReferenceSpace | None) 
     sample = EyeSample()
     for spoken in voices:
         if spoken.own is not None:
+            # Nothing was joined in a real take; a corpus is judged at the seams that a system would have made.
             edges = cut(spoken.speech).edges if spoken.place == TEST else None
             sample.add(spoken.own, spoken.heard, edges, space, group=spoken.group or spoken.name)
     return sample
@@ -69,6 +70,7 @@ def comparison(on: str, figures: Mapping[str, Mapping[str, Interval]]) -> Table:
     cells: dict[str, dict[str, Cell]] = {}
     for row in rows:
         digits, limits = _digits(row), bounds.get(row)
+        # A limit that is relative to another set differs from column to column, so none is printed beside the row.
         plain = limits is not None and not (limits.over or limits.limit)
         cells[timing.TITLES.get(row) or heading(row)] = {
             "bound": limits.bound.text(digits) if limits is not None and plain else "",

@@ -57,6 +57,7 @@ def split_halves(clips: Clips, seed: int, groups: Sequence[str] | None = None) -
     of one sound or text must share a group, or the halves are no strangers and the floor is too low.
     """
     names = _groups(clips, groups)
+    # Groups, not clips: clips of one sound in both halves would make the halves alike.
     order = np.random.default_rng(seed).permutation(np.unique(names))
     if len(order) < 2:
         raise ValueError("a split needs two groups of clips at least")
@@ -176,6 +177,7 @@ def frozen_in_pauses(clips: Clips, silent: Sequence[NDArray[np.bool_]]) -> list[
     next phrase there."""
     out = []
     for clip, quiet in zip(clips, silent, strict=True):
+        # A clip may be a frame longer than its sound.
         at = np.minimum((np.arange(len(clip)) / clip.fps * 100).astype(int), len(quiet) - 1)
         frames, held = np.arange(len(clip)), quiet[at]
         last = np.maximum.accumulate(np.where(held, 0, frames))
@@ -191,6 +193,7 @@ def bobbing(clips: Clips, onsets: Sequence[Array]) -> list[Motion]:
     out = []
     for clip, times in zip(mean_pose(clips), onsets, strict=True):
         at = np.arange(len(clip)) / clip.fps
+        # Arms go up at one onset and down at the next, so that they never leave their range.
         raised = np.zeros(len(clip))
         last, sign = -math.inf, 1.0
         for onset in np.sort(np.asarray(times)):
@@ -232,6 +235,7 @@ def _jittered(clip: Motion, rng: np.random.Generator, metres: float) -> Motion:
             bone = rotation.rotate(world[:, joint], skeleton.offsets[leads[joint]])
             turn = _shortest(bone, wanted[:, leads[joint]] - places[:, joint])
             turned[:, joint] = rotation.multiply(turn, world[:, joint])
+    # From the root outwards the parents are known, so that the local turns follow at the end.
     local = rotation.continuous(rotation.normalise(kinematics.local_rotations(skeleton, turned)))
     # Not only but for rounding.
     local[:, [skeleton.index(name) for name in clip.absent]] = (1.0, 0.0, 0.0, 0.0)
@@ -275,6 +279,7 @@ def rolled(encoded: SpeechFeatures, by: int = ROLLED) -> SpeechFeatures:
     A system that follows the voice loses its timing by that; one that only moves on its grid keeps it. Durations
     belong to the grid, so the tempo in the last column of the features stays, too.
     """
+    # Half of a short recording is as far as a wrapped shift can go.
     by = min(by, len(encoded.blocks) // 2)
     blocks = replace(encoded.blocks, silent=np.roll(encoded.blocks.silent, by))
 
@@ -293,10 +298,8 @@ def _onsets_late(encoded: SpeechFeatures, by: int) -> tuple[Array, ...] | None:
     """The onsets within the blocks that stood `by` blocks before, where they lie on the grid of the blocks' own."""
     if encoded.onsets is None:
         return None
-    edges, count = encoded.blocks.edges, len(encoded)
-    out = []
-    for block in range(count):
-        source = (block - by) % count
-        share = (encoded.onsets[source] - edges[source]) / (edges[source + 1] - edges[source])
-        out.append(edges[block] + share * (edges[block + 1] - edges[block]))
-    return tuple(out)
+    edges, lengths = encoded.blocks.edges, np.diff(encoded.blocks.edges)
+    source = np.roll(np.arange(len(encoded)), by)
+    # An onset keeps its share of the block, however long the block is that it moves to.
+    return tuple(edges[block] + (encoded.onsets[k] - edges[k]) / lengths[k] * lengths[block]
+                 for block, k in enumerate(source))

@@ -75,6 +75,7 @@ class Bigram:
     @classmethod
     def fitted(cls, corpus: Corpus, labels: Lexemes, size: int) -> Bigram:
         """Counted on the training split; labels: [N], size: S."""
+        # Of each speaker by itself: styles differ in what follows what.
         counts = np.zeros((len(corpus.statistics.speakers), size, size))
         for recording in corpus.recordings("train"):
             sequence = labels[corpus.blocks_of(recording)]
@@ -101,6 +102,7 @@ class ReplayInterpreter:
 
     def start(self, speaker: int, first_lexeme: int) -> None:
         """Keep the lexemes that are still to be replayed."""
+        # A restart within a sequence goes on with it.
         if not self._left:
             self._left = deque(next(self._coming).tolist())
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import zipfile
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -78,6 +77,7 @@ class Sounds:
         levels = np.maximum(levels - np.percentile(levels, 90), _QUIETEST)
         edges = np.concatenate([np.interp(np.arange(len(blocks) * _PARTS) / _PARTS, np.arange(len(blocks) + 1),
                                           blocks.edges), blocks.edges[-1:]])
+        # Means of stretches by cumulative sums: blocks are many and short.
         first = np.clip(np.round(edges / FRAME).astype(int), 0, len(levels) - 1)
         sums = np.concatenate([[0.0], np.cumsum(levels)])
         last = np.maximum(first[1:], first[:-1] + 1)
@@ -103,11 +103,6 @@ class UnitDatabase:
     def __len__(self) -> int:
         return len(self.poses)
 
-    @property
-    def megabytes(self) -> float:
-        """Of memory."""
-        return self.poses.nbytes / 2 ** 20
-
     @classmethod
     def of(cls, store: Store, settings: BlockSettings | None = None, work: Path | None = None) -> UnitDatabase:
         """The units of a store's training split, cached in `work` if given. InputError for a store without one."""
@@ -117,14 +112,15 @@ class UnitDatabase:
         key = hashlib.sha256(json.dumps([store.fingerprint, asdict(chosen), _PARTS]).encode()).hexdigest()[:16]
         cache = None if work is None else work / f"units.{key}.npz"
         if cache is not None and cache.is_file():
-            database = _read(cache, chosen)
-            if database is not None:
-                return database
+            with np.load(cache, allow_pickle=False) as held:
+                sounds = Sounds(held["silent"], held["durations"], held["contour"])
+                return cls(held["poses"], sounds, held["follower"], chosen)
         database = cls._gathered(store, chosen)
         if cache is not None:
             cache.parent.mkdir(parents=True, exist_ok=True)
             packed = io.BytesIO()
             np.savez(packed, poses=database.poses, follower=database.follower, **asdict(database.sounds))
+            # Written whole or not at all, so what is there can be read.
             write_bytes(cache, packed.getvalue())
         return database
 
@@ -134,6 +130,7 @@ class UnitDatabase:
         for info in store.of_split("train"):
             recording = store.load(info.name)
             blocks = cut(recording.speech, settings)
+            # In normalised time, so that a unit fits a block of any length.
             vectors = normalise_motion(recording.motion, blocks)
             # Every turn the short way round, so that units of two recordings compare.
             turns = rotation.from_exponential_map(vectors.reshape(*vectors.shape[:2], len(CHARACTER), 3))
@@ -144,16 +141,6 @@ class UnitDatabase:
         every = Sounds(*(np.concatenate([getattr(sound, name) for sound in sounds])
                          for name in ("silent", "durations", "contour")))
         return cls(np.concatenate(poses), every, np.concatenate(follower).astype(np.int64), settings)
-
-
-def _read(file: Path, settings: BlockSettings) -> UnitDatabase | None:
-    """A database that was kept; None where it is damaged, so that it is made again."""
-    try:
-        with np.load(file, allow_pickle=False) as held:
-            sounds = Sounds(held["silent"], held["durations"], held["contour"])
-            return UnitDatabase(held["poses"], sounds, held["follower"], settings)
-    except (KeyError, ValueError, EOFError, OSError, zipfile.BadZipFile):
-        return None
 
 
 @dataclass(frozen=True)
@@ -186,6 +173,7 @@ class UnitSelection:
     def __call__(self, speech: Speech, *, seed: int = 0, fps: float = 60.0, rolled: int = 0) -> UnitPerformance:
         """Motion for a recording. rolled: blocks by which what is heard comes late, on the same grid: the control of
         timing. The same arguments give the same motion."""
+        # Cut as the units were: a block of other settings would be compared with none of its kind.
         blocks = cut(resample(speech, SAMPLE_RATE), self.database.settings)
         units = self.select(Sounds.of(speech, blocks).rolled(rolled), seed)
         jumps = self.database.follower[units[:-1]] != units[1:]
@@ -230,9 +218,11 @@ class UnitSelection:
 
     def _join_costs(self, before: Indices, after: Indices) -> Array:
         """[before, after] what each transition costs; nothing where it is the training data's own."""
+        # |a - b|^2 by the scalar product: the differences would be a table of CANDIDATES^2 vectors.
         a, b = self._leaves[before], self._from[after]
         apart = (a ** 2).sum(axis=1)[:, None] + (b ** 2).sum(axis=1) - 2.0 * a @ b.T
         cost = JOIN + np.sqrt(np.maximum(apart, 0.0) / len(self._weight))
+        # What followed in the recording needs no join at all.
         cost[self.database.follower[before][:, None] == after] = 0.0
         return np.asarray(cost, dtype=np.float64)
 

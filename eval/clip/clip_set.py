@@ -42,6 +42,7 @@ def common_clips(folders: Mapping[str, Mapping[str, Clip]], rate: float | None =
     rate: frames a second, the lowest of all where it is None. piece: seconds. InputError when no name is common.
     """
     names, notes = shared_names({row: list(clips) for row, clips in folders.items()})
+    # The lowest rate of all: frames that were made up between two would have no acceleration.
     fps = rate or min(clips[name].motion.fps for clips in folders.values() for name in names)
     clip_set = ClipSet([], [], [], {row: [] for row in folders}, fps, [*notes, *_body_notes(folders, names, fps)])
     for name in names:
@@ -106,6 +107,7 @@ def _add(joined: ClipSet, clips: Mapping[str, Clip], piece: float | None) -> Non
     for number in range(max(1, frames // step)):
         begin, end = number * step, min((number + 1) * step, frames)
         joined.names.append(first.name if frames // step < 2 else f"{first.name}, piece {number + 1}")
+        # Pieces of one clip share its group, so that an interval draws them together.
         joined.groups.append(first.group or first.name)
         joined.speeches.append(None if speech is None else _cropped(speech, begin / fps, end / fps))
         for row, motion in motions.items():

@@ -21,6 +21,7 @@ def evenly(store: Store, split: str, limit: int | None = None) -> list[Recording
     if limit is not None and limit < 1:
         raise InputError("--limit", "must be 1 or more", "leave it out for all")
     count = len(infos) if limit is None else min(limit, len(infos))
+    # Evenly over the list, as neighbours in it are often of one speaker.
     return [infos[i] for i in np.linspace(0, len(infos) - 1, count).round().astype(int)]
 
 
@@ -41,6 +42,7 @@ def excerpt_of_speech(speech: Speech, seconds: float) -> Speech:
     """The middle `seconds` of speech, with the words that lie in it."""
     start, stop = _middle(speech, seconds)
     first, last = (round(at * speech.sample_rate) for at in (start, stop))
+    # Words that are cut off at either end are left out: half a word has no meaning.
     words = None if speech.words is None else tuple(
         Word(word.text, word.start - start, word.end - start) for word in speech.words
         if start <= word.start and word.end <= stop)

@@ -38,7 +38,8 @@ from data_module.types import Array, Motion, Speech
 
 MOTIONS = (".bvh", ".npz", ".npy")
 """Endings of motion files; where a name has several, the first of these is read."""
-SHARED = "joints.json"
+SHARED, STORE = "joints.json", "store.json"
+"""Files that tell the joints of all positions of a folder, and that a folder is a store."""
 
 _UP = {"+Y": np.eye(3), "-Y": np.diag([-1.0, -1.0, 1.0]),
        "+Z": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), "-Z": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])}
@@ -73,15 +74,12 @@ def find_motions(folder: Path) -> tuple[dict[str, Path], list[str]]:
         raise InputError(folder, "is not a folder", f"name one that holds NAME{' or NAME'.join(MOTIONS)}")
     files: dict[str, Path] = {}
     notes = []
-    for kind in MOTIONS:
-        for file in sorted(folder.iterdir()):
-            if file.suffix.lower() != kind or not file.is_file():
-                continue
-            if file.stem in files:
-                # One name, one motion: the order of `MOTIONS` decides, and the other file is named to the reader.
-                notes.append(f"{file}: {files[file.stem].name} is read instead")
-            else:
-                files[file.stem] = file
+    for file in sorted((file for file in folder.iterdir() if file.suffix.lower() in MOTIONS and file.is_file()),
+                       key=lambda file: (MOTIONS.index(file.suffix.lower()), file.name)):
+        if file.stem in files:
+            # One name, one motion: the order of `MOTIONS` decides, and the other file is named to the reader.
+            notes.append(f"{file}: {files[file.stem].name} is read instead")
+        files.setdefault(file.stem, file)
     if not files:
         raise InputError(folder, "holds no motion", f"put NAME{' or NAME'.join(MOTIONS)} there")
     return dict(sorted(files.items())), notes
@@ -95,7 +93,7 @@ def find_sound(folder: Path, name: str) -> Path | None:
 
 def names_in(folder: Path, split: str = "test") -> list[str]:
     """The names of the clips that `read_folder` would read; nothing but their files' names is looked at."""
-    if _is_store(folder):
+    if (folder / STORE).is_file():
         return [info.name for info in _chosen(Store.open(folder), split)]
     return list(find_motions(folder)[0])
 
@@ -109,10 +107,16 @@ def read_folder(folder: Path, speech: Path | None = None, fps: float | None = No
     """
     if speech is not None and not speech.is_dir():
         raise InputError(speech, "is not a folder", f"name one that holds NAME{' or NAME'.join(SOUNDS)}")
-    if _is_store(folder):
-        return _of_store(Store.open(folder), only, split), []
-    files, notes = find_motions(folder)
     clips = {}
+    if (folder / STORE).is_file():
+        store = Store.open(folder)
+        for info in _chosen(store, split):
+            if only is None or info.name in only:
+                recording = store.load(info.name)
+                clips[info.name] = Clip(info.name, recording.motion, replace(recording.speech, speaker=info.speaker),
+                                        info.group or info.name)
+        return clips, []
+    files, notes = find_motions(folder)
     for name, file in files.items():
         if only is None or name in only:
             sound = find_sound(speech or folder, name)
@@ -120,22 +124,8 @@ def read_folder(folder: Path, speech: Path | None = None, fps: float | None = No
     return clips, notes
 
 
-def _is_store(folder: Path) -> bool:
-    return (folder / "store.json").is_file()
-
-
 def _chosen(store: Store, split: str) -> list[RecordingInfo]:
     return list(store.recordings if split == "all" else store.of_split(cast(Split, split)))
-
-
-def _of_store(store: Store, only: Sequence[str] | None, split: str) -> dict[str, Clip]:
-    clips = {}
-    for info in _chosen(store, split):
-        if only is None or info.name in only:
-            recording = store.load(info.name)
-            clips[info.name] = Clip(info.name, recording.motion, replace(recording.speech, speaker=info.speaker),
-                                    info.group or info.name)
-    return clips
 
 
 # ---------------------------------------------------------------------------------------------------- files
@@ -192,9 +182,8 @@ def read_positions(path: Path, fps: float | None = None) -> Motion:
 
     InputError for a file or a sidecar that is missing or says something else.
     """
-    document = sidecar(path)
+    document, beside = sidecar(path), path.with_suffix(".json")
     names, rate = document.get("joints"), fps if fps is not None else _rate(document, path)
-    beside = path.with_suffix(".json")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names) or rate is None:
         raise InputError(beside, "does not name joints and fps", 'write {"joints": [...], "fps": ..., "up": "+Y"}')
     up = document.get("up", "+Y")
@@ -205,11 +194,10 @@ def read_positions(path: Path, fps: float | None = None) -> Motion:
         raise InputError(path, f"has {points.dtype} of shape {points.shape}, and its sidecar names {len(names)} joints",
                          f"it should be numbers, [T, {len(names)}, 3]")
     points = as_floats(points)
-    if not (np.abs(points) < _FARTHEST).all():
-        raise InputError(path, "has positions that are not numbers, or far too large", "fill or cut them")
-    apart = np.ptp(points, axis=1).max(axis=-1)
-    if len(names) > 1 and not (apart > _EPS).all():
-        raise InputError(path, f"has all joints in one place in frame {int(np.argmin(apart))}", "fill or cut it")
+    # NaN fails the comparison, too. Joints in one place have no bones.
+    if not (np.abs(points) < _FARTHEST).all() or not (len(names) < 2 or (np.ptp(points, axis=1) > _EPS).any(1).all()):
+        raise InputError(path, "has positions that are not numbers, far too large or all in one place",
+                         "fill or cut these frames")
     try:
         return from_positions(points @ _UP[up].T, names, rate)
     except InputError as error:
@@ -218,6 +206,7 @@ def read_positions(path: Path, fps: float | None = None) -> Motion:
 
 def from_positions(points: Array, names: Sequence[str], fps: float) -> Motion:
     """Motion of the 16-joint character from points [T, J, 3] of named joints, Y up, facing anywhere."""
+    # Names may carry a prefix of the tool that wrote them, such as mixamorig:.
     plain = {name.rsplit(":", 1)[-1].lower(): k for k, name in enumerate(names)}
     if all(joint in plain for joint in TED_JOINTS):
         ten = points[:, [plain[joint] for joint in TED_JOINTS]]
@@ -225,6 +214,7 @@ def from_positions(points: Array, names: Sequence[str], fps: float) -> Motion:
     table = find_table(names)
     spine = next(table[joint] for joint in ("Spine2", "Spine1", "Spine") if joint in table)
     arms = [table[side + joint] for side in ("Left", "Right") for joint in ("Arm", "ForeArm", "Hand")]
+    # Two points of the head tell its turn; one tells only where it leans.
     nose = next((plain[name] for name in _NOSES if name in plain), None)
     crown = next((plain[name] for name in _CROWNS if name in plain), None)
     across = points[:, table["LeftArm"]] - points[:, table["RightArm"]]
@@ -234,24 +224,28 @@ def from_positions(points: Array, names: Sequence[str], fps: float) -> Motion:
         head = points[:, [nose, crown]]
     ten = np.concatenate([points[:, [spine, table["Neck"]]], head, points[:, arms]], axis=1)
     motion = rotations_from_positions(_faced(ten, across, plain, points), fps)
-    return motion if nose is not None and crown is not None else _without(motion, "Head")
+    if nose is not None and crown is not None:
+        return motion
+    # Of a head without a face no turn is known: it holds the identity and is masked.
+    motion.rotations[:, CHARACTER.index("Head")] = (1.0, 0.0, 0.0, 0.0)
+    return replace(motion, absent=(*motion.absent, "Head"))
 
 
 def _faced(ten: Array, across: Array, plain: dict[str, int], points: Array) -> Array:
     """The ten points turned about the vertical so that the hips, else the shoulders on the whole, lie along X."""
     pair = next((pair for pair in _HIP_JOINTS if pair[0] in plain and pair[1] in plain), None)
     line = across.mean(axis=0, keepdims=True) if pair is None else points[:, plain[pair[0]]] - points[:, plain[pair[1]]]
-    length = np.hypot(line[:, 0], line[:, 2])
-    # Where the line has no length its angle is arbitrary; 0 keeps the frame as it is.
-    angle = np.unwrap(np.where(length > _EPS, np.arctan2(line[:, 2], line[:, 0]), 0.0))
+    # A line without a length has the angle 0, which keeps the frame as it is.
+    half = np.unwrap(np.arctan2(line[:, 2], line[:, 0])) / 2
     turn = np.zeros((len(ten), 1, 4))
-    turn[:, 0, 0], turn[:, 0, 2] = np.cos(angle / 2), np.sin(angle / 2)
+    turn[:, 0, 0], turn[:, 0, 2] = np.cos(half), np.sin(half)
     return rotation.rotate(turn, ten)
 
 
 def _resting_head(neck: Array, head: Array, across: Array) -> Array:
     """[T, 2, 3] where nose and crown would be if the head kept its resting place on the neck, in metres."""
     rest = ted_positions(Motion(CHARACTER, np.tile([1.0, 0, 0, 0], (1, len(CHARACTER), 1)), np.zeros((1, 3)), 1.0))[0]
+    # Where nose and crown are at rest, carried along with the neck.
     up = CHARACTER.offsets[CHARACTER.index("Neck1")] + CHARACTER.offsets[CHARACTER.index("Head")]
     resting = _frames(up[None], np.array([[1.0, 0.0, 0.0]]))[0]
     turned = _frames(head - neck, across) @ resting.T
@@ -263,16 +257,10 @@ def _resting_head(neck: Array, head: Array, across: Array) -> Array:
 def _frames(along: Array, across: Array) -> Array:
     """[T, 3, 3] orthonormal columns: along, what of across is at right angles to it, and their product."""
     first = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), _EPS)
+    # Gram and Schmidt: what is left of across at a right angle to along.
     second = across - np.sum(across * first, axis=-1, keepdims=True) * first
     second = second / np.maximum(np.linalg.norm(second, axis=-1, keepdims=True), _EPS)
     return np.stack([first, second, np.cross(first, second)], axis=-1)
-
-
-def _without(motion: Motion, joint: str) -> Motion:
-    """The motion with a joint marked as not known: it holds the identity and is masked."""
-    turns = motion.rotations.copy()
-    turns[:, CHARACTER.index(joint)] = (1.0, 0.0, 0.0, 0.0)
-    return replace(motion, rotations=turns, absent=(*motion.absent, joint))
 
 
 def named(entries: Sequence[str], what: str) -> dict[str, str]:

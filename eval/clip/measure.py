@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.motion import bvh, skeletons
-from data_module.motion.kinematics import positions_of, resample
+from data_module.motion.kinematics import resample
 from data_module.motion.motion_beats import motion_beats
 from data_module.speech.audio import load_speech
 from data_module.speech.onsets import detect_onsets
@@ -23,7 +23,7 @@ from data_module.speech.silence import FRAME, pauses, silent_frames
 from data_module.types import Array, Motion, Speech
 from eval import stats
 from eval.metrics import pmb
-from eval.metrics.smoothness import HANDS, derivative
+from eval.metrics.smoothness import hand_speeds
 
 SETTLED = 1.0
 """Seconds of silence after which a frame counts as silent: by then the hands have come to rest."""
@@ -34,25 +34,6 @@ TAKE_FPS = 15.0
 
 
 @dataclass(frozen=True)
-class Rhythm:
-    """PMB at one delta beside its chance level, all in percent; NaN without motion beats. p_value: one-sided."""
-
-    pmb: float
-    chance: float
-    above_chance: float
-    p_value: float
-
-
-def rhythm(beats: Array, onsets: Array, duration: float, delta: float = pmb.DELTA, *, seed: int = 0) -> Rhythm:
-    """PMB of motion beats [n] with onsets [m], and its share above that of the same beats shifted (RG Eq. 22).
-
-    ValueError as in `pmb.pmb` and `pmb.chance`.
-    """
-    percent, chance = pmb.pmb(beats, onsets, delta), pmb.chance(beats, onsets, duration, delta, seed=seed)
-    return Rhythm(percent, chance.mean, 100.0 * pmb.above_chance(percent, chance.mean), chance.p_value)
-
-
-@dataclass
 class ClipMeasurement:
     """One clip. onsets [m], beats [n]: of the speech and the motion, seconds. hand_speed [T - 1, 2]: m/s; silent
     [T - 1]: frames in a settled silence."""
@@ -63,9 +44,11 @@ class ClipMeasurement:
     hand_speed: Array
     silent: NDArray[np.bool_]
 
-    def rhythm(self, delta: float = pmb.DELTA, *, seed: int = 0) -> Rhythm:
-        """PMB and its chance level."""
-        return rhythm(self.beats, self.onsets, self.duration, delta, seed=seed)
+    def rhythm(self) -> tuple[float, float, float]:
+        """PMB, its chance level, and its share above that (RG Eq. 22), percent; NaN without motion beats."""
+        percent = pmb.pmb(self.beats, self.onsets)
+        by_chance = pmb.chance(self.beats, self.onsets, self.duration)
+        return percent, by_chance, 100.0 * pmb.above_chance(percent, by_chance)
 
     @property
     def speech_speed(self) -> float:
@@ -76,15 +59,14 @@ class ClipMeasurement:
 def measure(motion: Motion, speech: Speech) -> ClipMeasurement:
     """Beats, speeds and silences of a motion of the 16-joint character and its speech."""
     motion = skeletons.upper_body(motion)
-    positions = positions_of(skeletons.facing(motion))
-    hands = positions[:, [motion.skeleton.index(name) for name in HANDS]]
-    speed = derivative(hands, motion.fps, 1)
+    speed = hand_speeds(motion)
     return ClipMeasurement(detect_onsets(speech.samples, speech.sample_rate), motion_beats(motion), speech.duration,
                            speed, _settled(speech, len(speed), motion.fps))
 
 
 def _settled(speech: Speech, frames: int, fps: float) -> NDArray[np.bool_]:
     """[frames] of motion before which the speech was silent for `SETTLED` seconds."""
+    # Pauses as the system detects them.
     quiet = pauses(silent_frames(speech.samples, speech.sample_rate))
     # A frame is settled when the whole second before it was silent: the retraction is then over.
     window = round(SETTLED / FRAME)

@@ -69,11 +69,11 @@ _OURS: dict[str, Metric] = {
     "mad_per_frame": Metric("MAD, length", _JOINTS, "mm/frame^2", 2, "joints", "low", _TRUTH, ("still",)),
     "mad_coordinate_per_frame": Metric("MAD, coordinates", _JOINTS, "mm/frame^2", 2, "joints", "low", _TRUTH,
                                        ("still",)),
+    # Beats A are where the arms brake hardest, B where they are slowest: the paper's words fit either.
     "pmb_A": Metric("PMB A, 0.1 s", f"{_PMB}:pmb", "%", 1, "beats", "high", _SPEECH),
     "chance_A": Metric("chance of PMB A", f"{_PMB}:chance", "%", 1, "beats", "", _SPEECH),
     "above_A": Metric("PMB A above chance", f"{_PMB}:above_chance", "%", 1, "beats", "high", _SPEECH),
     "pmb_A_wide": Metric("PMB A, 0.2 s", f"{_PMB}:pmb", "%", 1, "beats", "high", _SPEECH),
-    "area_A": Metric("area of the delta curve A", f"{_PMB}:delta_curve", "%", 1, "beats", "high", _SPEECH),
     "pmb_B": Metric("PMB B, 0.1 s", f"{_PMB}:pmb", "%", 1, "beats", "high", _SPEECH),
     "chance_B": Metric("chance of PMB B", f"{_PMB}:chance", "%", 1, "beats", "", _SPEECH),
     "above_B": Metric("PMB B above chance", f"{_PMB}:above_chance", "%", 1, "beats", "high", _SPEECH),
@@ -87,10 +87,12 @@ _OURS: dict[str, Metric] = {
     "acceleration": Metric("joint acceleration", _VIGOUR, "m/s^2", 2, "vigour", "near", (), _SHAPE),
     "jerk_hands": Metric("hand jerk", _VIGOUR, "m/s^3", 1, "vigour", "near", (), _SHAPE),
     "jerk": Metric("joint jerk", _VIGOUR, "m/s^3", 1, "vigour", "near", (), _SHAPE),
+    # Of a lexicon and a judging model, so undefined without --bundle.
     "reward": Metric("reward of the judging model", "eval.metrics.encode:judged_reward", "cosine", 3, "lexemes",
                      "high", _BUNDLE, ("still",)),
     "lexeme_accuracy": Metric("lexemes like the speaker's own", "eval.metrics.accuracy:lexeme_accuracy", "%", 1,
                               "lexemes", "high", (*_TRUTH, *_BUNDLE), ("jitter",)),
+    # Of all clips together: a histogram, an entropy or a covariance of one clip says little.
     "speed_distance": Metric("distance of hand-speed histograms (Hellinger)", "eval.metrics.smoothness:hellinger", "",
                              3, "sets", "low", ("truth", "set"), _SHAPE),
     "diversity": Metric("diversity", f"{_DIVERSITY}:diversity", "nats", 2, "sets", "near", ("set", *_BUNDLE), _SHAPE),
@@ -103,6 +105,7 @@ _OURS: dict[str, Metric] = {
 
 def _eye(part: str, about: str, unit: str, digits: int, good: Direction, inputs: tuple[str, ...] = ()) -> Metric:
     """A figure of `eval.metrics.eye`: of the chapter of its part, but for the two whose measure has another name."""
+    # The Frechet distance needs its frozen space, and the phrases need the sound.
     measure = {"frechet": "frechet:ReferenceSpace", "phrases": "units:sound_figures"}.get(part, f"{part}:figures")
     return Metric(about, f"eval.metrics.eye.{measure}", unit, digits, f"eye {part}", good, inputs)
 
@@ -119,6 +122,7 @@ EYE_METRICS: dict[str, Metric] = {
     "eye_speed_75": _eye("hands", "hand speed, 75 %", "m/s", 2, "near"),
     "eye_speed_95": _eye("hands", "hand speed, 95 %", "m/s", 2, "near"),
     "eye_speed_99": _eye("hands", "hand speed, 99 %", "m/s", 2, "near"),
+    # Anything that looks at both ends of a clip is judged on long ones only (30 s).
     "eye_drift": _eye("hands", "mean wrist of the last 15 s from the first", "cm", 0, "low"),
     "eye_head": _eye("trunk", "head on chest, spread", "deg", 1, "near"),
     "eye_chest": _eye("trunk", "chest, spread", "deg", 1, "near"),
@@ -174,6 +178,7 @@ METRICS: Registry[Metric] = Registry("metrics", "an eval.metrics.Metric, or a fu
 
 def _usable() -> dict[str, Metric]:
     """The metrics without those of other packages that cannot be loaded; of each of these a line is printed."""
+    # Loaded here once, so that a broken package is told of before an hour of measuring and not after it.
     entries = METRICS.usable()
     for name in [name for name in METRICS.points() if name in entries]:
         try:

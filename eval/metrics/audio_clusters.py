@@ -81,6 +81,7 @@ def association(levels: Mapping[str, Labels], lexemes: Labels, recording: Labels
     """
     rng = np.random.default_rng(seed)
     groups = int(group.max()) + 1
+    # The first row of weights is the data as it is, the others are the bootstrap's draws of groups.
     weights = np.stack([np.ones(groups), *(np.bincount(rng.integers(groups, size=groups), minlength=groups)
                                            for _ in range(draws))]).astype(np.float64)
     # Turned, not shuffled: lexemes keep their order, so chance has the runs that real sequences have.
@@ -89,6 +90,7 @@ def association(levels: Mapping[str, Labels], lexemes: Labels, recording: Labels
     gains: dict[str, Array] = {}
     for name, clusters in levels.items():
         values = _drawn_entropy(weights, clusters, lexemes, group)
+        # Chance is drawn with the same weights, so that what a draw does to both cancels in the gain.
         chance = np.mean([_drawn_entropy(weights, clusters, other, group) for other in shuffled[:_AVERAGED]], axis=0)
         every = [float(conditional_entropy(_tables(clusters, other, group).sum(axis=0))) for other in shuffled]
         gains[name] = chance - values

@@ -24,14 +24,13 @@ Better is higher, or so they say. What fools them, and why this chapter is no ju
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from data_module.motion.kinematics import positions_of, resample
 from data_module.motion.skeletons import facing, upper_body
 from data_module.types import Array, Motion
-from eval.metrics.pmb import above_chance, circular_shifts, rising
+from eval.metrics.pmb import circular_shifts, rising
 
 __all__ = ["consistency"]
 
@@ -44,20 +43,6 @@ SIGMA = 0.3
 MOVING = 0.1
 """Of a joint's mean speed: a slower minimum is a rest, not a beat."""
 SHIFTS = 50
-
-
-@dataclass(frozen=True)
-class Consistency:
-    """score: 0 to 1, higher said to be better; chance: that of the same beats moved in time; NaN with a reason."""
-
-    score: float
-    chance: float
-    reason: str = ""
-
-    @property
-    def above_chance(self) -> float:
-        """(score - chance) / (1 - chance): 0 is chance, 1 is the best."""
-        return above_chance(self.score, self.chance, best=1.0)
 
 
 def onset_score(motion_beats: Array, onsets: Array, sigma: float = SIGMA) -> float:
@@ -98,6 +83,7 @@ def joint_beats(speeds: Array, fps: float = FPS, order: int = ORDER) -> list[Arr
     beats = []
     for column in table.T:
         least = argrelextrema(column, np.less, order=order, mode="clip")[0] if len(column) else np.zeros(0, int)
+        # A minimum of a hand that rests is noise, and BEAT leaves it out.
         rest = MOVING * column.mean() if len(column) else 0.0
         # Speed t is that between frames t and t + 1.
         beats.append((least[column[least] > rest] + 0.5) / fps)
@@ -111,6 +97,7 @@ def motion_joint_beats(motion: Motion) -> list[Array]:
     source lacks do not count.
     """
     motion = upper_body(motion)
+    # ORDER is in frames of 30 fps: at another rate it would be another rule.
     sampled = resample(motion, FPS)
     if len(sampled) < 2:
         return []
@@ -122,15 +109,13 @@ def motion_joint_beats(motion: Motion) -> list[Array]:
 
 
 def consistency(joints: Sequence[Array], onsets: Array, duration: float, sigma: float = SIGMA, *, seed: int = 0
-                ) -> Consistency:
-    """Score and chance of the beats of joints against onsets (both in seconds, 0 to `duration`).
+                ) -> tuple[float, float]:
+    """Score and chance, 0 to 1, of the beats of joints against onsets (both in seconds, 0 to `duration`); NaN without a
+    joint that moves or an onset.
 
     chance: the mean over `circular_shifts` of all beats together. ValueError as in `onset_score`, and for a duration
     that is not positive.
     """
-    if len(joints) == 0 or len(onsets) == 0:
-        reason = "the sound has no onset" if len(joints) else "no joint moves"
-        return Consistency(float("nan"), float("nan"), reason)
     moved = [mean_score([(beats + shift) % duration for beats in joints], onsets, sigma)
              for shift in circular_shifts(duration, SHIFTS, seed)]
-    return Consistency(mean_score(joints, onsets, sigma), float(np.mean(moved)))
+    return mean_score(joints, onsets, sigma), float(np.mean(moved))

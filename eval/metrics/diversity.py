@@ -61,6 +61,7 @@ def motion_variance(latents: Array, labels: ArrayLike, vectors: Array) -> float:
     if not (np.isfinite(points).all() and np.isfinite(lexemes).all()):
         raise ValueError("latents and lexemes must be finite")
     distances = np.linalg.norm(points - lexemes[chosen], axis=1)
+    # A lexeme that occurs once has no variance.
     counts = np.bincount(chosen, minlength=len(lexemes))
     variances = [float(distances[chosen == lexeme].var(ddof=1)) for lexeme in np.flatnonzero(counts > 1)]
     return float(np.mean(variances)) if variances else float("nan")

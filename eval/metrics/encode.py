@@ -44,21 +44,16 @@ class SpeechBlocks:
     @classmethod
     def of(cls, bundle: Bundle, speech: Speech) -> SpeechBlocks:
         """Cut and, where there is a model that judges, encoded as its training data was."""
-        if bundle.reward_judge is None:
-            return cls(block_module.cut(speech, bundle.config.rhythm), None, speech.speaker or "")
-        return cls.heard(bundle, speech)
-
-    @classmethod
-    def heard(cls, bundle: Bundle, speech: Speech) -> SpeechBlocks:
-        """Cut and encoded, whatever the bundle has."""
         speaker = speech.speaker or ""
+        if bundle.reward_judge is None:
+            return cls(block_module.cut(speech, bundle.config.rhythm), None, speaker)
         encoded = encode_speech(speech, bundle.config, front_end_for(bundle.config, bundle.encoder))
         frames, statistics = bundle.config.rhythm.frames, bundle.statistics
-        low = _middle(statistics.low.apply(encoded.low), frames)
-        if encoded.high is encoded.low:
-            return cls(encoded.blocks, low, speaker)
-        high = _middle(statistics.high.apply(encoded.high), frames)
-        return cls(encoded.blocks, torch.cat([low[..., :-1], high], dim=-1), speaker)
+        audio = _middle(statistics.low.apply(encoded.low), frames)
+        # Both levels in one, and the tempo of the grid, their last column, once.
+        if encoded.high is not encoded.low:
+            audio = torch.cat([audio[..., :-1], _middle(statistics.high.apply(encoded.high), frames)], dim=-1)
+        return cls(encoded.blocks, audio, speaker)
 
 
 def _middle(windows: NDArray[np.floating], frames: int) -> Tensor:
@@ -95,6 +90,7 @@ def normalised_blocks(config: Config, statistics: Statistics, motion: Motion, bl
             scaled = scaled * (np.arange(scaled.shape[-1]) < 3 * len(motion.skeleton))
         return torch.as_tensor(scaled, dtype=torch.float32)
 
+    # The first block has no block before it: the pose at the clip's begin stands for it.
     block_features = features(poses)
     seconds = torch.as_tensor(blocks.durations, dtype=torch.float32)
     return block_features, pasts_of(block_features, seconds, features(block_module.first_pose(motion, representation)))
@@ -117,17 +113,12 @@ def labels_of(lexicon: BlockLexicon, latents: Tensor) -> NDArray[np.int64]:
     return np.asarray(lexicon.quantizer.labels(latents).numpy())
 
 
-def read_motion(lexicon: BlockLexicon, config: Config, statistics: Statistics, motion: Motion, blocks: Blocks,
-                speaker: str = "") -> EncodedMotion:
-    """A motion in given blocks as a lexicon of these settings reads it."""
-    normalised, past = normalised_blocks(config, statistics, motion, blocks, speaker)
+def encode_motion(bundle: Bundle, motion: Motion, blocks: Blocks, speaker: str = "") -> EncodedMotion:
+    """A motion in given blocks as the bundle's lexicon reads it: its latents and nearest lexemes."""
+    lexicon = bundle.block_lexicon
+    normalised, past = normalised_blocks(bundle.config, bundle.statistics, motion, blocks, speaker)
     latents = latents_of(lexicon, normalised, past)
     return EncodedMotion(blocks, normalised, latents, labels_of(lexicon, latents))
-
-
-def encode_motion(bundle: Bundle, motion: Motion, blocks: Blocks, speaker: str = "") -> EncodedMotion:
-    """The latents and nearest lexemes of a motion in given blocks."""
-    return read_motion(bundle.block_lexicon, bundle.config, bundle.statistics, motion, blocks, speaker)
 
 
 @torch.no_grad()

@@ -22,7 +22,7 @@ A clip without speech has the metrics of motion alone:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
@@ -48,9 +48,6 @@ LEXEME_METRICS = tuple(name for name, metric in CLIP_METRICS.items() if metric.p
 MOTION_METRICS = tuple(name for name in CLIP_METRICS if name not in LEXEME_METRICS)
 """Those that take no bundle."""
 _OTHERS = {name: METRICS.load(name) for name in METRICS.points() if name in MOTION_METRICS}
-_PAIR = tuple(name for name in MOTION_METRICS if CLIP_METRICS[name].part == "joints" and name not in _OTHERS)
-_VIGOUR = tuple(name for name in MOTION_METRICS if CLIP_METRICS[name].part == "vigour" and name not in _OTHERS)
-_SOUND = tuple(name for name in MOTION_METRICS if "speech" in CLIP_METRICS[name].inputs)
 
 
 @dataclass(frozen=True)
@@ -101,18 +98,19 @@ class Values:
 def clip_values(motion: Motion, truth: Motion, beats: MotionBeats, track: OnsetTrack | None, seed: int) -> Values:
     """Every one of `MOTION_METRICS` for a motion beside the speaker's own of the same length, and its speech."""
     out = Values()
-    error, smooth = motion_error(motion, truth), motion_smoothness(motion)
-    for names, measured in ((_PAIR, error), (_VIGOUR, smooth)):
-        for name in names:
-            out.put(name, getattr(measured, name), measured.reason)
+    for measured in (motion_error(motion, truth), motion_smoothness(motion)):
+        # The fields of both are the names of their metrics.
+        for name, value in asdict(measured).items():
+            if name in CLIP_METRICS:
+                out.put(name, value, measured.reason)
     for name, measure in _OTHERS.items():
         out.put(name, measure(motion, truth), "")
     out.put("beats_per_second", pmb.beat_rate(beats.modes["A"], motion.duration), "")
-    if track is None:
-        for name in _SOUND:
-            out.put(name, float("nan"), NO_SPEECH)
-    else:
+    if track is not None:
         _synchrony_values(out, beats, track.lasting(beats.duration), seed)
+    for name in MOTION_METRICS:
+        if name not in out.numbers:
+            out.put(name, float("nan"), NO_SPEECH)
     return out
 
 
@@ -120,6 +118,7 @@ def eye_values(motion: Motion, voice: eye.VoiceActivity | None, edges: Array | N
                ) -> Values:
     """Every one of `EYE_METRICS` of a motion, as `eval.metrics.eye.figures` takes it."""
     out = Values()
+    # The reason follows from what the metric takes: the figures themselves only know that they are undefined.
     lacking = {"speech": None if voice else NO_SPEECH, "edges": None if edges is not None else NO_EDGES,
                "reference": None if space else NO_SPACE}
     for name, number in eye.figures(motion, voice, edges, space).items():
@@ -131,21 +130,23 @@ def eye_values(motion: Motion, voice: eye.VoiceActivity | None, edges: Array | N
 def _synchrony_values(out: Values, beats: MotionBeats, track: OnsetTrack, seed: int) -> None:
     for mode, times in beats.modes.items():
         percent = pmb.pmb(times, track.onsets)
-        chance = pmb.chance(times, track.onsets, track.duration, seed=seed).mean
+        chance = pmb.chance(times, track.onsets, track.duration, seed=seed)
         out.put(f"pmb_{mode}", percent, pmb.NO_BEAT)
         out.put(f"chance_{mode}", chance, pmb.NO_BEAT)
         out.put(f"above_{mode}", 100.0 * pmb.above_chance(percent, chance),
                 "chance leaves no room" if len(times) else pmb.NO_BEAT)
+    # The papers print this one: nearly all beats are matched at 0.2 s, so it stands beside its chance level.
     out.put("pmb_A_wide", pmb.pmb(beats.modes["A"], track.onsets, WIDE), pmb.NO_BEAT)
-    out.put("area_A", pmb.delta_curve(beats.modes["A"], track.onsets).area, pmb.NO_BEAT)
-    scored = consistency(beats.joints, track.onsets, track.duration, seed=seed)
-    for name, value in (("consistency", scored.score), ("consistency_chance", scored.chance),
-                        ("consistency_above", scored.above_chance)):
-        out.put(name, value, scored.reason)
+    score, by_chance = consistency(beats.joints, track.onsets, track.duration, seed=seed)
+    reason = "the sound has no onset" if beats.joints else "no joint moves"
+    for name, value in (("consistency", score), ("consistency_chance", by_chance),
+                        ("consistency_above", pmb.above_chance(score, by_chance, best=1.0))):
+        out.put(name, value, reason)
 
 
 def synchrony(name: str, beats: MotionBeats, track: OnsetTrack) -> float:
     """One of `SYNCHRONY` of a motion with any speech, which is cut or repeated to last as long."""
+    # Another's speech may be shorter than the motion that it is tried on.
     onsets = track.lasting(beats.duration).onsets
     if name == "consistency":
         return mean_score(beats.joints, onsets)
@@ -157,10 +158,10 @@ def lexeme_values(own: EncodedMotion | None, truth: EncodedMotion | None, reward
 
     reward: of `eval.metrics.encode.judged_reward`. judged: whether the bundle has a model that judges.
     """
-    out, nan = Values(), float("nan")
+    out = Values()
     if own is None or truth is None:
         for name in LEXEME_METRICS:
-            out.put(name, nan, NO_SPEECH)
+            out.put(name, float("nan"), NO_SPEECH)
         return out
     out.put("reward", reward, "nothing is said" if judged
             else "no judging reward model of the bundle's training was found in the work folder (--work)")

@@ -97,6 +97,7 @@ class Figure:
             return "no: not distinguishable from 0; two samples of one motion of this size are as far apart"
         if self.bias <= self.distance / 10:
             return "yes"
+        # The bias falls as one over the number of windows, so the number for a tenth follows from it.
         mean_windows = 2.0 / sum(1.0 / count for count in self.windows)
         wanted = int(np.ceil(10.0 * self.bias / self.distance * mean_windows))
         return f"roughly: chance is {100 * self.bias / self.distance:.0f} % of it, and a tenth from {wanted} windows on"
@@ -124,6 +125,7 @@ def frechet_distance(a: Gaussian, b: Gaussian) -> float:
     """
     if a.mean.shape != b.mean.shape or a.covariance.shape != b.covariance.shape:
         raise ValueError(f"features of {len(a.mean)} and of {len(b.mean)} numbers cannot be compared")
+    # For symmetric A, B the eigenvalues of AB are the squares of the singular values of A^(1/2) B^(1/2).
     shared = np.linalg.svd(_root(a.covariance) @ _root(b.covariance), compute_uv=False).sum()
     apart = float(((a.mean - b.mean) ** 2).sum())
     # Rounding can leave the difference of equal covariances a hair below 0.
@@ -137,6 +139,7 @@ def distance(first: Array, second: Array) -> float:
 
 def sampling_bias(of: Gaussian, first: int, second: int) -> float:
     """About what the distance is between samples of these sizes from one Gaussian (see the chapter's head)."""
+    # The formula of the chapter's head, term by term.
     roots = np.linalg.eigvalsh(of.covariance).clip(min=0.0)
     sums = roots[:, None] + roots
     spread = np.outer(roots, roots) * (1.0 + np.eye(len(roots)))
@@ -181,6 +184,7 @@ def difference(first: Sequence[Array], second: Sequence[Array], real: Sequence[A
 
     The interval is the basic bootstrap's, as in `measure`, for the same reason.
     """
+    # A clip counts if all three have windows of it: the two systems must be compared on the same speech.
     whole = np.flatnonzero([min(map(len, clips)) > 0 for clips in zip(first, second, real, strict=True)])
 
     def apart(chosen: stats.Indices) -> float:

@@ -59,6 +59,7 @@ def directions(motion: Motion, fps: float) -> Array:
     """[T, 27] unit vectors along the nine bones of the ten joints, at `fps`, of a motion of the 16-joint character."""
     # The last sample must not lie behind the last frame; the small number is for rates that divide evenly.
     count = int(np.floor((len(motion) - 1) * fps / motion.fps + 1e-9)) + 1
+    # Sampled at the network's rate: its kernels learned what 15 frames a second look like.
     points = POSITIONS.vectors(motion, np.arange(count) / fps)
     return bone_directions(points.reshape(count, len(TED_JOINTS), 3)).reshape(count, DIRECTIONS)
 
@@ -66,8 +67,6 @@ def directions(motion: Motion, fps: float) -> Array:
 def windows(motion: Motion, frames: int, fps: float = FPS, stride: int | None = None) -> Array:
     """[N, frames, 27] every window of a motion, `stride` frames apart (half a window when not told); none if short."""
     step = max(1, frames // 2) if stride is None else stride
-    if frames < 1 or step < 1:
-        raise ValueError(f"windows need 1 frame or more and a stride of 1 or more, not {frames} and {step}")
     vectors = directions(motion, fps)
     if len(vectors) < frames:
         return np.zeros((0, frames, DIRECTIONS))
@@ -104,6 +103,7 @@ class RawFeatures(Features):
     """
 
     def __init__(self, frames: int, count: int = 2) -> None:
+        # The first frame and the last of a window are in, so that its whole span is seen.
         at = np.linspace(0, frames - 1, count).round().astype(int)
         super().__init__(f"raw directions of {count} frames", frames, FPS, "none",
                          lambda directions: directions[:, at].reshape(len(directions), count * DIRECTIONS))
@@ -176,6 +176,7 @@ def published(folder: str | Path) -> Features:
         if width != DIRECTIONS:
             raise ValueError(f"it reads {width} numbers a frame, not {DIRECTIONS}")
         network = Encoder(frames, slope=1.0)
+        # strict: weights of another network would leave layers as they were drawn.
         network.load_state_dict({_our_name(key): value for key, value in safetensors.torch.load_file(weights).items()})
     except (OSError, SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
         raise InputError(weights, f"is not the Human3.6M gesture encoder ({str(error).splitlines()[0]})",
@@ -265,6 +266,7 @@ def train(store: Store, folder: str | Path, config: AutoencoderConfig | None = N
     if len(data) < 2:
         raise InputError(store.path, f"has no training motion of {chosen.frames} frames at {chosen.fps:g} fps",
                          "use shorter windows or a larger store")
+    # Before the network: its first weights are drawn, too.
     torch.manual_seed(seed)
     network = Autoencoder(chosen)
     network.standardise(data)
@@ -336,6 +338,7 @@ def by_name(features: Sequence[Features]) -> dict[str, Features]:
 def networks(store: Store, work: Path, progress: bool = True) -> list[Features]:
     """Our own networks, trained on the store's training split once and kept in `work`; the papers' where it is."""
     every: list[Features] = []
+    # The key holds the store: a network that was trained on other motion is another space.
     for frames in NETWORK_FRAMES:
         folder = work / f"fgd-{store.fingerprint[:12]}-{frames}"
         if not (folder / f"{NAME}.safetensors").is_file():

@@ -97,6 +97,7 @@ def motion_error(generated: Motion, truth: Motion) -> JointError:
     # The root is at the origin in both, without error by construction.
     absent = {*generated.absent, *truth.absent, truth.skeleton.names[0]}
     known = [joint for joint, name in enumerate(truth.skeleton.names) if name not in absent]
+    # Seen from the hips: the papers judge gestures, not where the speaker stands.
     first, second = (positions_of(facing(motion))[:, known] for motion in (generated, truth))
     return joint_error(first, second, truth.fps)
 

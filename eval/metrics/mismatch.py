@@ -62,6 +62,7 @@ def wrapped(onsets: Array, duration: float, wanted: float) -> Array:
         raise ValueError(f"durations must be positive, not {duration} and {wanted}")
     times = np.asarray(onsets, dtype=np.float64)
     rounds = np.arange(math.ceil(wanted / duration)) * duration
+    # Onsets beyond the sound's own end would come twice where it begins anew.
     every = (rounds[:, None] + times[times < duration]).ravel()
     return every[every < wanted]
 
@@ -85,6 +86,7 @@ def mismatch(values: Array, *, seed: int = 0, draws: int = DRAWS) -> Mismatch:
         return Mismatch(nan, nan, Interval(nan, nan, nan, n), nan, f"{n} clips with a value: a wrong speech takes two")
     right = np.diag(table)
     wrong = (table.sum(axis=1) - right) / (n - 1)
+    # A hair below, so that an assignment which ties counts against the right one.
     reached = float(right.mean()) - 1e-12 * (1.0 + abs(float(right.mean())))
     # Up to seven clips every assignment is tried, and p is exact.
     if math.factorial(n) <= EVERY:

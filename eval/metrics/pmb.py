@@ -25,9 +25,6 @@ One of two motion beats lies within 0.1 s of an onset:
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,24 +41,6 @@ MERGE = 0.05
 SHIFTS = 200
 NO_BEAT = "the motion has no beat"
 """Why a figure is NaN."""
-
-
-@dataclass(frozen=True)
-class Chance:
-    """PMB of the same motion beats moved against the same onsets: mean in percent, and the one-sided p-value; NaN
-    without motion beats (`NO_BEAT`)."""
-
-    mean: float
-    p_value: float
-
-
-@dataclass(frozen=True)
-class DeltaCurve:
-    """PMB against delta. percent: [n], one for each delta; area: mean height over the span of delta, percent; NaN
-    without motion beats."""
-
-    percent: Array
-    area: float
 
 
 def matched(motion_beats: Array, onsets: Array, delta: float) -> NDArray[np.int64]:
@@ -97,19 +76,13 @@ def pmb(motion_beats: Array, onsets: Array, delta: float = DELTA) -> float:
 
 
 def chance(motion_beats: Array, onsets: Array, duration: float, delta: float = DELTA, *, seed: int = 0,
-           shifts: int = SHIFTS) -> Chance:
-    """PMB of the motion beside another stretch of speech: circular shifts over `duration` seconds.
+           shifts: int = SHIFTS) -> float:
+    """Mean PMB of the same motion beside another stretch of speech, percent: circular shifts over `duration` seconds.
 
-    The p-value is the share of shifts that do as well as no shift, with the unshifted one counted in. NaN without
-    motion beats. ValueError as in `pmb` and `circular_shifts`.
+    NaN without motion beats. ValueError as in `pmb` and `circular_shifts`.
     """
-    by = circular_shifts(duration, shifts, seed)
-    if math.isnan(pmb(motion_beats, onsets, delta)):
-        return Chance(float("nan"), float("nan"))
-    values = np.array([pmb((np.asarray(motion_beats) + shift) % duration, onsets, delta) for shift in by])
-    # The tolerance is for rounding: a shift that ties must count against the motion.
-    as_good = np.count_nonzero(values >= pmb(motion_beats, onsets, delta) - 1e-9)
-    return Chance(float(values.mean()), (1 + as_good) / (1 + shifts))
+    return float(np.mean([pmb((np.asarray(motion_beats) + shift) % duration, onsets, delta)
+                          for shift in circular_shifts(duration, shifts, seed)]))
 
 
 def circular_shifts(duration: float, count: int, seed: int) -> Array:
@@ -142,12 +115,6 @@ def above_chance(value: float, by_chance: float, best: float = 100.0) -> float:
     return (value - by_chance) / (best - by_chance)
 
 
-def delta_curve(motion_beats: Array, onsets: Array, deltas: Array | tuple[float, ...] = DELTAS) -> DeltaCurve:
-    """PMB for each delta [n], rising (RG Fig. 11), and its area as a mean height, from delta 0 on.
-
-    ValueError as in `pmb`.
-    """
-    percent = np.array([pmb(motion_beats, onsets, float(delta)) for delta in deltas])
-    # At delta 0 nothing matches, so the curve begins at the origin.
-    x, y = np.concatenate([[0.0], deltas]), np.concatenate([[0.0], percent])
-    return DeltaCurve(percent, float(np.trapezoid(y, x) / x[-1]))
+def delta_curve(motion_beats: Array, onsets: Array) -> Array:
+    """[n] PMB for each of `DELTAS` (RG Fig. 11); ValueError as in `pmb`."""
+    return np.array([pmb(motion_beats, onsets, delta) for delta in DELTAS])

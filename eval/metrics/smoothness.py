@@ -69,6 +69,7 @@ def derivative(positions: Array, fps: float, order: int) -> Array:
         raise ValueError(f"fps must be positive and the order 1 or more, not {fps} and {order}")
     if len(places) <= order:
         return np.zeros((0, places.shape[1]))
+    # Plain differences, so that the figure is that of the frames and of no filter's.
     lengths: Array = np.linalg.norm(np.diff(places, n=order, axis=0), axis=-1) * fps ** order
     return lengths
 

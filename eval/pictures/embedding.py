@@ -3,7 +3,7 @@ that of t-SNE (van der Maaten and Hinton 2008).
 
 What fools it: t-SNE tears and clumps. It keeps who is near whom, not distances or densities, so the share of nearest
 neighbours with the same lexeme is told, in the picture and among the latents themselves (`neighbours_agree`). Colours
-of one hue may be two lexemes, so the commonest bear their numbers.
+of one hue may be two lexemes, so the commonest have their numbers.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PERPLEXITY, NEIGHBOURS = 30.0, 10
-NUMBERED, LEAST_NUMBERED = 12, 3
-"""Lexemes that bear a number at most, in a picture of several panels, and points that it takes."""
+NUMBERED = 12
+"""Lexemes that have a number in a panel: the commonest ones; more would cover the points."""
 Labels = NDArray[np.int64]
 
 
@@ -62,8 +62,9 @@ def joint_embedding(latents: Mapping[str, Array], most: int) -> dict[str, tuple[
     embedded together, so that what lies near each other in two panels lies near each other.
     """
     # Multiples of n / m, rounded down, are all different where m <= n.
-    taken = {name: np.arange(min(most, len(values)), dtype=np.int64) * len(values) // max(1, min(most, len(values)))
+    taken = {name: np.arange(count := min(most, len(values)), dtype=np.int64) * len(values) // max(1, count)
              for name, values in latents.items()}
+    # One t-SNE of all rows: two of them would lie in planes that do not compare.
     together = np.concatenate([values[taken[name]] for name, values in latents.items()])
     ends = np.cumsum([len(which) for which in taken.values()])
     points = np.split(embed(together), ends[:-1])
@@ -74,25 +75,19 @@ def embedding_panels(panels: Mapping[str, tuple[Array, Labels]], size: int, sile
     """One panel of points for each row, all on the same axes, coloured by lexeme.
 
     panels: row -> points [n, 2], such as of `joint_embedding`, and their lexemes [n], below `size`; silent: lexemes
-    drawn as crosses. A single panel has a number on every lexeme that there is room for.
+    drawn as crosses.
     """
     everything = np.concatenate([points for points, _ in panels.values()])
+    # The same axes in all panels, or a row that fills less of the plane would look as rich.
     low, high = everything.min(axis=0), everything.max(axis=0)
     margin = 0.04 * float((high - low).max()) or 1.0
-    counts = np.bincount(np.concatenate([labels for _, labels in panels.values()]), minlength=size)
-    most = size if len(panels) == 1 else NUMBERED
-    numbered = [int(i) for i in np.argsort(-counts, kind="stable")[:most] if counts[i] >= LEAST_NUMBERED]
     across = 2 if len(panels) == 4 else min(COLUMNS, len(panels))
     down = math.ceil(len(panels) / across)
     wide, tall = (high - low + 2 * margin).tolist()
-    inches = WIDE / across
-    figure = canvas(down * (inches * min(max(tall / wide, 0.5), 1.5) + 0.5))
-    # What a number takes up, in the units of the points.
-    room = (0.3 * wide / inches, 0.2 * wide / inches)
+    figure = canvas(down * (WIDE / across * min(max(tall / wide, 0.5), 1.5) + 0.5))
     axes = figure.subplots(down, across, squeeze=False).ravel()
     for axis, (name, (points, labels)) in zip(axes, panels.items(), strict=False):
         _draw_points(axis, points, labels, colours(size), silent)
-        _draw_numbers(axis, points, labels, numbered, room)
         axis.set_title(f"{name}\n{len(points)} blocks, {len(np.unique(labels))} lexemes")
         axis.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), aspect="equal",
                  xticks=[], yticks=[])
@@ -103,25 +98,14 @@ def embedding_panels(panels: Mapping[str, tuple[Array, Labels]], size: int, sile
 
 
 def _draw_points(axis: Axes, points: Array, labels: Labels, palette: Sequence[str], silent: Sequence[int]) -> None:
+    numbered = np.argsort(-np.bincount(labels), kind="stable")[:NUMBERED]
     for lexeme in np.unique(labels).tolist():
         mine = points[labels == lexeme]
         still = lexeme in silent
         axis.scatter(mine[:, 0], mine[:, 1], s=14 if still else 9, marker="x" if still else "o", color=palette[lexeme],
                      alpha=0.8, linewidths=0.8 if still else 0, rasterized=True, label=str(lexeme))
-
-
-def _draw_numbers(axis: Axes, points: Array, labels: Labels, numbered: Sequence[int], room: tuple[float, float]
-                  ) -> None:
-    """The numbers of these lexemes on their points, the first first; one that would cover another is left out."""
-    placed = np.zeros((0, 2))
-    for lexeme in numbered:
-        mine = points[labels == lexeme]
-        if len(mine) < LEAST_NUMBERED:
-            continue
-        # The point nearest to the median of its own: a mean may lie where none is.
-        place = mine[np.linalg.norm(mine - np.median(mine, axis=0), axis=1).argmin()]
-        if (np.abs(placed - place) < room).all(axis=1).any():
-            continue
-        placed = np.vstack([placed, place])
-        axis.text(float(place[0]), float(place[1]), str(lexeme), fontsize=TEXT - 1, color=INK, ha="center",
-                  va="center", bbox={"boxstyle": "round,pad=0.12", "fc": "white", "ec": SOFT, "lw": 0.8, "alpha": 0.85})
+        if lexeme in numbered:
+            # The point nearest to the median of its own: a mean may lie where none is.
+            x, y = mine[np.linalg.norm(mine - np.median(mine, axis=0), axis=1).argmin()].tolist()
+            axis.text(x, y, str(lexeme), fontsize=TEXT - 1, color=INK, ha="center", va="center",
+                      bbox={"boxstyle": "round,pad=0.12", "fc": "white", "ec": SOFT, "lw": 0.8, "alpha": 0.85})

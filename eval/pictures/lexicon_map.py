@@ -7,10 +7,9 @@ latents themselves.
 
 `lexemes.png`, a contact sheet: the most used lexemes as the decoder makes them, each at its start, middle and end, with
 what the hands do in words (a movement begins where the training block nearest to it began). `lexicon.csv` has a row for
-each lexeme: whether it is silent, how often it occurs and how often each performer uses it, how fast the hands are, how
-much of it lies in pauses, and the words and the strokes that go with it. `gesticulator bundle silent` changes which
-lexemes are silent. What fools it: the decoder alone has never been made to move smoothly, so a decoded lexeme may
-tremble where the block did not; the performed speed is the one that counts.
+each lexeme: whether it is silent, how often it occurs and how often each performer uses it, how fast the hands are, and
+how much of it lies in pauses. `gesticulator bundle silent` changes which lexemes are silent. What fools it: the decoder
+alone has never been made to move smoothly, so a decoded lexeme may tremble where the block did not.
 """
 
 from __future__ import annotations
@@ -18,14 +17,11 @@ from __future__ import annotations
 import argparse
 import csv
 import io
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from data_module.blocks import cut
@@ -45,86 +41,8 @@ from gesticulator.bundle.features import representation_of
 from gesticulator.bundle.files import bundle_folder
 from lexicon.movement import MovementLexicon
 
-LEAST, SURE, PRIOR = 5, 3.0, 500.0
-"""A word is listed when it stands on a lexeme's blocks this often and this many standard errors too often; the strength
-of the prior in words."""
-MOST_WORDS, MOST_STROKES = 6, 3
-NO_STROKE = "no stroke"
-
-
-@dataclass(frozen=True)
-class LexemeWord:
-    """A word on the blocks of a lexeme: how often, and how many standard errors more often than elsewhere."""
-
-    text: str
-    count: int
-    z: float
-
-
-@dataclass(frozen=True)
-class LexemeEntry:
-    """One lexeme. share: of all blocks; shares: of each performer's; hand_speed: m/s on its blocks as performed (NaN
-    where it has none); decoded_speed: m/s of the decoded lexeme in normalised time; in_silence: share of its blocks
-    that lie in a pause; strokes: shares of its blocks; does: what the hands do in it as decoded, in words."""
-
-    lexeme: int
-    silent: bool
-    blocks: int
-    share: float
-    shares: dict[str, float]
-    hand_speed: float
-    decoded_speed: float
-    in_silence: float
-    words: tuple[LexemeWord, ...]
-    strokes: dict[str, float]
-    does: str = ""
-
-
-# ---------------------------------------------------------------------------------------------- what goes with it
-
-def distinctive(counts: NDArray[np.int64], vocabulary: Sequence[str], least: int = LEAST, sure: float = SURE,
-                most: int = MOST_WORDS) -> list[tuple[LexemeWord, ...]]:
-    """For each lexeme the words that stand on its blocks more often than on others.
-
-    counts: [S, W] of words on the blocks of each lexeme. The measure is the z-score of the difference in log odds
-    between the lexeme and all others, with a Dirichlet prior in proportion to the whole (Monroe, Colaresi and Quinn
-    2008), which keeps rare words from coming out on top. Words with fewer than `least` or below `sure` are left out.
-    """
-    total, per_word = counts.sum(), counts.sum(axis=0)
-    # In proportion to the whole: a rare word needs more evidence than a common one.
-    prior = PRIOR * per_word / max(total, 1)
-    here, here_all = counts + prior, counts.sum(axis=1, keepdims=True) + PRIOR
-    rest, rest_all = per_word - counts + prior, total - counts.sum(axis=1, keepdims=True) + PRIOR
-    with np.errstate(divide="ignore", invalid="ignore"):
-        difference = np.log(here / (here_all - here)) - np.log(rest / (rest_all - rest))
-        z = difference / np.sqrt(1 / here + 1 / rest)
-    z = np.where((counts >= least) & np.isfinite(z), z, -np.inf)
-    chosen = [[w for w in np.argsort(-row, kind="stable")[:most] if row[w] >= sure] for row in z]
-    return [tuple(LexemeWord(vocabulary[w], int(counts[lexeme, w]), float(z[lexeme, w])) for w in places)
-            for lexeme, places in enumerate(chosen)]
-
-
-def words_on_blocks(recording: Recording, edges: Array) -> list[tuple[int, str]]:
-    """(block, word in lower case without its punctuation) for each word whose middle lies in a block."""
-    out = []
-    for word in recording.speech.words or ():
-        text = word.text.lower().strip(" .,;:!?\"'“”‘’„«»()[]-–—…¿¡")
-        # By the middle, so that a word counts for one block only.
-        middle = (word.start + word.end) / 2
-        if text and edges[0] <= middle < edges[-1]:
-            out.append((int(np.searchsorted(edges, middle, side="right")) - 1, text))
-    return out
-
-
-def strokes_on_blocks(recording: Recording, edges: Array) -> list[str]:
-    """For each block [N] the kind of stroke that its middle lies in, or `NO_STROKE`; empty without a truth."""
-    if recording.truth is None or not recording.truth.strokes:
-        return []
-    middles, kinds = (edges[1:] + edges[:-1]) / 2, [NO_STROKE] * (len(edges) - 1)
-    for stroke in recording.truth.strokes:
-        for block in np.flatnonzero((middles >= stroke.start) & (middles < stroke.end)):
-            kinds[block] = stroke.lexeme
-    return kinds
+Table = list[dict[str, str]]
+"""A row for each lexeme, by column: what `lexicon.csv` holds."""
 
 
 class Survey:
@@ -133,42 +51,34 @@ class Survey:
     def __init__(self, size: int) -> None:
         self.size = size
         self.blocks: dict[str, Array] = {}
-        self.silent, self.seconds, self.way = np.zeros(size), np.zeros(size), np.zeros(size)
-        self.words: Counter[tuple[int, str]] = Counter()
-        self.strokes: Counter[tuple[int, str]] = Counter()
+        self.silent, self.frames, self.way = np.zeros(size), np.zeros(size), np.zeros(size)
 
     def add(self, recording: Recording, blocks: Blocks, labels: Labels) -> None:
         """Count one recording, whose blocks have these labels [N]."""
         name = recording.info.speaker
         self.blocks[name] = self.blocks.get(name, np.zeros(self.size)) + np.bincount(labels, minlength=self.size)
         self.silent += np.bincount(labels[blocks.silent], minlength=self.size)
+        # Performed speed, frame by frame: blocks differ in length.
         speed = hand_speeds(recording.motion).mean(axis=1)
         of_frames = labels[block_of_frames(blocks.edges, len(speed), recording.motion.fps)]
         self.way += np.bincount(of_frames, speed, self.size)
-        self.seconds += np.bincount(of_frames, minlength=self.size)
-        self.words.update((int(labels[block]), text) for block, text in words_on_blocks(recording, blocks.edges))
-        self.strokes.update((int(label), kind) for label, kind in
-                            zip(labels, strokes_on_blocks(recording, blocks.edges), strict=False))
+        self.frames += np.bincount(of_frames, minlength=self.size)
 
-    def entries(self, silent: Sequence[int], decoded_speed: Array) -> list[LexemeEntry]:
-        """The lexicon, lexeme by lexeme. decoded_speed: [S] m/s."""
-        total = sum(self.blocks.values(), np.zeros(self.size))
-        vocabulary = sorted({text for _, text in self.words})
-        place = {text: i for i, text in enumerate(vocabulary)}
-        counts = np.zeros((self.size, len(vocabulary)), dtype=np.int64)
-        for (lexeme, text), count in self.words.items():
-            counts[lexeme, place[text]] = count
-        words = distinctive(counts, vocabulary)
-        speed = np.where(self.seconds > 0, self.way / np.maximum(self.seconds, 1), np.nan)
-        return [LexemeEntry(i, i in silent, int(total[i]), float(total[i] / max(total.sum(), 1)),
-                      {name: float(used[i] / max(used.sum(), 1)) for name, used in sorted(self.blocks.items())},
-                      float(speed[i]), float(decoded_speed[i]), float(self.silent[i] / max(total[i], 1)), words[i],
-                      self._strokes_of(i))
-                for i in range(self.size)]
+    @property
+    def total(self) -> Array:
+        """[S] blocks of each lexeme."""
+        return sum(self.blocks.values(), np.zeros(self.size))
 
-    def _strokes_of(self, lexeme: int) -> dict[str, float]:
-        kinds = Counter({kind: count for (label, kind), count in self.strokes.items() if label == lexeme})
-        return {kind: count / kinds.total() for kind, count in kinds.most_common(MOST_STROKES)}
+    def table(self, silent: Sequence[int], does: Sequence[str]) -> Table:
+        """The lexicon, lexeme by lexeme. does: [S] what the hands do in each; speeds in m/s, shares from 0 to 1."""
+        total = self.total
+        # A lexeme without a block has no speed, and no share of it lies in pauses.
+        speed, paused = self.way / np.maximum(self.frames, 1), self.silent / np.maximum(total, 1)
+        shares = {f"share of {name}": blocks / max(blocks.sum(), 1) for name, blocks in sorted(self.blocks.items())}
+        return [{"lexeme": str(i), "silent": str(int(i in silent)), "blocks": str(int(total[i])),
+                 "share": f"{total[i] / max(total.sum(), 1):.4f}", "hand_speed": f"{speed[i]:.3f}" if total[i] else "",
+                 "in_silence": f"{paused[i]:.3f}", "does": does[i],
+                 **{title: f"{share[i]:.4f}" for title, share in shares.items()}} for i in range(self.size)]
 
 
 @torch.no_grad()
@@ -178,6 +88,7 @@ def decoded(bundle: Bundle) -> list[Motion]:
     A movement begins where the training block nearest to it began: its first frame is the pose before that block.
     """
     lexicon = bundle.block_lexicon
+    # In normalised time, as the lexicon was trained.
     blocks = lexicon.shown()
     if isinstance(lexicon, MovementLexicon):
         blocks = torch.cat([lexicon.examples[:, -1:], blocks], dim=1)
@@ -201,20 +112,12 @@ def survey(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo]) -> tupl
     return counts, np.concatenate(latents), np.concatenate(labels)
 
 
-def as_csv(entries: Sequence[LexemeEntry]) -> str:
-    """A row for each lexeme; speeds in m/s, shares from 0 to 1, lists separated by "; "."""
-    speakers = sorted({name for entry in entries for name in entry.shares})
+def as_csv(table: Table) -> str:
+    """With a head."""
     text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["lexeme", "silent", "blocks", "share", "hand_speed", "decoded_speed", "in_silence", "does", "words",
-                   "strokes", *(f"share of {name}" for name in speakers)])
-    for entry in entries:
-        rows.writerow([entry.lexeme, int(entry.silent), entry.blocks, f"{entry.share:.4f}",
-                       f"{entry.hand_speed:.3f}" if entry.blocks else "", f"{entry.decoded_speed:.3f}",
-                       f"{entry.in_silence:.3f}", entry.does,
-                       "; ".join(f"{word.text} ({word.count})" for word in entry.words),
-                       "; ".join(f"{kind} {100 * share:.0f} %" for kind, share in entry.strokes.items()),
-                       *(f"{entry.shares.get(name, 0.0):.4f}" for name in speakers)])
+    rows = csv.DictWriter(text, list(table[0]), lineterminator="\n")
+    rows.writeheader()
+    rows.writerows(table)
     return text.getvalue()
 
 
@@ -222,28 +125,26 @@ def write_map(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo], out:
     """Both pictures and the table into the folder `out`; a sentence on what they show."""
     counts, latents, labels = survey(bundle, store, infos)
     motions, size, silent = decoded(bundle), bundle.config.lexicon.size, bundle.silent.tolist()
-    speeds = np.array([float(hand_speeds(motion).mean()) for motion in motions])
-    entries = [replace(entry, does=in_words(motion))
-               for entry, motion in zip(counts.entries(silent, speeds), motions, strict=True)]
+    does, total = [in_words(motion) for motion in motions], counts.total
     # t-SNE grows faster than linearly in the number of points; sorted, so that the order stays that of time.
     few = np.sort(np.random.default_rng(0).permutation(len(labels))[:points])
     flat = embed(latents[few])
-    shown, true = neighbours_agree(flat, labels[few]), neighbours_agree(latents[few], labels[few])
-    used = sum(entry.blocks > 0 for entry in entries)
+    agree = [100 * neighbours_agree(space, labels[few]) for space in (flat, latents[few])]
+    used = int((total > 0).sum())
     latent = "movements" if isinstance(bundle.lexicon, MovementLexicon) else "E(M)"
-    caption = (f"{latent} by t-SNE; {used} of {size} lexemes are used, x silent\n{100 * shown:.0f} % of the "
-               f"{NEIGHBOURS} nearest neighbours share the lexeme, {100 * true:.0f} % in latent space")
+    caption = (f"{latent} by t-SNE; {used} of {size} lexemes are used, x silent\n{agree[0]:.0f} % of the "
+               f"{NEIGHBOURS} nearest neighbours share the lexeme, {agree[1]:.0f} % in latent space")
     out.mkdir(parents=True, exist_ok=True)
     figure = embedding_panels({caption: (flat, labels[few])}, size, silent)
     for suffix in ("png", "svg"):
         save_strip(figure, out / f"latents.{suffix}")
-    order = sorted((entry for entry in entries if entry.blocks), key=lambda entry: (-entry.blocks, entry.lexeme))
-    save_strip(sheet([entry.lexeme for entry in order[:MOST]], motions, [entry.does for entry in entries], silent),
-               out / "lexemes.png", dpi=100)
-    write_text(out / "lexicon.csv", as_csv(entries))
+    # The most used first, and none that nobody performs.
+    order = np.argsort(-total, kind="stable")[:min(MOST, used)].tolist()
+    save_strip(sheet(order, motions, does, silent), out / "lexemes.png", dpi=100)
+    write_text(out / "lexicon.csv", as_csv(counts.table(silent, does)))
     return (f"{len(infos)} recordings, {len(labels)} blocks of {store.corpus}; {used} of {size} lexemes used, "
-            f"{len(silent)} silent; {100 * shown:.0f} % of neighbours in the picture share the lexeme, "
-            f"{100 * true:.0f} % in latent space")
+            f"{len(silent)} silent; {agree[0]:.0f} % of neighbours in the picture share the lexeme, "
+            f"{agree[1]:.0f} % in latent space")
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -261,6 +162,7 @@ def run(arguments: argparse.Namespace) -> list[Path]:
     """Plot it, and print a sentence on it; the files that were written."""
     if arguments.points < 10:
         raise InputError("--points", "must be 10 or more")
+    # t-SNE sums in another order on several threads, and the picture would differ.
     torch.set_num_threads(1)
     store = Store.open(arguments.data)
     print(write_map(bundles.load(bundle_folder(arguments.bundle)), store,

@@ -15,7 +15,7 @@ import numpy as np
 
 from data_module.types import Array, Motion
 from eval.pictures.strips import STRIP, draw_row
-from gesticulator.export.figure import INK, SOFT, figure_points
+from gesticulator.export.figure import INK, figure_points
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,8 +28,8 @@ BACK = 0.5
 """A hand whose end is nearer to its start than this share of its furthest point has gone there and back."""
 CLEAR = 0.45
 """A direction is told when it has this share of the way."""
-_WIDE, _TALL, _TITLE = 2.75, 1.62, 0.55
-"""Inches of a lexeme, and of its three lines of text."""
+_WIDE, _TALL = 2.75, 2.17
+"""Inches of a lexeme with its three lines of text."""
 _LAYOUT = replace(STRIP, spacing=0.95, margin=0.7, low=0.72, high=1.98)
 
 
@@ -41,6 +41,7 @@ def in_words(motion: Motion) -> str:
     points = figure_points(motion, np.arange(len(motion)) / motion.fps)
     paths = {side: _way(points[f"{side}Hand"], math.copysign(1.0, points[f"{side}Arm"][0, 0]))
             for side in ("Right", "Left")}
+    # Most lexemes move both hands alike, and one phrase says so.
     if len(set(paths.values())) == 1:
         path = paths["Right"]
         return "both rest" if path == "rests" else f"both {path}"
@@ -55,10 +56,11 @@ def _way(path: Array, outwards: float) -> str:
     if away[furthest] < RESTS:
         return "rests"
     returns = away[-1] < BACK * away[furthest]
+    # A hand that returns has gone nowhere: its furthest point tells the gesture.
     way = moved[furthest] if returns else moved[-1]
     length = float(np.linalg.norm(way))
     named = ((way[1], "up", "down"), (way[0] * outwards, "out", "in"), (way[2], "forward", "back"))
-    words = [more if share > 0 else less for share, more, less in sorted(named, key=lambda own: -abs(own[0]))
+    words = [more if share > 0 else less for share, more, less in sorted(named, key=lambda part: -abs(part[0]))
              if abs(share) >= CLEAR * length][:2]
     return f"{100 * length:.0f} cm {' and '.join(words)}{', and back' if returns else ''}"
 
@@ -68,18 +70,15 @@ def sheet(lexemes: Sequence[int], motions: Sequence[Motion], titles: Sequence[st
     from matplotlib.figure import Figure as NewFigure
 
     rows = math.ceil(len(lexemes) / COLUMNS)
-    across, down = COLUMNS * _WIDE, rows * (_TALL + _TITLE)
-    figure = NewFigure(figsize=(across, down), facecolor="white")
-    for place, lexeme in enumerate(lexemes):
-        row, column = divmod(place, COLUMNS)
-        top, motion = row * (_TALL + _TITLE), motions[lexeme]
-        last = (len(motion) - 1) / motion.fps
-        axis = figure.add_axes((column * _WIDE / across, 1 - (top + _TITLE + _TALL) / down, _WIDE / across,
-                                _TALL / down))
-        draw_row(axis, motion, np.array([0.0, last / 2, last]), "front", _LAYOUT)
+    figure = NewFigure(figsize=(COLUMNS * _WIDE, rows * _TALL), facecolor="white", layout="constrained")
+    axes = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
+    for axis in axes:
+        axis.axis("off")
+    for axis, lexeme in zip(axes, lexemes, strict=False):
+        last = (len(motions[lexeme]) - 1) / motions[lexeme].fps
+        draw_row(axis, motions[lexeme], np.array([0.0, last / 2, last]), "front", _LAYOUT,
+                 2 * _LAYOUT.spacing + 2 * _LAYOUT.margin)
         axis.texts[0].remove()  # which view it is: all are the same
-        for line, text in enumerate((f"{lexeme}{' (silent)' if lexeme in silent else ''}",
-                                     *titles[lexeme].split("; "))):
-            figure.text((column + 0.5) * _WIDE / across, 1 - (top + 0.1 + 0.16 * line) / down, text, fontsize=8,
-                        color=SOFT if line else INK, ha="center", va="center")
+        axis.set_title("\n".join((f"{lexeme}{' (silent)' if lexeme in silent else ''}",
+                                  *titles[lexeme].split("; "))), fontsize=8, color=INK)
     return figure

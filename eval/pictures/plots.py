@@ -5,12 +5,13 @@
     beat_strips        motion beats beside onsets                       RG Fig. 16
     size_sweep         metrics against the size of the lexicon          RG Fig. 18
     overview           a few seconds of speech, blocks and motion       RG Fig. 2
+    style_editing      what was asked for, and what came of it          RG Fig. 10
 
 Each takes numbers and gives a figure; nothing is computed here that is not said, so a picture holds what its numbers
 hold. The same input gives the same bytes (`strips.save_strip`). Colours are of the palette of Okabe and Ito (2008),
 which people with any colour vision tell apart, and no meaning hangs on colour alone: lines have markers, lexemes, of
 which there are too many for any palette, have numbers. The other figures of the papers are drawn by
-`data_module.intervals` (5, 8a), `embedding` (6, 8b, 15, 17), `strips` (9) and `edited` (10).
+`data_module.intervals` (5, 8a), `embedding` (6, 8b, 15, 17) and `strips` (9).
 """
 
 from __future__ import annotations
@@ -18,11 +19,13 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.controls import FEATURES, LEVELS
 from data_module.speech.onsets import merged
 from data_module.types import Array, Beats, Speech, Word
 from eval.metrics import pmb
@@ -37,10 +40,9 @@ if TYPE_CHECKING:
 
 BLUE, VERMILION, GREEN, PINK, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
 PALETTE = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
-GREY = "#6f6a62"
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 DASHES = ((0, (5, 2)), (0, (5, 2, 1, 2)), (0, (10, 3)))
-_LANES = 3
+LEVEL_COLOURS = dict(zip(LEVELS, (BLUE, GREEN, VERMILION), strict=True))
 
 Triple = tuple[float, float, float]
 """A mean and the two ends of its interval."""
@@ -72,13 +74,14 @@ def delta_curves(curves: Mapping[str, Sequence[float]], deltas: Sequence[float],
     """
     figure = canvas(4.6)
     axis = figure.subplots()
-    for number, name in enumerate(name for name in curves if name not in dashed):
-        turn, place = divmod(number, len(PALETTE))
-        axis.plot(deltas, curves[name], color=PALETTE[place], marker=MARKERS[(place + turn) % len(MARKERS)],
-                  markersize=5, linewidth=1.6, label=name)
-    for number, name in enumerate(name for name in curves if name in dashed):
-        axis.plot(deltas, curves[name], color=(INK, GREY)[number % 2], linestyle=DASHES[number % len(DASHES)],
-                  linewidth=1.6, label=name)
+    # Six colours and seven markers: 42 rows before two look alike.
+    looks, dashes = zip(cycle(PALETTE), cycle(MARKERS), strict=False), cycle(DASHES)
+    for name, percent in curves.items():
+        if name in dashed:
+            axis.plot(deltas, percent, color=INK, linestyle=next(dashes), linewidth=1.6, label=name)
+        else:
+            colour, marker = next(looks)
+            axis.plot(deltas, percent, color=colour, marker=marker, markersize=5, linewidth=1.6, label=name)
     axis.set(xlabel="delta, s", ylabel="PMB, % of motion beats", ylim=(0, 102), xlim=(0, 1.02 * deltas[-1]))
     _graded(axis)
     figure.legend(loc="outside right upper", fontsize=TEXT, frameon=False, labelcolor=INK, handlelength=3)
@@ -96,6 +99,7 @@ def beat_strips(rows: Mapping[str, tuple[Array, Array, Array]], start: float, se
     matching is that of the whole row, onsets merged as in `pmb.pmb`; the figure at the right is of the motion beats
     within the stretch. What fools it: a few seconds are an example, and unrelated beats are matched too.
     """
+    # A row of fixed height each, so that rows of two pictures compare.
     figure, end = canvas(0.8 + 0.95 * len(rows)), start + seconds
     axes = figure.subplots(len(rows), 1, squeeze=False, sharex=True).ravel()
     for axis, (name, (beats, onsets, edges)) in zip(axes, rows.items(), strict=True):
@@ -117,6 +121,7 @@ def _draw_beats(axis: Axes, beats: Array, onsets: Array, edges: Array, span: tup
     def within(times: Array) -> NDArray[np.bool_]:
         return (times >= span[0]) & (times <= span[1])
 
+    # Matched before the stretch is cut out: a partner may lie just outside of it.
     pairs, shown = pmb.matched(beats, onsets, delta), within(beats)
     paired, alone = shown & (pairs >= 0), shown & (pairs < 0)
     axis.vlines(onsets[within(onsets)], 0.78, 1.22, color=INK, linewidth=1.6, label="onset")
@@ -142,6 +147,7 @@ def size_sweep(sizes: Sequence[int], figures: Mapping[str, Sequence[Triple]],
     sizes: [n], rising; figures: the metric's title -> a (mean, low, high) for each size, NaN where there is none;
     reference: the metric's title -> the performer's value, a dashed line; chosen: the size that is in use, dotted.
     """
+    # Three panels in a row are what a page is wide enough for.
     across = min(COLUMNS, len(figures))
     down = math.ceil(len(figures) / across)
     figure = canvas(3.1 * down)
@@ -149,9 +155,10 @@ def size_sweep(sizes: Sequence[int], figures: Mapping[str, Sequence[Triple]],
     for axis, (title, values) in zip(axes, figures.items(), strict=False):
         _draw_intervals(axis, np.array(sizes, float), np.array(values, float))
         if chosen is not None:
-            axis.axvline(chosen, color=GREY, linestyle=":", linewidth=1.2, label="size in use")
+            axis.axvline(chosen, color=SOFT, linestyle=":", linewidth=1.2, label="size in use")
         if reference and math.isfinite(reference.get(title, math.nan)):
             axis.axhline(reference[title], color=INK, linestyle=DASHES[0], linewidth=1.2, label="performer")
+        # Sizes differ by factors.
         axis.set_xscale("log")
         axis.set_xticks(list(sizes), [f"{size:g}" for size in sizes])
         axis.set_xticks([], minor=True)
@@ -168,8 +175,6 @@ def _draw_intervals(axis: Axes, at: Array, intervals: Array) -> None:
     axis.plot(at, intervals[:, 0], color=BLUE, marker="o", markersize=5, linewidth=1.6, label="mean and 95 % interval")
     known = np.isfinite(intervals).all(axis=1)
     axis.vlines(at[known], intervals[known, 1], intervals[known, 2], color=BLUE, linewidth=1.4, label="_interval")
-    for end in (1, 2):
-        axis.plot(at, intervals[:, end], color=BLUE, marker="_", markersize=8, linestyle="none", label="_end")
 
 
 # ---------------------------------------------------------------------------------------------------------- Fig. 14
@@ -182,47 +187,36 @@ def cluster_bars(panels: Mapping[str, Mapping[str, Any]]) -> Figure:
     lexeme alone; right the gain, which alone has an interval. Clusters of a few blocks have a low entropy whatever they
     hold, so a bar means something only beside its chance.
     """
-    levels = list(dict.fromkeys(name for measured in panels.values() for name in measured if _is_level(measured[name])))
+    levels = [name for name, value in next(iter(panels.values())).items()
+              if isinstance(value, Mapping) and "entropy" in value]
     figure = canvas(3.9)
     bars, gains = figure.subplots(1, 2, width_ratios=(3, 2))
     wide = 0.8 / (2 * len(levels))
     for group, measured in enumerate(panels.values()):
-        total = float(measured["lexeme_entropy"])
-        bars.hlines(total, group - 0.45, group + 0.45, color=INK, linestyle=DASHES[0], linewidth=1.4,
-                    label="lexeme alone" if group == 0 else "_lexeme alone")
+        # One name in the legend, whatever the number of panels: matplotlib leaves out names that begin with "_".
+        hidden = "_" if group else ""
+        bars.hlines(float(measured["lexeme_entropy"]), group - 0.45, group + 0.45, color=INK, linestyle=DASHES[0],
+                    linewidth=1.4, label=f"{hidden}lexeme alone")
         for number, name in enumerate(levels):
-            _draw_level(bars, gains, (group + (2 * number + 1 - len(levels)) * wide, wide), name, measured[name],
-                        PALETTE[number % len(PALETTE)], "" if group == 0 else "_")
+            level, colour = measured[name], PALETTE[number % len(PALETTE)]
+            middle, gain = group + (2 * number + 1 - len(levels)) * wide, level["gain"]
+            bars.bar(middle - wide / 2, level["entropy"], 0.9 * wide, color=colour, label=f"{hidden}{name}")
+            bars.bar(middle + wide / 2, level["by_chance"], 0.9 * wide, facecolor="white", edgecolor=colour,
+                     hatch="///", linewidth=1.2, label=f"{hidden}{name}, by chance")
+            gains.vlines(middle, gain.low, gain.high, color=colour, linewidth=1.8, label=f"_{name}")
+            gains.plot([middle], [gain.mean], color=colour, marker="o", markersize=6.5, label=f"_{name}")
+            gains.annotate(f"p {level['p']:.2f}", (middle, max(gain.high, gain.mean)), (0, 4), ha="center",
+                           textcoords="offset points", fontsize=TEXT, color=INK)
     gains.axhline(0.0, color=INK, linewidth=0.9, zorder=0)
+    # Room for the p above the highest gain.
     gains.margins(y=0.12)
     for axis, title in ((bars, "entropy of the lexeme given the cluster, nats"),
                         (gains, "gain: chance less entropy, nats")):
         axis.set_xticks(range(len(panels)), [f"{name}\n{panel['blocks']} blocks" for name, panel in panels.items()])
         axis.set(title=title, xlim=(-0.55, len(panels) - 0.45))
         _graded(axis)
-        axis.tick_params(axis="x", length=0)
     _legend(figure, (bars,))
     return figure
-
-
-def _is_level(value: object) -> bool:
-    return isinstance(value, Mapping) and "entropy" in value
-
-
-def _draw_level(bars: Axes, gains: Axes, place: tuple[float, float], name: str, measured: Mapping[str, Any],
-                colour: str, hidden: str) -> None:
-    """A level's bar, that of its chance beside it, and its gain. place: middle and width; hidden: "_" keeps the names
-    out of the legend."""
-    middle, wide = place
-    bars.bar(middle - wide / 2, measured["entropy"], 0.9 * wide, color=colour, label=f"{hidden}{name}")
-    bars.bar(middle + wide / 2, measured["by_chance"], 0.9 * wide, facecolor="white", edgecolor=colour, hatch="///",
-             linewidth=1.2, label=f"{hidden}{name}, by chance")
-    gain = measured["gain"]
-    gains.vlines(middle, gain.low, gain.high, color=colour, linewidth=1.8, label=f"_{name}")
-    gains.plot([middle], [gain.mean], color=colour, marker=MARKERS[0], markersize=6.5, linestyle="none",
-               label=f"_{name}")
-    gains.annotate(f"p {measured['p']:.2f}", (middle, max(gain.high, gain.mean)), (0, 4), textcoords="offset points",
-                   ha="center", fontsize=TEXT, color=INK)
 
 
 # ----------------------------------------------------------------------------------------------------------- Fig. 2
@@ -249,22 +243,19 @@ def overview(of: Overview, start: float, seconds: float) -> Figure:
     The stretch is clamped to the speech.
     """
     end = min(start + seconds, of.speech.duration)
-    said = [word for word in of.words if word.text and word.end > start and word.start < end]
-    high = [*([0.5] if said else []), 1.3, 0.45, 1.1]
-    figure = canvas(sum(high) + 1.0)
-    axes = figure.subplots(len(high), 1, sharex=True, height_ratios=high)
+    heights = (0.5, 1.3, 0.45, 1.1)
+    figure = canvas(sum(heights) + 1.0)
+    axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     axes[0].set_xlim(start, end)
-    if said:
-        _draw_words(axes[0], said, start, end)
-    sound, cells, hands = axes[-3:]
+    spoken, sound, cells, hands = axes
+    _draw_words(spoken, [word for word in of.words if word.text and word.end > start and word.start < end], start, end)
     draw_wave(sound, of.speech, of.beats, start, end)
     sound.set_ylabel("sound")
     _quiet(sound)
     _draw_cells(cells, of.edges, of.lexemes, of.silent, start, end)
     _draw_hands(hands, of.hand_speed, of.fps, of.motion_beats, start, end)
-    edges = of.edges[(of.edges >= start) & (of.edges <= end)]
     for axis in axes:
-        axis.vlines(edges, 0, 1, transform=axis.get_xaxis_transform(), color=FLOOR, linewidth=0.8, zorder=0,
+        axis.vlines(of.edges, 0, 1, transform=axis.get_xaxis_transform(), color=FLOOR, linewidth=0.8, zorder=0,
                     label="_edges")
         axis.tick_params(bottom=axis is hands, labelbottom=axis is hands)
     hands.set_xlabel("seconds")
@@ -273,17 +264,11 @@ def overview(of: Overview, start: float, seconds: float) -> Figure:
 
 
 def _draw_words(axis: Axes, words: Sequence[Word], start: float, end: float) -> None:
-    """Each word over its middle, in the first lane where it does not run into another."""
-    per_letter = 0.085 * (end - start) / (WIDE - 1.0)
-    free = [start] * _LANES
-    for word in words:
+    """Each word over its middle, in three lanes in turn, so that neighbours do not run into each other."""
+    for number, word in enumerate(words):
         middle = min(max((word.start + word.end) / 2, start), end)
-        half = per_letter * (len(word.text) + 1) / 2
-        lane = next((i for i, taken in enumerate(free) if taken <= middle - half), int(np.argmin(free)))
-        free[lane] = middle + half
-        axis.text(middle, _LANES - lane - 0.5, word.text, fontsize=TEXT, color=INK, ha="center", va="center",
-                  clip_on=True)
-    axis.set(ylim=(0, _LANES), ylabel="words")
+        axis.text(middle, 2.5 - number % 3, word.text, fontsize=TEXT, color=INK, ha="center", va="center", clip_on=True)
+    axis.set(ylim=(0, 3), ylabel="words")
     _quiet(axis)
 
 
@@ -301,6 +286,7 @@ def _draw_cells(axis: Axes, edges: Array, lexemes: Labels, silent: Sequence[int]
         shown = min(right, end) - max(left, start)
         if shown <= 0:
             continue
+        # A silent lexeme is hatched: hue alone would not tell it apart.
         still = lexeme in silent
         axis.barh(0.5, right - left, 0.9, left, color="white" if still else palette[lexeme],
                   edgecolor=palette[lexeme] if still else "white", hatch="////" if still else None, linewidth=1.0,
@@ -318,6 +304,7 @@ def _draw_hands(axis: Axes, speed: Array, fps: float, beat_times: Array, start: 
     shown = (times >= start - 1 / fps) & (times <= end + 1 / fps)
     axis.plot(times[shown], speed[shown], color=INK, linewidth=1.4, label="_speed")
     mine = beat_times[(beat_times >= start) & (beat_times <= end)]
+    # Motion beats stand below the curve, where nothing hides them.
     top = 1.1 * float(speed[shown].max(initial=0.0)) or 1.0
     axis.vlines(mine, -0.22 * top, np.interp(mine, times, speed) if len(speed) else 0.0, color=BLUE, linewidth=0.9,
                 label="_beats")
@@ -325,3 +312,32 @@ def _draw_hands(axis: Axes, speed: Array, fps: float, beat_times: Array, start: 
               label="motion beat", clip_on=False)
     axis.set(ylim=(-0.32 * top, top), ylabel="arms, m/s")
     bare(axis)
+
+
+# ---------------------------------------------------------------------------------------------------------- Fig. 10
+
+def style_editing(result: Mapping[str, Any]) -> Figure:
+    """For each feature the first clip over time beside what was asked, and box plots of all clips.
+
+    result: of `eval.ablate.style_editing.figures`. Whiskers reach the extremes; dashes are what was asked for.
+    """
+    figure = canvas(3 * len(FEATURES))
+    for index, (feature, axes) in enumerate(zip(FEATURES, figure.subplots(
+            len(FEATURES), 2, width_ratios=(2, 1), sharey="row"), strict=True)):
+        over_time, boxes = axes
+        rows, requested = {level: f"{feature} {level}" for level in LEVELS} | result["beside"], result["asked"][feature]
+        drawn = boxes.boxplot([result["values"][row][feature] for row in rows.values()], whis=(0, 100))
+        boxes.set_xticks(range(1, len(rows) + 1), list(rows))
+        for place, (level, colour) in enumerate(LEVEL_COLOURS.items(), 1):
+            series = result["series"][rows[level]]
+            curve = series["values"][index]
+            over_time.plot(np.arange(len(curve)) / series["fps"], curve, color=colour, label=level)
+            over_time.axhline(requested[level], color=colour, linestyle="--", linewidth=0.8)
+            boxes.hlines(requested[level], place - 0.4, place + 0.4, color=colour, linestyle="--")
+            drawn["boxes"][place - 1].set_color(colour)
+        over_time.set_ylabel(result["titles"][feature])
+        if index == 0:
+            over_time.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(LEVELS), frameon=False)
+    over_time.set_xlabel(f"seconds of {result['clips'][0]['name']} (mean over 4 s)")
+    boxes.set_xlabel(f"means over {len(result['clips'])} clips")
+    return figure

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,24 +29,24 @@ if TYPE_CHECKING:
 
 BEAT_COLOURS = {BeatFlag.ONSET: "#c8553d", BeatFlag.LOUD_PSEUDO: "#d08c10", BeatFlag.EVEN_PSEUDO: "#5b7fa6",
                 BeatFlag.BOUNDARY: INK}
-BEAT_MARKERS = {BeatFlag.ONSET: "o", BeatFlag.LOUD_PSEUDO: "^", BeatFlag.EVEN_PSEUDO: "s", BeatFlag.BOUNDARY: "D"}
 BEAT_NAMES = {BeatFlag.ONSET: "onset", BeatFlag.LOUD_PSEUDO: "first loud frame", BeatFlag.EVEN_PSEUDO: "even",
               BeatFlag.BOUNDARY: "start or end"}
+_MARKERS = dict(zip(BEAT_COLOURS, "o^sD", strict=True))
 _UNSAID: dict[str, dict[str, Any]] = {
     "png": {"Software": None}, "svg": {"Date": None, "Creator": None},
     "pdf": {"CreationDate": None, "Creator": None, "Producer": None}}
 _TRAIL_STEPS = 40
 _WIDEST = 21.0
 """Inches."""
-_TITLE, _CAPTION, _SOUND, _CLOCK, _CREDIT, _AIR, _GAP = 0.34, 0.24, 0.46, 0.16, 0.16, 0.06, 0.1
-"""Metres of height: of the title, a source's name, the waveform, the seconds, a credit, below a source and a line."""
+_CAPTION, _SOUND, _CLOCK, _CREDIT = 0.24, 0.46, 0.26, 0.16
+"""Metres of height: of a source's name, the waveform, the seconds with the gap below them, a credit."""
 
 
 @dataclass(frozen=True)
 class Layout:
     """How rows of figures are laid out. spacing, margin: metres between figures, and beside the first and the last (a
     stretched arm ends inside); low, high: metres over the floor that are shown; line: figures of a line; scale: inches
-    for a metre; views: a row for each; legs: of the motion itself, see `figure_points`."""
+    for a metre; views: a row for each."""
 
     spacing: float
     margin: float
@@ -54,7 +55,6 @@ class Layout:
     line: int
     scale: float
     views: Sequence[str] = tuple(VIEWS)
-    legs: bool = False
 
 
 STRIP = Layout(1.12, 0.72, -0.08, 1.93, 1000, 1.2)
@@ -74,6 +74,7 @@ class Source:
 
 def frame_times(motion: Motion, start: float = 0.0, seconds: float | None = None, count: int = 8) -> Array:
     """[count] seconds, evenly spread over the stretch and clamped to the motion; InputError when it holds none."""
+    # The last figure stands at the last frame, not a frame behind it.
     last = (len(motion) - 1) / motion.fps
     end = last if seconds is None else min(start + seconds, last)
     if count < 1:
@@ -85,88 +86,68 @@ def frame_times(motion: Motion, start: float = 0.0, seconds: float | None = None
 
 
 def draw_page(sources: Sequence[Source], times: Array, speech: Speech | None = None, beats: Beats | None = None,
-              title: str = "", credits: Sequence[str] = (), layout: Layout = PAGE) -> Figure:
+              layout: Layout = PAGE) -> Figure:
     """Every source at the same `times` [n] seconds, a row for each view; the sound with its beats below each line.
 
-    A source that ends earlier is left out of the lines that it does not reach. The credits of sources and those given
-    stand at the foot. InputError for no source or no time.
+    A source that ends earlier is left out of the lines that it does not reach. The credits of sources stand at the
+    foot. InputError for no source or no time.
     """
     from matplotlib.figure import Figure as NewFigure
 
     if not sources or len(times) == 0:
         raise InputError("plot strip", "has nothing to draw", "name a motion, --take, --corpus, --ours or --system")
-    lines = [times[at:at + layout.line] for at in range(0, len(times), layout.line)]
-    shown = [[source for source in sources if source.motion.duration > line[-1] - 1e-9] for line in lines]
-    foot = [*dict.fromkeys([*(source.credit for source in sources if source.credit), *credits])]
-    rows = len(layout.views) * (layout.high - layout.low) + _AIR
-    tall = sum((_CAPTION if source.name else 0.0) + rows for line_sources in shown for source in line_sources)
-    tall += len(lines) * ((_SOUND if speech is not None else 0.0) + _CLOCK + _GAP)
-    tall += (_TITLE if title else 0.0) + _CREDIT * len(foot) + _AIR
-    wide = (len(lines[0]) - 1) * layout.spacing + 2 * layout.margin
+    # A last line that is short keeps the scale of the others, so every row is as wide as a full one.
+    wide = (min(len(times), layout.line) - 1) * layout.spacing + 2 * layout.margin
+    # The page is a stack of rows, each of a height in metres of the figures' own scale.
+    rows: list[tuple[float, Callable[[Axes], None]]] = []
+    for at in range(0, len(times), layout.line):
+        line = times[at:at + layout.line]
+        for source in (source for source in sources if source.motion.duration > line[-1] - 1e-9):
+            if source.name:
+                rows.append((_CAPTION, partial(_draw_text, text=source.name, size=10.5, colour=INK, weight="bold")))
+            rows += [(layout.high - layout.low, partial(draw_row, motion=source.motion, times=line, view=view,
+                                                        layout=layout, wide=wide)) for view in layout.views]
+        if speech is not None and line[0] < speech.duration:
+            rows.append((_SOUND, partial(_draw_sound, speech=speech, beats=beats, times=line, layout=layout,
+                                         wide=wide)))
+        rows.append((_CLOCK, partial(_draw_clock, times=line, layout=layout, wide=wide)))
+    rows += [(_CREDIT, partial(_draw_text, text=credit, size=7.5, colour=SOFT))
+             for credit in dict.fromkeys(source.credit for source in sources) if credit]
+    heights = [height for height, _ in rows]
+    # Wider pictures are made smaller as a whole, so that figures keep their shape.
     scale = min(layout.scale, _WIDEST / wide)
-    pen = _Pen(NewFigure(figsize=(wide * scale, tall * scale), facecolor="white"), wide, tall)
-    if title:
-        pen.text(_TITLE, title, 12, INK, ha="center")
-    for line, line_sources in zip(lines, shown, strict=True):
-        _draw_line(pen, line_sources, line, speech, beats, layout)
-    for text in foot:
-        pen.text(_CREDIT, text, 7.5, SOFT)
-    return pen.figure
+    figure = NewFigure(figsize=(wide * scale, sum(heights) * scale), facecolor="white")
+    axes = figure.subplots(len(rows), 1, squeeze=False, height_ratios=heights, gridspec_kw={
+        "left": 0.0, "right": 1.0, "bottom": 0.0, "top": 1.0, "hspace": 0.0}).ravel()
+    for axis, (_, draw) in zip(axes, rows, strict=True):
+        draw(axis)
+        axis.axis("off")
+    return figure
 
 
-@dataclass
-class _Pen:
-    """Goes down a page in metres of the figures' own scale."""
-
-    figure: Figure
-    wide: float
-    tall: float
-    at: float = 0.0
-
-    def axis(self, height: float, share: float) -> Axes:
-        """The next axes of this height and share of the page's width."""
-        self.at += height
-        return self.figure.add_axes((0.0, 1.0 - self.at / self.tall, share, height / self.tall))
-
-    def text(self, height: float, text: str, size: float, colour: str, **how: Any) -> None:
-        """A line of text, at the left or in the middle."""
-        self.figure.text(0.5 if "ha" in how else 0.12 / self.wide, 1.0 - (self.at + height / 2) / self.tall, text,
-                         fontsize=size, color=colour, va="center", **how)
-        self.at += height
+def _draw_text(axis: Axes, text: str, size: float, colour: str, weight: str = "normal") -> None:
+    """A line of text at the left."""
+    axis.text(0.005, 0.5, text, fontsize=size, color=colour, va="center", weight=weight)
 
 
-def _draw_line(pen: _Pen, sources: Sequence[Source], times: Array, speech: Speech | None, beats: Beats | None,
-               layout: Layout) -> None:
-    # A last line that is short keeps the scale of the others.
-    across = (len(times) - 1) * layout.spacing + 2 * layout.margin
-    share = across / pen.wide
-    for source in sources:
-        if source.name:
-            pen.text(_CAPTION, source.name, 10.5, INK, weight="bold")
-        for view in layout.views:
-            draw_row(pen.axis(layout.high - layout.low, share), source.motion, times, view, layout)
-        pen.at += _AIR
-    if speech is not None and times[0] < speech.duration:
-        draw_sound(pen.axis(_SOUND, share), speech, beats, times, layout)
-    clock = pen.axis(_CLOCK, share)
-    clock.set(xlim=(-layout.margin, across - layout.margin), ylim=(0.0, 1.0))
-    clock.axis("off")
+def _draw_clock(axis: Axes, times: Array, layout: Layout, wide: float) -> None:
+    """The seconds of each figure below it."""
+    axis.set_xlim(-layout.margin, wide - layout.margin)
     for k, time in enumerate(times):
-        clock.text(k * layout.spacing, 0.5, f"{time:.2f} s", ha="center", va="center", fontsize=7.5, color=SOFT)
-    pen.at += _GAP
+        axis.text(k * layout.spacing, 0.7, f"{time:.2f} s", ha="center", va="center", fontsize=7.5, color=SOFT)
 
 
-def draw_row(axis: Axes, motion: Motion, times: Array, view: str, layout: Layout) -> None:
-    """One view of a motion: a figure for each of `times` (seconds), with the path of both hands since the last one."""
+def draw_row(axis: Axes, motion: Motion, times: Array, view: str, layout: Layout, wide: float) -> None:
+    """One view of a motion: a figure for each of `times` (seconds), with the path of both hands since the last one;
+    wide: metres of the row."""
     # A figure's trail starts where the figure before it stood; the first has none.
     gap = float(times[1] - times[0]) if len(times) > 1 else 0.0
     for k, time in enumerate(times):
         moments = np.linspace(max(time - gap, 0.0), time, _TRAIL_STEPS) if k else np.array([time])
-        _draw_figure(axis, figure_points(motion, moments, layout.legs), view, k * layout.spacing, 100 * k)
+        _draw_figure(axis, figure_points(motion, moments), view, k * layout.spacing, 100 * k)
     axis.axhline(max(layout.low, 0.0), color=FLOOR, linewidth=1.5, zorder=-10)
     axis.text(0.1 - layout.margin, layout.high - 0.07, view, fontsize=9, color=SOFT, style="italic", va="top")
-    axis.set(xlim=(-layout.margin, (len(times) - 1) * layout.spacing + layout.margin), ylim=(layout.low, layout.high))
-    axis.axis("off")
+    axis.set(xlim=(-layout.margin, wide - layout.margin), ylim=(layout.low, layout.high))
 
 
 def _draw_figure(axis: Axes, points: dict[str, Array], view: str, centre: float, order: int) -> None:
@@ -178,35 +159,36 @@ def _draw_figure(axis: Axes, points: dict[str, Array], view: str, centre: float,
             axis.add_patch(Polygon(corners[0] + [centre, 0.0], facecolor=colour, edgecolor="none", zorder=level))
         if part.hand:
             path, _, _ = VIEWS[view].look(points[f"{part.hand}HandTip"])
-            _draw_trail(axis, path + np.array([centre, 0.0]), HANDS[part.hand], level + 0.5)
+            # The first figure has no path behind it.
+            if len(path) > 1:
+                _draw_trail(axis, path + np.array([centre, 0.0]), HANDS[part.hand], level + 0.5)
 
 
 def _draw_trail(axis: Axes, path: Array, colour: str, order: float) -> None:
     """The way of a hand [T, 2], faint where it is old."""
     from matplotlib.collections import LineCollection
-    from matplotlib.colors import to_rgba
 
     age = np.linspace(0.0, 1.0, len(path) - 1)
-    colours = [(*to_rgba(colour)[:3], 0.75 * share ** 1.5) for share in age]
-    axis.add_collection(LineCollection(list(np.stack([path[:-1], path[1:]], axis=1)), colors=colours,
-                                       linewidths=0.5 + 1.5 * age, capstyle="butt", zorder=order))
+    axis.add_collection(LineCollection(list(np.stack([path[:-1], path[1:]], axis=1)), colors=colour,
+                                       alpha=0.75 * age ** 1.5, linewidths=0.5 + 1.5 * age, capstyle="butt",
+                                       zorder=order))
 
 
-def draw_sound(axis: Axes, speech: Speech, beats: Beats | None, times: Array, layout: Layout) -> None:
+def _draw_sound(axis: Axes, speech: Speech, beats: Beats | None, times: Array, layout: Layout, wide: float) -> None:
     """The waveform under the figures: time runs as they do, so that each stands above its own moment."""
-    start, end = float(times[0]), float(times[-1])
-    # The same share of a spacing beyond the first and the last figure as in the rows above.
-    margin = layout.margin / layout.spacing * ((end - start) / max(len(times) - 1, 1) or 1.0)
-    draw_wave(axis, speech, beats, max(start - margin, 0.0), min(end + margin, speech.duration))
+    gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
+    start, end = times[0] - gap * layout.margin / layout.spacing, times[-1] + gap * layout.margin / layout.spacing
+    draw_wave(axis, speech, beats, max(start, 0.0), min(end, speech.duration))
     for time in times:
         axis.axvline(time, color=FLOOR, linewidth=0.8, zorder=-5)
-    axis.set_xlim(start - margin, end + margin)
-    axis.axis("off")
+    axis.set_xlim(start, start + gap * wide / layout.spacing)
 
 
 def draw_wave(axis: Axes, speech: Speech, beats: Beats | None, start: float, end: float) -> None:
     """The extremes of the samples from start to end, seconds, and beats as lines in the colours of their flags."""
+    # The extremes of each bin: a plain line would leave out what lies between its points.
     bins = np.linspace(start, end, 1201)
+    # `reduceat` needs places within the samples; the last one may lie at their end.
     places = np.minimum((bins * speech.sample_rate).astype(int), len(speech.samples) - 1)
     pieces = speech.samples[:places[-1] + 1]
     low, top = (np.asarray(pick.reduceat(pieces, places)) for pick in (np.minimum, np.maximum))
@@ -217,7 +199,7 @@ def draw_wave(axis: Axes, speech: Speech, beats: Beats | None, start: float, end
             (beats.flags == flag) & (beats.times >= start) & (beats.times <= end)]
         if len(mine):
             axis.vlines(mine, -limit, limit, color=BEAT_COLOURS[flag], linewidth=1.0, alpha=0.85, label="_beats")
-            axis.plot(mine, np.full(len(mine), 1.18 * limit), color=BEAT_COLOURS[flag], marker=BEAT_MARKERS[flag],
+            axis.plot(mine, np.full(len(mine), 1.18 * limit), color=BEAT_COLOURS[flag], marker=_MARKERS[flag],
                       markersize=4, linestyle="none", label=f"beat: {BEAT_NAMES[flag]}", clip_on=False)
     axis.set_ylim(-1.05 * limit, 1.32 * limit)
 

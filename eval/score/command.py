@@ -151,6 +151,7 @@ class ScoredClips:
         first, second = (np.array([speed_histogram(hand_speeds(motion)) for motion in clips])
                         for clips in (motions, speakers))
         row.sets["speed_distance"] = lambda chosen: hellinger(first[chosen].sum(0), second[chosen].sum(0))
+        # Last, as it is the only part that may have no lexicon to measure with.
         self._lexemes(row)
         return row
 
@@ -197,6 +198,7 @@ def control_rows(clips: ClipSet, seed: int, voices: Sequence[eye.VoiceActivity |
     """Each control's motions, and why one could not be made. voices: of each clip, None where its speech is
     not known; without any nothing bobs."""
     truth, notes = clips.motions[TRUTH], []
+    # A control that cannot be made leaves a note and not a gap: its silence would look like a pass.
     controls = {STILL: baselines.mean_pose(truth)}
     groups: list[str] | None = clips.groups
     try:
@@ -248,6 +250,7 @@ def floor_figures(truth: ScoreRow, shared: ScoredClips) -> tuple[dict[str, Marke
     """Distances between two halves of the truth; what is no distance between sets has none."""
     context = shared.context
     out = {name: Marked(Interval.undefined(), reason=NO_FLOOR) for name in (*CLIP_METRICS, *EYE_METRICS, *SET_METRICS)}
+    # Halves come back as motions; their numbers are wanted, since features were computed once for all.
     place = {id(motion): k for k, motion in enumerate(truth.motions)}
     groups = shared.clips.groups if len(set(shared.clips.groups)) > 1 else None
     try:
@@ -285,6 +288,7 @@ def _less(first: Callable[[Indices], float], second: Callable[[Indices], float])
 def mismatches(rows: Sequence[ScoreRow], shared: ScoredClips) -> dict[str, dict[str, Mismatch]]:
     """The mismatch test of each row by each metric of synchrony."""
     known = [k for k, track in enumerate(shared.tracks) if track is not None]
+    # All pairs of n clips are n squared tests, so a large set is thinned evenly.
     few = [known[k] for k in np.unique(np.linspace(0, len(known) - 1, min(MOST, len(known))).round().astype(int))]
     tracks = [track for k in few if (track := shared.tracks[k]) is not None]
 
@@ -311,6 +315,7 @@ def flags(rows: Mapping[str, ScoreRow], figures: Figures, metrics: Mapping[str, 
         for control in (row for row in rows.values() if row.kind == "control"):
             says = _against_truth(name, metric, control, rows[TRUTH], figures, seed)
             badness = _badness(metric, figures, name, control.name)
+            # "Beats" and "as good as" apart from rounding: files hold six digits.
             theirs = {system: _badness(metric, figures, name, system) for system in systems}
             beaten = [system for system, value in theirs.items() if _below(badness, value)]
             alike = [system for system, value in theirs.items() if math.isfinite(badness) and math.isfinite(value)
@@ -372,6 +377,7 @@ def score(context: EvalContext, clips: ClipSet) -> Scores:
     metrics = {**CLIP_METRICS, **EYE_METRICS, **SET_METRICS,
                **{key: replace(METRICS["fgd"], about=f"FGD, {key}") for key in context.networks}}
     systems = [row for row in rows.values() if row.kind == "system"]
+    # Differences are of systems alone: what a control differs by is said by its flags.
     return Scores(
         clips.names, round(clips.seconds, 2), clips.fps, metrics,
         {name: rows[name].kind if name in rows else "floor" for name in both}, figures,
@@ -387,6 +393,7 @@ def networks_of(fgd_folder: Path | None, work: Path | None, truth: Path) -> dict
     """The feature spaces of FGD, two window lengths at least: the papers' network (fgd_folder), our own in work
     (trained there on the truth's training split where it is a store), and raw directions for lengths that lack."""
     chosen: list[Features] = [published(fgd_folder)] if fgd_folder else []
+    # A network that was trained before is used again; another training would give distances of another scale.
     folders = sorted(file.parent for file in work.rglob("gesture_features.safetensors")) if work is not None else []
     if work is not None and not folders and (truth / "store.json").is_file():
         work.mkdir(parents=True, exist_ok=True)

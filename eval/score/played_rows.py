@@ -49,6 +49,7 @@ class PlayedBundle:
         bundle, such as a folder of motion files, by whatever name."""
         before, colon, after = place.rpartition(":")
         bundle, chooser = (before, after) if colon and after in INTERPRETERS else (place, None)
+        # A folder of motion files may be called "default": it is no bundle then.
         folder = Path(bundle)
         if (folder / INDEX).is_file() or not folder.is_dir():
             folder = bundle_folder(bundle)

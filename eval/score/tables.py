@@ -77,6 +77,7 @@ def tables(scores: Scores) -> list[Table]:
     out = [_about(scores)]
     for part, title in _PARTS.items():
         metrics = {name: metric for name, metric in scores.metrics.items() if metric.part == part}
+        # The floor is of distances between sets; in the other parts its row would be empty.
         rows = {name: row for name, row in scores.figures.items() if part in ("sets", "fgd") or name != FLOOR}
         if metrics:
             columns = {name: Column(f"{metric.about}{' (!)' if name in flagged else ''}",
@@ -155,6 +156,7 @@ def _flag_table(scores: Scores) -> Table:
 
 def _reason_tables(scores: Scores) -> list[Table]:
     """Why figures are undefined, if any are; by reason."""
+    # By reason and rows first: one line for twenty metrics that lack the same speech.
     lacking: dict[tuple[str, str], list[str]] = {}
     for metric, column in scores.metrics.items():
         cells = {name: row[metric] for name, row in scores.figures.items() if metric in row and column.part != "fgd"}

@@ -148,6 +148,7 @@ def gather(answers: Sequence[Answer], key: Key, without: Sequence[str] = ()) -> 
     counted = [answer for answer in answers if answer.rater not in without]
     if not counted:
         raise InputError("ratings", "hold no answer", "give what the raters saved")
+    # By length first, so that rater 10 comes after rater 9.
     raters = tuple(sorted({answer.rater for answer in counted}, key=lambda name: (len(name), name)))
     values = np.full((len(raters), len(key.clips), len(key.systems), len(key.aspects)), np.nan)
     doubled: Counter[str] = Counter()
@@ -198,6 +199,7 @@ def one_way(groups: Sequence[Array]) -> Anova:
     df = len(groups) - 1, sum(map(len, groups)) - len(groups)
     if min(map(len, groups)) < 2:
         return Anova(math.nan, math.nan, df, math.nan, "a system has fewer than two ratings")
+    # Without spread inside the systems F is infinite and says nothing.
     within = sum(float(((group - group.mean()) ** 2).sum()) for group in groups)
     if within == 0:
         return Anova(math.nan, math.nan, df, math.nan, "no system's ratings differ among themselves")
@@ -266,6 +268,7 @@ def _systems(title: str, key: Key, values: Array, groups: Sequence[Array], means
 def _pairs(title: str, names: Sequence[str], groups: Sequence[Array], means: Array, raters: int) -> Table:
     """Tukey's test for each pair of systems, and the bootstrap interval of their difference from means [draws, K]."""
     columns = {"tukey": Column("difference, Tukey"), "p": Column("p"), "bootstrap": Column("difference, bootstrap")}
+    # Where the analysis of variance is undefined Tukey's test is too; the bootstrap is not.
     test = None if one_way(groups).reason else stats.tukey_hsd(*groups)
     rows: dict[str, dict[str, Cell]] = {}
     for a, b in itertools.combinations(range(len(groups)), 2):

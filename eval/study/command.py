@@ -134,6 +134,7 @@ def read_takes(systems: Mapping[str, Path]) -> list[StudyTake]:
                         if file.suffix.lower() == ".bvh" and (sound_file := find_sound(folder, file.stem))})
         if not folders[-1]:
             raise InputError(folder, "has no BVH file with a sound file of the same name", "put both there")
+    # Only recordings of all systems: raters compare versions of one clip.
     common = sorted(set.intersection(*map(set, folders)))
     if not common:
         raise InputError("--systems", "have no recording in common", "use the same file names in each folder")
@@ -163,6 +164,7 @@ def choose_clips(takes: Sequence[StudyTake], count: int, seconds: float, seed: i
     rng = np.random.default_rng(seed)
     offered: list[list[StudyClip]] = []
     for number, take in enumerate(takes):
+        # A random shift, so that the seed chooses stretches and not only their order.
         slots = int((take.seconds + 1e-6) // seconds)
         shift = rng.uniform(0.0, max(take.seconds - slots * seconds, 0.0))
         loud = ~pauses(silent_frames(take.speech.samples, take.speech.sample_rate))
@@ -185,6 +187,7 @@ def choose_clips(takes: Sequence[StudyTake], count: int, seconds: float, seed: i
 def williams(n: int) -> NDArray[np.int64]:
     """[n or 2 n, n] orders of n things: each comes in each place, and right after each other one, equally often."""
     first = np.array([k // 2 + 1 if k % 2 else -(k // 2) for k in range(n)]) % n
+    # For odd n neighbours balance only together with the rows read backwards.
     rows = (first + np.arange(n)[:, None]) % n
     return rows if n % 2 == 0 else np.concatenate([rows, rows[:, ::-1]])
 
@@ -277,6 +280,7 @@ def _opaque(source: str, what: str) -> str:
 
 
 def _digest(takes: Sequence[StudyTake], seed: int) -> str:
+    # Names are not enough: the same files with other content must not keep their ids.
     digest = hashlib.sha256(str(seed).encode())
     for take in takes:
         digest.update(take.name.encode() + take.speech.samples.tobytes())

@@ -114,16 +114,9 @@ class _Bodies:
 
 
 def outline_of(body: Body) -> Outline:
-    """The trunk of a character: given by the user, else measured on its mesh, else scaled by its skeleton."""
-    if body.mapping.torso is not None:
-        return ellipse(*body.mapping.torso)
-    return _measured_trunk(body) or _scaled(body)
-
-
-def _scaled(body: Body) -> Outline:
-    """The default trunk scaled to the skeleton."""
+    """The trunk of a character: measured on its mesh, else the default one scaled to its skeleton."""
     scale = scale_of(body)
-    return ellipse(OURS[0] * scale, OURS[1] * scale)
+    return _measured_trunk(body) or ellipse(OURS[0] * scale, OURS[1] * scale)
 
 
 def scale_of(body: Body) -> float:

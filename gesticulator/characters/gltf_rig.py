@@ -272,7 +272,7 @@ def _placed_by_nodes(character: Character, joints: Sequence[int], there: Array, 
 def _flesh(file: GltfFile, place: Mapping[int, int], moves: Mapping[int, Array]) -> tuple[Array, NDArray[np.int64]]:
     """[V, 3] vertices of the skinned meshes in the bind pose's world, and [V] the node with the largest weight of
     each. moves: skin -> [J, 4, 4] from the space of its mesh."""
-    parts = list(_skinned_parts(file))
+    parts = [(skin, primitive["attributes"]) for skin, primitive in _skinned_parts(file)]
     counts = [file.count(attributes["POSITION"]) for _, attributes in parts]
     # One step over all meshes, so that each keeps its share of the points.
     step = -(-sum(counts) // MOST_POINTS) or 1
@@ -301,8 +301,8 @@ def _flesh(file: GltfFile, place: Mapping[int, int], moves: Mapping[int, Array])
     return np.concatenate(points), np.concatenate(movers)
 
 
-def _skinned_parts(file: GltfFile) -> Iterator[tuple[int, dict[str, int]]]:
-    """The skin and the accessors by attribute of every skinned mesh primitive."""
+def _skinned_parts(file: GltfFile) -> Iterator[tuple[int, dict[str, Any]]]:
+    """The skin and the primitive of every part of a skinned mesh."""
     count = 0
     for node in file.rows("nodes"):
         if "mesh" not in node or "skin" not in node or not file.rows("skins")[node["skin"]]["joints"]:
@@ -311,9 +311,8 @@ def _skinned_parts(file: GltfFile) -> Iterator[tuple[int, dict[str, int]]]:
             count += 1
             if count > _MOST_PARTS:
                 raise InputError(file.path, f"draws more than {_MOST_PARTS:,} parts of meshes", "join them")
-            attributes = primitive.get("attributes", {})
-            if set(_SKINNED) <= set(attributes):
-                yield node["skin"], attributes
+            if set(_SKINNED) <= set(primitive.get("attributes", {})):
+                yield node["skin"], primitive
 
 
 MOST_TRIANGLES = 6000
@@ -327,7 +326,8 @@ _SEPARATE_TRIANGLES = 4
 def read_skin(file: GltfFile, place: Mapping[int, int], moves: Mapping[int, Array]) -> Skin:
     """A sample of the skinned triangles. place: node of the file -> node; moves: skin -> [J, 4, 4] from the space of
     its mesh into the world of the bind pose, by joint."""
-    parts = list(_triangle_parts(file))
+    parts = [(skin, primitive) for skin, primitive in _skinned_parts(file)
+             if primitive.get("mode", _SEPARATE_TRIANGLES) == _SEPARATE_TRIANGLES]
     sizes = [file.count(primitive["indices"] if "indices" in primitive else primitive["attributes"]["POSITION"]) // 3
              for _, primitive in parts]
     # As for the vertices: one step over all parts.
@@ -367,17 +367,6 @@ def _bound_points(points: Array, moves: Array, which: NDArray[np.int64], shares:
             return np.asarray(points @ moves[0, :3, :3].T + moves[0, :3, 3])
         move = np.einsum("vk,vkij->vij", shares, moves[which])
         return np.asarray(np.einsum("vij,vj->vi", move[:, :3, :3], points) + move[:, :3, 3])
-
-
-def _triangle_parts(file: GltfFile) -> Iterator[tuple[int, dict[str, Any]]]:
-    """The skin and the primitive of every part of a skinned mesh made of triangles."""
-    for node in file.rows("nodes"):
-        if "mesh" not in node or "skin" not in node or not file.rows("skins")[node["skin"]]["joints"]:
-            continue
-        for primitive in file.rows("meshes")[node["mesh"]]["primitives"]:
-            separate = primitive.get("mode", _SEPARATE_TRIANGLES) == _SEPARATE_TRIANGLES
-            if separate and set(_SKINNED) <= set(primitive.get("attributes", {})):
-                yield node["skin"], primitive
 
 
 def _influences(file: GltfFile, attributes: Mapping[str, int], used: NDArray[np.int64], count: int

@@ -7,7 +7,9 @@ import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
+
+import msgspec
 
 from data_module.errors import InputError, shown
 from data_module.files import read_json, write_text
@@ -17,8 +19,6 @@ from gesticulator.characters.rig import Character
 
 __all__ = ["RigMapping", "load_mapping", "save_mapping"]
 
-FORMAT = 1
-"""Version of the file format."""
 ARM_PARTS = ("Shoulder", "Arm", "ForeArm", "Hand")
 LEG_PARTS = ("UpLeg", "Leg", "Foot", "ToeBase")
 SINGLE = ("Hips", "Head", *(side + part for side in SIDES for part in ARM_PARTS), *LEG_JOINTS, *FINGER_JOINTS)
@@ -41,8 +41,7 @@ class RigMapping:
     chest to below the head; both may be empty.
     family: naming convention ("mixamo", "vrm humanoid"), "" if unknown.
     confidence: 0 to 1; 1 if written by the user. doubts: reasons against it, in words.
-    torso: half width and half depth of the trunk in metres, if given by the user (else measured on the mesh or derived
-    from the skeleton). given: whether it was read from a file that the user has checked.
+    given: whether it was read from a file that the user has checked.
     """
 
     joints: Mapping[str, int]
@@ -51,7 +50,6 @@ class RigMapping:
     family: str = ""
     confidence: float = 1.0
     doubts: tuple[str, ...] = field(default=())
-    torso: tuple[float, float] | None = None
     given: bool = False
 
     @property
@@ -132,10 +130,10 @@ def to_json(mapping: RigMapping, character: Character) -> dict[str, Any]:
     """The mapping in plain values; joints that were not found are null, for the user to fill in."""
     keys = node_keys(character)
     joints: dict[str, Any] = {name: keys[mapping.joints[name]] if name in mapping.joints else None for name in SINGLE}
-    return {"format": FORMAT, "character": character.path.name, "family": mapping.family,
+    return {"format": 1, "character": character.path.name, "family": mapping.family,
             "confidence": round(mapping.confidence, 3), "doubts": list(mapping.doubts),
             "spine": [keys[node] for node in mapping.spine], "neck": [keys[node] for node in mapping.neck],
-            "joints": joints, "torso": list(mapping.torso) if mapping.torso else None}
+            "joints": joints}
 
 
 def save_mapping(path: str | os.PathLike[str], mapping: RigMapping, character: Character) -> None:
@@ -143,39 +141,36 @@ def save_mapping(path: str | os.PathLike[str], mapping: RigMapping, character: C
     write_text(path, json.dumps(to_json(mapping, character), indent=1, ensure_ascii=False) + "\n")
 
 
+class _MappingFile(msgspec.Struct):
+    """What is read of a mapping file."""
+
+    format: Literal[1]
+    joints: dict[str, str | None]
+    spine: list[str] = []
+    neck: list[str] = []
+    family: str = ""
+
+
 def load_mapping(path: str | os.PathLike[str], character: Character) -> RigMapping:
     """Read a mapping for this character. `InputError` for an invalid one."""
     document = read_json(path, "give a mapping as --save-mapping writes it")
-    if not (isinstance(document, dict) and isinstance(document.get("joints"), dict)
-            and document.get("format") == FORMAT):
-        raise InputError(path, f"is not a mapping of format {FORMAT}", "save a new one with --save-mapping")
+    try:
+        stored = msgspec.convert(document, _MappingFile)
+    except msgspec.ValidationError as error:
+        raise InputError(path, f"is not a mapping: {shown(str(error), 200)}", _ADVICE) from None
     nodes = {key: node for node, key in enumerate(node_keys(character))}
 
-    def find(key: object) -> int:
-        if not isinstance(key, str) or key not in nodes:
+    def find(key: str) -> int:
+        if key not in nodes:
             raise InputError(path, f"names {shown(key)}, which {character.path.name} does not have", _ADVICE)
         return nodes[key]
 
-    unknown = [name for name in document["joints"] if name not in SINGLE]
+    unknown = [name for name in stored.joints if name not in SINGLE]
     if unknown:
         raise InputError(path, f"has unknown joints {shown(', '.join(unknown), 100)}", _ADVICE)
-    chains = {name: document.get(name) or [] for name in ("spine", "neck")}
-    for name, chain in chains.items():
-        if not isinstance(chain, list):
-            raise InputError(path, f"has a {name} that is not a list of names", _ADVICE)
-    joints = {name: find(key) for name, key in document["joints"].items() if key is not None}
-    return RigMapping(joints, tuple(map(find, chains["spine"])), tuple(map(find, chains["neck"])),
-                      str(document.get("family", ""))[:40], 1.0, (), _torso(path, document.get("torso")), True)
-
-
-def _torso(path: str | os.PathLike[str], value: object) -> tuple[float, float] | None:
-    if value is None:
-        return None
-    if not (isinstance(value, list) and len(value) == 2 and all(
-            isinstance(v, int | float) and not isinstance(v, bool) and 0.0 < v < 10.0 for v in value)):
-        raise InputError(path, "has a torso that is not half a width and half a depth in metres",
-                         "give two numbers between 0 and 10, or null")
-    return float(value[0]), float(value[1])
+    joints = {name: find(key) for name, key in stored.joints.items() if key is not None}
+    return RigMapping(joints, tuple(map(find, stored.spine)), tuple(map(find, stored.neck)), stored.family[:40],
+                      given=True)
 
 
 def described(mapping: RigMapping, character: Character) -> str:

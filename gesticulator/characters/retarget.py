@@ -53,6 +53,8 @@ _MOST_TILT = 1.3
 """Largest factor on the rotation of narrow hips."""
 _STANDS = 0.003
 """Tolerated displacement of a planted foot, metres scaled by leg length: too small to see."""
+_POLE_OF_KNEE = np.array([0.0, 0.0, 1.0])
+"""Direction to which the knee of a straight leg bends."""
 _FINGERED = len(skeletons.FINGERED)
 
 
@@ -158,7 +160,8 @@ class Retargeter:
             miss = wanted[:, place] - root - reached[:, place]
             far = np.linalg.norm(miss, axis=-1, keepdims=True)
             share = np.maximum(0.0, 1.0 - _STANDS * body.leg_ratio / np.maximum(far, 1e-9))
-            reach_with_leg(turns, body, self.mapping, side, reached[:, place] + share * miss)
+            chain = joints[side + "UpLeg"], joints[side + "Leg"], joints[side + "Foot"]
+            bend(turns, body, chain, reached[:, place] + share * miss, _POLE_OF_KNEE)
         return root
 
     def _scale_hips(self, turns: dict[int, Array], hips_turns: Array) -> None:
@@ -213,13 +216,6 @@ def _between(a: Array, b: Array, share: float) -> Array:
     """[T, 3, 3] interpolation from a to b by `share`, along the shortest arc."""
     turn = Rotation.from_matrix(np.swapaxes(a, -1, -2) @ b).as_rotvec()
     return a @ Rotation.from_rotvec(share * turn).as_matrix()
-
-
-def reach_with_leg(turns: dict[int, Array], body: Body, mapping: RigMapping, side: str, ankle: Array) -> None:
-    """Bend a leg in `turns` so that its ankle is at `ankle` [T, 3] relative to the hips; the foot keeps its
-    rotation."""
-    thigh, shin, foot = (mapping.joints[side + part] for part in ("UpLeg", "Leg", "Foot"))
-    bend(turns, body, (thigh, shin, foot), ankle, np.array([0.0, 0.0, 1.0]))
 
 
 def retarget(motion: Motion, character: Character | str | os.PathLike[str],

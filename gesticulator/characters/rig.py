@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
+from data_module.motion import rotation
 from data_module.types import Array
 
 __all__ = ["Character", "CharacterMotion", "Skin", "decomposed"]
@@ -210,6 +211,17 @@ class CharacterMotion:
         """[T, N, 4, 4] the nodes' world matrices, in the file's units and axes."""
         moved = {} if self.translations is None else {self.hips: self.translations}
         return self.character.world_matrices(self.rotations, moved)
+
+    def added_to_rest(self, rest: CharacterMotion) -> CharacterMotion:
+        """The motion with local rotations R D, where R is the node's rotation at rest in the file and pose = (resting
+        pose) D. rest: the resting pose, one frame.
+
+        Tools that make clips additive take D relative to the rest of the file, and multiply the local rotations of the
+        clip below by it from the right: over arms that hang, the character gestures as it does without that clip.
+        """
+        delta = rotation.multiply(rotation.conjugate(rest.rotations), self.rotations)
+        rotations = rotation.multiply(self.character.rotations, delta)
+        return replace(self, rotations=rotation.continuous(rotation.normalise(rotations)), translations=None)
 
 
 _LEAST_JOINTS = 12

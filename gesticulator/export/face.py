@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.files import write_bytes, write_text
+from data_module.files import write_text
 from data_module.motion import rotation
 from data_module.types import Array
 from gesticulator.characters.rig import Character, CharacterMotion
@@ -124,22 +124,6 @@ def write_live_link(path: Path, scene: Scene) -> Path:
     for time, row in zip(face.times.tolist(), (_values(face) + 0.0).tolist(), strict=True):
         out.write(f"{timecode(time, face.fps)},{len(row)}," + ",".join(f"{value:.7f}" for value in row) + "\n")
     write_text(path, out.getvalue())
-    return path
-
-
-def write_face_parquet(path: Path, scene: Scene) -> Path:
-    """Write the face as Apache Parquet (float32): `time` in seconds and the values of `LIVE_LINK`, atomically. Returns
-    `path`."""
-    import pyarrow
-    from pyarrow import parquet
-
-    face = _face_of(scene, path)
-    values = _values(face).astype(np.float32)
-    columns = {name: values[:, column] for column, name in enumerate(LIVE_LINK[2:])}
-    table = pyarrow.table({"time": face.times, **columns})
-    out = io.BytesIO()
-    parquet.write_table(table, out, compression="zstd")
-    write_bytes(path, out.getvalue())
     return path
 
 

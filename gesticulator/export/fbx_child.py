@@ -5,7 +5,7 @@
     python fbx_child.py IN.fbx OUT.glb
 
 KEYS is the bound on the error of reduced keys in degrees, 0 for every frame; NAME that of the take. MOTION.npz holds
-bone poses, and values of shape keys, as from `gesticulator.export.own_fbx`. The script imports nothing from this
+bone poses, and values of shape keys, as from `gesticulator.export.fbx`. The script imports nothing from this
 package: Blender has its own Python.
 """
 

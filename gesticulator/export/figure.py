@@ -73,45 +73,52 @@ def figure_points(motion: Motion, times: Array, legs: bool = False, fingers: boo
     """
     if legs and not skeletons.has_legs(motion):
         raise InputError("--legs", "are not in this motion", "generate it with infer --legs, or leave them out")
-    frames = np.clip(np.asarray(times) * motion.fps, 0, len(motion) - 1)
-    first = int(frames.min())
-    # Use only the frames around these times: a take may last an hour.
-    near = motion.crop(first, int(np.ceil(frames.max())) + 1)
+    near, frames = _around(motion, times)
     root = np.tile([0.0, skeletons.HIP_HEIGHT, 0.0], (len(frames), 1))
     if legs:
         near = skeletons.to_character(near, skeleton=skeletons.WHOLE_BODY)
-        root = np.stack([np.interp(frames - first, np.arange(len(near)), axis) for axis in near.root_positions.T], -1)
+        root = np.stack([np.interp(frames, np.arange(len(near)), axis) for axis in near.root_positions.T], -1)
     else:
         near = skeletons.facing(skeletons.to_character(
             near, skeleton=skeletons.FINGERED if fingers else skeletons.CHARACTER))
-    rotations = rotation.interpolate(near.rotations, frames - first)
+    rotations = rotation.interpolate(near.rotations, frames)
     skeleton = near.skeleton
     places = kinematics.joint_positions(skeleton, rotations, root)
     world = kinematics.global_rotations(skeleton, rotations)
+
+    def beside(joint: str, offset: Array) -> Array:
+        """[T, 3] a point that is fixed to a joint, metres from it."""
+        at = skeleton.index(joint)
+        return places[:, at] + rotation.rotate(world[:, at], offset)
+
     points = {name: places[:, joint] for joint, name in enumerate(skeleton.names)}
-    for joint, tip in skeleton.end_sites.items():
-        points[skeleton.names[joint] + "Tip"] = places[:, joint] + rotation.rotate(world[:, joint], tip)
-    for hand in ("LeftHand", "RightHand"):  # of the character without fingers
-        tip = skeletons.CHARACTER.end_sites[skeleton.index(hand)]
-        points[hand + "Tip"] = points[hand] + rotation.rotate(world[:, skeleton.index(hand)], tip)
+    points |= {skeleton.names[joint] + "Tip": beside(skeleton.names[joint], tip)
+               for joint, tip in skeleton.end_sites.items()}
+    # The hands of the character without fingers end in one tip; palms are drawn towards it.
+    points |= {hand + "Tip": beside(hand, skeletons.CHARACTER.end_sites[skeleton.index(hand)])
+               for hand in ("LeftHand", "RightHand")}
     if not fingers or set(skeletons.FINGER_JOINTS) & set(near.absent):
-        points = {name: track for name, track in points.items() if name.removesuffix("Tip") not in
-                  skeletons.FINGER_JOINTS}
-    head = skeleton.index("Head")
-    points["Nose"] = places[:, head] + rotation.rotate(world[:, head], _NOSE)
-    return points
+        points = {name: track for name, track in points.items()
+                  if name.removesuffix("Tip") not in skeletons.FINGER_JOINTS}
+    return points | {"Nose": beside("Head", _NOSE)}
 
 
 def face_points(face: FaceMotion, motion: Motion, times: Array) -> dict[str, Array]:
     """Entries that a face adds to `figure_points` of the same motion and times: "Face" [T, 20], `FaceMotion.values`,
     and "HeadLeft", "HeadAhead" [T, 3], unit vectors from the head to its left and ahead."""
-    frames = np.clip(np.asarray(times) * motion.fps, 0, len(motion) - 1)
-    first = int(frames.min())
-    near = skeletons.facing(skeletons.to_character(motion.crop(first, int(np.ceil(frames.max())) + 1)))
-    turns = rotation.interpolate(near.rotations, frames - first)
+    near, frames = _around(motion, times)
+    near = skeletons.facing(skeletons.to_character(near))
+    turns = rotation.interpolate(near.rotations, frames)
     head = kinematics.global_rotations(near.skeleton, turns)[:, near.skeleton.index("Head")]
     return {"Face": face.at(times), "HeadLeft": rotation.rotate(head, np.array([1.0, 0.0, 0.0])),
             "HeadAhead": rotation.rotate(head, np.array([0.0, 0.0, 1.0]))}
+
+
+def _around(motion: Motion, times: Array) -> tuple[Motion, Array]:
+    """The frames around times [T], as a take may last an hour, and the numbers [T] of the times among them."""
+    frames = np.clip(np.asarray(times) * motion.fps, 0, len(motion) - 1)
+    first = int(frames.min())
+    return motion.crop(first, int(np.ceil(frames.max())) + 1), frames - first
 
 
 class Patch(NamedTuple):
@@ -246,55 +253,44 @@ def _mouth(now: Mapping[str, Array], look: Look, centre: Array, radius: float) -
             between(upper, top, LIP), between(bottom, lower, LIP))
 
 
-class FlatLimb(NamedTuple):
-    """A projected limb: end points [T, 2], radii [T], the scales [T] there, and a colour."""
-
-    start: Array
-    end: Array
-    r0: Array
-    r1: Array
-    scales: tuple[Array, Array]
-    colour: str
-
-    def outline(self, halo: float = 0.0) -> Array:
-        """[T, 2 * ROUND, 2] outline, enlarged by `halo` metres."""
-        first, second = self.scales
-        return outlines(self.start, self.end, self.r0 + halo * first, self.r1 + halo * second)
-
-
 class FlatPart(NamedTuple):
-    """A projected part: depth [T], visible frames, limbs, side of the hand that it ends in, and patches [T, K, 2] with
-    their colours."""
+    """A projected part: depth [T], visible frames, limbs in pixels with the scales [T] of their ends, side of the hand
+    that it ends in, and patches [T, K, 2] with their colours."""
 
     near: Array
     shown: NDArray[np.bool_] | None
-    limbs: list[FlatLimb]
+    limbs: list[Limb]
+    scales: list[tuple[Array, Array]]
     hand: str
     patches: list[tuple[Array, str]]
 
     def polygons(self, paper: str) -> Iterator[tuple[Array, str]]:
         """Polygons [T, K, 2] with their colours: first the outline in the colour of the paper."""
-        yield from ((limb.outline(HALO), paper) for limb in self.limbs)
-        yield from ((limb.outline(), limb.colour) for limb in self.limbs)
+        # All outlines first: they separate the part from what lies behind it, not its limbs from each other.
+        for halo in (HALO, 0.0):
+            for limb, (first, last) in zip(self.limbs, self.scales, strict=True):
+                yield (outlines(limb.start, limb.end, limb.wide / 2 * first + halo * first,
+                                limb.narrow / 2 * last + halo * last), paper if halo else limb.colour)
         yield from self.patches
 
 
 def flattened(part: BodyPart, look: Look) -> FlatPart:
     """Project a part; its depth is the mean of its limbs' midpoints."""
-    limbs, depths = [], []
+    limbs, scales, depths = [], [], []
     for limb in part.limbs:
-        (start, scale, _), (end, other, _) = look(limb.start), look(limb.end)
-        limbs.append(FlatLimb(start, end, limb.wide / 2 * scale, limb.narrow / 2 * other, (scale, other), limb.colour))
+        (start, first, _), (end, last, _) = look(limb.start), look(limb.end)
+        limbs.append(limb._replace(start=start, end=end))
+        scales.append((first, last))
         depths.append(look((limb.start + limb.end) / 2)[2])
-    return FlatPart(np.mean(depths, axis=0) + part.lift, part.shown, limbs, part.hand,
+    return FlatPart(np.mean(depths, axis=0) + part.lift, part.shown, limbs, scales, part.hand,
                     [(look(patch.points)[0], patch.colour) for patch in part.patches])
 
 
 def seen(points: Mapping[str, Array], view: View) -> list[FlatPart]:
     """The figure at one time, points [1, 3]: legs, then all visible parts, from back to front."""
-    parts = [flattened(part, view.look) for part in body(points, view.look, view.trunk)]
-    return [*sorted((flattened(part, view.look) for part in legs(points)), key=lambda part: float(np.mean(part.near))),
-            *sorted((part for part in parts if part.shown is None or part.shown[0]), key=lambda part: part.near[0])]
+    whole = [[flattened(part, view.look) for part in parts if part.shown is None or part.shown[0]]
+             for parts in (legs(points), body(points, view.look, view.trunk))]
+    return [part for parts in whole for part in sorted(parts, key=lambda part: float(part.near[0]))]
 
 
 def outlines(start: Array, end: Array, r0: Array, r1: Array) -> Array:

@@ -13,12 +13,10 @@ chroma is stored at half resolution (4:2:0), as in most videos.
 from __future__ import annotations
 
 import io
-import itertools
 import math
 import struct
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -26,7 +24,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import soxr
-from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.files import write_bytes
@@ -83,59 +80,56 @@ _OVER = 2
 _BT709 = 1
 _NARROW = 1
 
+_YAW, _PITCH, _DISTANCE, _ZOOM = 0.3, 0.09, 4.6, 0.47
+"""A fixed camera a little to the figure's left and above it, which shows the depth of gestures: radians, metres, and
+the share of the picture's shorter side that a metre at `_MIDDLE` takes."""
+_MIDDLE = (0.0, 0.93, 0.0)
+"""The point that the camera looks at, metres."""
+
 _Colour = tuple[int, int, int]
 _Ink = Callable[[str], _Colour]
 
 
 # ---------------------------------------------------------------- the picture
 
-@dataclass(frozen=True)
-class Camera:
-    """A fixed camera a little to the figure's left and above it, which shows the depth of gestures (metres, radians). A
-    metre at `middle` is `zoom` times the picture's shorter side."""
+def project(points: Array, size: tuple[int, int]) -> tuple[Array, Array, Array]:
+    """Project points [..., 3] in metres to pixels [..., 2], pixels per metre [...] and depth [...] in metres.
 
-    yaw: float = 0.3
-    pitch: float = 0.09
-    distance: float = 4.6
-    middle: tuple[float, float, float] = (0.0, 0.93, 0.0)
-    zoom: float = 0.47
-
-    def project(self, points: Array, size: tuple[int, int]) -> tuple[Array, Array, Array]:
-        """Project points [..., 3] in metres to pixels [..., 2], pixels per metre [...] and depth [...] in metres.
-
-        Depth grows towards the viewer; scale = zoom * side * distance / (distance - depth).
-        """
-        x, y, z = np.moveaxis(np.asarray(points, float) - self.middle, -1, 0)
-        # Turn about the vertical, then tilt: the usual order of a camera on a tripod.
-        across = x * math.cos(self.yaw) - z * math.sin(self.yaw)
-        ahead = x * math.sin(self.yaw) + z * math.cos(self.yaw)
-        up = y * math.cos(self.pitch) - ahead * math.sin(self.pitch)
-        depth = y * math.sin(self.pitch) + ahead * math.cos(self.pitch)
-        # Perspective: a point nearer to the camera appears larger.
-        scale = min(size) * self.zoom * self.distance / (self.distance - depth)
-        return np.stack([size[0] / 2 + across * scale, size[1] / 2 - up * scale], axis=-1), scale, depth
+    Depth grows towards the viewer; scale = zoom * side * distance / (distance - depth).
+    """
+    x, y, z = np.moveaxis(np.asarray(points, float) - _MIDDLE, -1, 0)
+    # Turn about the vertical, then tilt: the usual order of a camera on a tripod.
+    across = x * math.cos(_YAW) - z * math.sin(_YAW)
+    ahead = x * math.sin(_YAW) + z * math.cos(_YAW)
+    up = y * math.cos(_PITCH) - ahead * math.sin(_PITCH)
+    depth = y * math.sin(_PITCH) + ahead * math.cos(_PITCH)
+    # Perspective: a point nearer to the camera appears larger.
+    scale = min(size) * _ZOOM * _DISTANCE / (_DISTANCE - depth)
+    return np.stack([size[0] / 2 + across * scale, size[1] / 2 - up * scale], axis=-1), scale, depth
 
 
-def _polygons(part: FlatPart, ink: _Ink) -> list[tuple[NDArray[np.int64], _Colour]]:
-    """Polygons [T, K, 2] rounded to whole pixels (Pillow would truncate), with their colours."""
-    return [(np.rint(corners).astype(np.int64), ink(colour)) for corners, colour in part.polygons(PAPER)]
+def _polygons(part: FlatPart, ink: _Ink) -> list[tuple[list[list[int]], _Colour]]:
+    """For each polygon of a part its corners in T frames, rounded to whole pixels (Pillow would truncate), and its
+    colour."""
+    return [(np.rint(corners).astype(np.int64).reshape(len(corners), -1).tolist(), ink(colour))
+            for corners, colour in part.polygons(PAPER)]
 
 
-def _background(camera: Camera, size: tuple[int, int], ink: _Ink, still_legs: bool) -> Image:
+def _background(size: tuple[int, int], ink: _Ink, still_legs: bool) -> Image:
     """The static background: paper, a soft shadow on the floor, and still legs."""
     from PIL import Image, ImageDraw, ImageFilter
 
     picture = Image.new("RGB", size, ink(PAPER))
     pen = ImageDraw.Draw(picture)
-    place, scale, _ = camera.project(np.zeros(3), size)
+    place, scale, _ = project(np.zeros(3), size)
     for across, deep, colour in ((0.5, 0.07, FLOOR), (0.26, 0.036, SHADOW)):
         reach = np.array([across, deep]) * scale
         pen.ellipse([*(place - reach), *(place + reach)], fill=ink(colour))
     picture = picture.filter(ImageFilter.GaussianBlur(0.012 * float(scale)))
     pen = ImageDraw.Draw(picture)
     for part in legs() if still_legs else ():
-        for polygon, code in _polygons(flattened(part, partial(camera.project, size=size)), ink):
-            pen.polygon(polygon[0].ravel().tolist(), fill=code)
+        for polygon, code in _polygons(flattened(part, partial(project, size=size)), ink):
+            pen.polygon(polygon[0], fill=code)
     return picture
 
 
@@ -161,32 +155,22 @@ def pictures(points: dict[str, Array], size: tuple[int, int] = SIZE, ink: _Ink =
     except ImportError:
         raise _missing("Pillow") from None
     moving = legs(points) if "LeftUpLeg" in points else []
-    camera, large = Camera(), (size[0] * _OVER, size[1] * _OVER)
-    look, background = partial(camera.project, size=large), _background(camera, large, ink, not moving)
+    # Draw at twice the size and average 2 x 2 pixels: Pillow itself does not smooth edges.
+    large = (size[0] * _OVER, size[1] * _OVER)
+    look, background = partial(project, size=large), _background(large, ink, not moving)
     parts = [flattened(part, look) for part in (*moving, *body(points, look))]
-    # Draw at twice the size and average: Pillow itself does not smooth edges.
-    drawn = [_polygons(part, ink) for part in parts]
-    # Redraw only the bounding box of all frames: most of the picture is static.
-    every = np.concatenate([corners.reshape(-1, 2) for polygons in drawn for corners, _ in polygons])
-    low, high = (np.clip([every.min(0) // _OVER, every.max(0) // _OVER + 1], 0, size)).tolist()
-    stage = background.crop((low[0] * _OVER, low[1] * _OVER, high[0] * _OVER, high[1] * _OVER))
-    rest = background.reduce(_OVER)
-    corner = np.multiply(low, _OVER)
-    flat = [[((corners - corner).reshape(len(corners), -1).tolist(), colour) for corners, colour in polygons]
-            for polygons in drawn]
+    polygons = [_polygons(part, ink) for part in parts]
     # Painter's algorithm: parts are drawn from back to front.
     order = np.argsort(np.stack([part.near for part in parts]), axis=0, kind="stable")
     for frame, numbers in enumerate(order.T.tolist()):
-        picture = stage.copy()
+        picture = background.copy()
         pen = ImageDraw.Draw(picture)
         for number in numbers:
             shown = parts[number].shown
             if shown is None or shown[frame]:
-                for corners, colour in flat[number]:
+                for corners, colour in polygons[number]:
                     pen.polygon(corners[frame], fill=colour)
-        # Averages of 2 x 2 pixels: edges become smooth.
-        rest.paste(picture.reduce(_OVER), (low[0], low[1]))
-        yield rest.copy()
+        yield picture.reduce(_OVER)
 
 
 # ---------------------------------------------------------------- the file
@@ -198,14 +182,7 @@ def encode(points: dict[str, Array], speech: Speech, suffix: str, *, size: tuple
     The audio is truncated, or padded with silence, to T / fps seconds. suffix: ".mp4" or ".webm". InputError for
     another suffix, an invalid size or rate, or if PyAV or Pillow is not installed.
     """
-    frames = len(next(iter(points.values())))
-    return encode_pictures(pictures(points, size, bt709), frames, speech, suffix, size=size, fps=fps)
-
-
-def encode_pictures(drawn: Iterator[Image], frames: int, speech: Speech, suffix: str, *, size: tuple[int, int],
-                    fps: int = FPS) -> bytes:
-    """The same of so many pictures of `size` pixels that are drawn in the colours of `bt709`."""
-    kind = format_of(suffix)
+    frames, kind = len(next(iter(points.values()))), format_of(suffix)
     if min(size) < 16 or size[0] % 2 or size[1] % 2:
         raise InputError("size", f"must be even and 16 or more, not {size[0]} x {size[1]}")
     if fps < 1:
@@ -217,7 +194,7 @@ def encode_pictures(drawn: Iterator[Image], frames: int, speech: Speech, suffix:
     with tempfile.TemporaryDirectory() as folder:
         # A file, not memory: moving the index to the front reads back the written data.
         target = Path(folder) / f"clip{suffix.lower()}"
-        _write(target, kind, drawn, sound, size, fps)
+        _write(target, kind, pictures(points, size, bt709), sound, size, fps)
         return target.read_bytes()
 
 
@@ -284,7 +261,9 @@ def _write(target: Path, kind: Format, drawn: Iterator[Image], sound: Samples, s
         for number, picture in enumerate(drawn):
             container.mux(video.encode(_frame(picture, number, fps)))
             first, last = (round(k * SOUND_RATE / fps) for k in (number, number + 1))
-            container.mux(voice.encode(_sound_frame(sound[first:last], first)))
+            spoken = av.AudioFrame.from_ndarray(np.ascontiguousarray(sound[None, first:last]), "fltp", "mono")
+            spoken.sample_rate, spoken.pts, spoken.time_base = SOUND_RATE, first, Fraction(1, SOUND_RATE)
+            container.mux(voice.encode(spoken))
         for stream in (video, voice):
             container.mux(stream.encode(None))
 
@@ -305,27 +284,33 @@ def _frame(picture: Image, number: int, fps: int) -> Any:
     return frame
 
 
-def _sound_frame(samples: Samples, first: int) -> Any:
-    """Samples as an audio frame that starts at sample `first`."""
-    import av
-
-    frame = av.AudioFrame.from_ndarray(np.ascontiguousarray(samples[None]), format="fltp", layout="mono")
-    frame.sample_rate, frame.pts, frame.time_base = SOUND_RATE, first, Fraction(1, SOUND_RATE)
-    return frame
-
-
 # ---------------------------------------------------------------- a scene
 
 def write_film(path: Path, scene: Scene) -> Path:
     """Write the scene as a video with audio, atomically. Returns `path`."""
-    points = _moments(scene, FPS)
-    write_bytes(path, encode(points, scene.speech, path.suffix))
+    write_bytes(path, encode(_moments(scene, FPS), scene.speech, path.suffix))
     return path
 
 
 def write_gif(path: Path, scene: Scene) -> Path:
-    """Write the scene as a looping GIF without audio, atomically. Returns `path`."""
-    write_bytes(path, gif(_moments(scene, GIF_FPS)))
+    """Write the scene as a looping GIF without audio, with one palette for all frames, atomically. Returns `path`."""
+    from PIL import Image
+
+    points = _moments(scene, GIF_FPS)
+    frames = len(next(iter(points.values())))
+    # The palette is made from a few pictures below each other: their colours are those of all.
+    few = np.linspace(0, frames - 1, min(frames, 8)).astype(int)
+    samples = list(pictures({name: places[few] for name, places in points.items()}, GIF_SIZE))
+    sheet = Image.new("RGB", (GIF_SIZE[0], GIF_SIZE[1] * len(samples)))
+    for row, picture in enumerate(samples):
+        sheet.paste(picture, (0, GIF_SIZE[1] * row))
+    palette = sheet.quantize(GIF_COLOURS, dither=Image.Dither.NONE)
+    # A generator, as Pillow takes one picture at a time: those of ten minutes would fill the memory.
+    drawn = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures(points, GIF_SIZE))
+    out = io.BytesIO()
+    next(drawn).save(out, "GIF", save_all=True, append_images=drawn, duration=1000 // GIF_FPS, loop=0, optimize=False,
+                     disposal=1)
+    write_bytes(path, out.getvalue())
     return path
 
 
@@ -336,23 +321,3 @@ def _moments(scene: Scene, fps: int) -> dict[str, Array]:
     if scene.face is not None:
         points |= face_points(scene.face, motion, times)
     return points
-
-
-def gif(points: dict[str, Array]) -> bytes:
-    """The bytes of a GIF: frame k shows time k of `points` (name -> [T, 3]) at `GIF_FPS`; one palette for all
-    frames."""
-    from PIL import Image
-
-    frames = len(next(iter(points.values())))
-    few = np.linspace(0, frames - 1, min(frames, 8)).astype(int)
-    samples = list(pictures({name: places[few] for name, places in points.items()}, GIF_SIZE))
-    sheet = Image.new("RGB", (GIF_SIZE[0], GIF_SIZE[1] * len(samples)))
-    for row, picture in enumerate(samples):
-        sheet.paste(picture, (0, GIF_SIZE[1] * row))
-    palette = sheet.quantize(GIF_COLOURS, dither=Image.Dither.NONE)
-    drawn = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures(points, GIF_SIZE))
-    first = next(drawn)
-    out = io.BytesIO()
-    first.save(out, "GIF", save_all=True, append_images=itertools.chain(drawn), duration=1000 // GIF_FPS, loop=0,
-               optimize=False, disposal=1)
-    return out.getvalue()

@@ -23,7 +23,6 @@ from gesticulator.export.clip import ClipLayout
 from gesticulator.export.gltf import VERTICES, FrameTrack, GltfDocument, node_tree, open_gltf, transform
 from gesticulator.export.key_reduction import STEADY
 from gesticulator.export.nodes import NodeMotion
-from gesticulator.export.own_fbx import write_animated
 from gesticulator.export.writers import Scene
 
 if TYPE_CHECKING:
@@ -34,57 +33,44 @@ _COLOUR = [0.24, 0.45, 0.47, 1.0]
 
 
 def write_glb(path: Path, scene: Scene) -> Path:
-    """Write the motion as GLB, atomically. Returns `path`. An FBX character needs Blender."""
-    character = scene.character
-    if character is not None and character.character.kind == "fbx":
-        return write_animated(path, character, scene.clip, scene.face)
-    is_glb = character is not None and character.character.kind == "glb"
-    if character is not None and is_glb:
-        write_bytes(path, character_glb(character, scene.clip, scene.face))
-        return path
-    if scene.face is not None:
-        from gesticulator.export.face import FaceWarning
-
-        warnings.warn(FaceWarning("a skeleton without a mesh shows no face; give a --character that has one"),
-                      stacklevel=2)
-    write_bytes(path, skeleton_glb(scene.nodes, scene.clip))
-    return path
+    """Write the motion as GLB, atomically. Returns `path`. Characters from FBX are written by `export.fbx`."""
+    return write_clips(path, [scene])
 
 
 def write_clips(path: Path, scenes: Sequence[Scene]) -> Path:
-    """Write several scenes with the same character as animations of one GLB, each named after its clip, atomically.
-    Returns `path`. `InputError` for a character from FBX."""
+    """Write scenes with the same character as animations of one GLB, each named after its clip, atomically. Returns
+    `path`.
+
+    A character's file keeps everything; with a face, the animations move what it has for one (`gesticulator.face.rig`),
+    too, and a warning says so if it has no mouth. Other scenes are a skeleton with a figure of spindles. `InputError`
+    for several of a character from FBX.
+    """
     character = scenes[0].character
-    if character is None or character.character.kind == "bvh":
-        gltf = skeleton_document(scenes[0].nodes)
-        for scene in scenes:
-            add_skeleton_clip(gltf, scene.nodes, scene.clip)
-    elif character.character.kind == "fbx":
+    if character is not None and character.character.kind == "fbx":
         raise InputError(character.character.path, "cannot take several clips in one file as FBX",
                          "convert it to GLB, or write one file per recording")
-    else:
-        gltf = open_gltf(character.character.path)
-        for scene in scenes:
-            assert scene.character is not None
-            add_clip(gltf, scene.character, scene.clip, scene.face)
+    is_glb = character is not None and character.character.kind == "glb"
+    gltf = open_gltf(character.character.path) if character is not None and is_glb \
+        else skeleton_document(scenes[0].nodes)
+    for scene in scenes:
+        if is_glb and scene.character is not None:
+            _add_character_clip(gltf, scene.character, scene.clip, scene.face)
+            continue
+        if scene.face is not None:
+            from gesticulator.export.face import FaceWarning
+
+            warnings.warn(FaceWarning("a skeleton without a mesh shows no face; give a --character that has one"),
+                          stacklevel=2)
+        motion = scene.nodes
+        steady = frozenset(node for node, name in enumerate(motion.names) if name in STEADY)
+        gltf.animate(scene.clip, motion, {node: node for node in range(len(motion.names))
+                                          if not (scene.clip.bare and node in steady)}, steady)
     write_bytes(path, gltf.to_bytes())
     return path
 
 
-def character_glb(moved: CharacterMotion, clip: ClipLayout, face: FaceMotion | None = None) -> bytes:
-    """The character's file with one animation added: the bytes of a GLB file. With a face, the animation moves what the
-    character has for one (`gesticulator.face.rig`), too; if it has no mouth, a warning says so.
-
-    Nothing else changes, except that animated nodes with a matrix get a translation, a rotation and a scale instead.
-    Buffers and images in separate files are embedded.
-    """
-    gltf = open_gltf(moved.character.path)
-    add_clip(gltf, moved, clip, face)
-    return gltf.to_bytes()
-
-
-def add_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLayout, face: FaceMotion | None = None) -> None:
-    """Add the motion to the document of its character."""
+def _add_character_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLayout, face: FaceMotion | None) -> None:
+    """Add the motion to the document of its character. Buffers and images in separate files have been embedded."""
     character = moved.character
     for node in moved.moved:
         entry = gltf.document["nodes"][character.node_ids[node]]
@@ -101,24 +87,6 @@ def add_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLayout, face:
         more = character_tracks(gltf, moved, face)
     gltf.animate(clip, motion, {node: character.node_ids[node] for node in sorted({*moved.moved, *shifts})},
                  frozenset(node for joint, node in moved.joints.items() if joint in STEADY), more)
-
-
-def skeleton_glb(motion: NodeMotion, clip: ClipLayout) -> bytes:
-    """An animated skeleton with a figure of spindles: the bytes of a GLB file."""
-    gltf = skeleton_document(motion)
-    add_skeleton_clip(gltf, motion, clip)
-    return gltf.to_bytes()
-
-
-def add_skeleton_clip(gltf: GltfDocument, motion: NodeMotion, clip: ClipLayout) -> None:
-    """Add a motion to a document of `skeleton_document`."""
-    gltf.animate(clip, motion, {node: node for node, name in enumerate(motion.names)
-                                if not (clip.bare and name in STEADY)}, steady_nodes(motion))
-
-
-def steady_nodes(motion: NodeMotion) -> frozenset[int]:
-    """The nodes of the default skeleton that are hips or legs."""
-    return frozenset(node for node, name in enumerate(motion.names) if name in STEADY)
 
 
 def skeleton_document(motion: NodeMotion) -> GltfDocument:

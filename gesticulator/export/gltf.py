@@ -5,12 +5,11 @@ Lengths are metres, Y is up, quaternions are w last (glTF 2.0, section 3.4). Unk
 
 from __future__ import annotations
 
-import io
 import json
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,26 +76,20 @@ class GltfDocument:
         """Add one animation, with keys reduced within `clip.keys`. nodes: index in the motion -> index in the document,
         for moved nodes; steady: nodes of the motion whose errors are held tighter (hips and legs). more:
         further tracks with a value at every frame (node, property, values)."""
-        rows = list(nodes)
         tracks: list[Track] = []
-        times = motion.times.astype("<f4")
-        if not clip.keys:
-            for source, node in nodes.items():
-                if source in motion.shifts:
-                    tracks.append((node, TRANSLATION, times, motion.shifts[source].astype("<f4")))
-                tracks.append((node, ROTATION, times, as_gltf(motion.turns[:, source])))
-            self.add_animation(clip.name, tracks + [(node, path, times, values) for node, path, values in more])
-            return
-        turned = kept_frames(motion.turns[:, rows], track_bounds(rows, clip.keys, steady), rotation_errors)
+        rows, times = list(nodes), motion.times.astype("<f4")
+        turned = kept_frames(motion.turns[:, rows], track_bounds(rows, clip.keys, steady), rotation_errors) \
+            if clip.keys else None
         for column, (source, node) in enumerate(nodes.items()):
             if source in motion.shifts:
-                key_frames = kept_places(motion.shifts[source], clip.keys)
-                tracks.append((node, TRANSLATION, times[key_frames], motion.shifts[source][key_frames].astype("<f4")))
-            key_frames = turned[:, column]
-            tracks.append((node, ROTATION, times[key_frames], as_gltf(motion.turns[key_frames, source])))
-        self.add_animation(clip.name, tracks + [(node, path, times, values) for node, path, values in more])
+                places = motion.shifts[source]
+                moved = None if turned is None else kept_places(places, clip.keys)
+                tracks.append((node, TRANSLATION, _at(moved, times), _at(moved, places).astype("<f4")))
+            key_frames = None if turned is None else turned[:, column]
+            tracks.append((node, ROTATION, _at(key_frames, times), as_gltf(_at(key_frames, motion.turns[:, source]))))
+        self._add_animation(clip.name, tracks + [(node, path, times, values) for node, path, values in more])
 
-    def add_animation(self, name: str, tracks: Sequence[Track]) -> None:
+    def _add_animation(self, name: str, tracks: Sequence[Track]) -> None:
         """Add one animation. tracks: node, property (`TRANSLATION`, `ROTATION`, `WEIGHTS`), times [T] in seconds,
         rising, and values, [T, 3], [T, 4] with w last, or [T * targets] weights; all float32. Tracks may share one
         object of times."""
@@ -133,12 +126,7 @@ class GltfDocument:
         return accessors
 
     def to_bytes(self) -> bytes:
-        out = io.BytesIO()
-        self.write(out)
-        return out.getvalue()
-
-    def write(self, out: BinaryIO) -> None:
-        """Write the file. `InputError` if it exceeds the size limit of GLB."""
+        """The bytes of a GLB file. `InputError` if it exceeds the size limit of the format."""
         self._append(bytes(-self._size % 4))
         self.document.setdefault("buffers", [{}])[0]["byteLength"] = self._size
         text = json.dumps(self.document, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
@@ -146,11 +134,11 @@ class GltfDocument:
         text += b" " * (-len(text) % 4)
         size = 12 + 8 + len(text) + 8 + self._size
         if size > LARGEST:
-            raise too_large(size)
-        out.write(struct.pack("<4sII", MAGIC, VERSION, size) + struct.pack("<II", len(text), JSON_CHUNK) + text)
-        out.write(struct.pack("<II", self._size, BINARY_CHUNK))
-        for part in self._parts:
-            out.write(part)
+            raise InputError("the motion", f"would take {size / 1e9:.1f} GB, and a GLB file holds "
+                             f"{LARGEST / 1e9:.1f} GB",
+                             "ask for fewer frames per second (--fps), write .bvh, or cut the recording")
+        return b"".join([struct.pack("<4sII", MAGIC, VERSION, size), struct.pack("<II", len(text), JSON_CHUNK), text,
+                         struct.pack("<II", self._size, BINARY_CHUNK), *self._parts])
 
     def _append(self, data: bytes) -> None:
         self._parts.append(data)
@@ -162,10 +150,9 @@ class GltfDocument:
         return len(entries) - 1
 
 
-def too_large(size: int) -> InputError:
-    """The error for a GLB file of `size` bytes."""
-    return InputError("the motion", f"would take {size / 1e9:.1f} GB, and a GLB file holds {LARGEST / 1e9:.1f} GB",
-                      "ask for fewer frames per second (--fps), write .bvh, or cut the recording in parts")
+def _at(key_frames: NDArray[np.bool_] | None, values: NDArray[Any]) -> NDArray[Any]:
+    """The values at key frames; None for all, as the same object: tracks that share their times share an accessor."""
+    return values if key_frames is None else values[key_frames]
 
 
 def as_gltf(turns: Array) -> NDArray[np.float32]:

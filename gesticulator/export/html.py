@@ -22,7 +22,7 @@ from data_module.errors import InputError
 from data_module.files import write_text
 from data_module.motion import kinematics
 from data_module.motion.skeletons import HIP_HEIGHT
-from data_module.types import Array, Motion, Skeleton
+from data_module.types import Motion, Skeleton
 from gesticulator.export import sound
 from gesticulator.export.gltf import open_gltf
 from gesticulator.export.writers import Scene
@@ -39,8 +39,6 @@ class HasScene(Protocol):
         """The input of writers."""
         ...
 
-
-__all__ = ["write_comparison", "write_preview"]
 
 LONG = 600.0
 """Duration in seconds above which the page uses `LONG_FPS`, so that it still opens quickly: an hour is then about 40
@@ -121,17 +119,13 @@ def describe(scene: Scene) -> dict[str, Any]:
 def describe_motion(scene: Scene) -> dict[str, Any]:
     """`describe` without the plan."""
     motion = shown(scene)
+    face = None if scene.face is None else np.clip(scene.face.at(np.arange(len(motion)) / motion.fps), -1.0, 1.0)
     return {
         **describe_shape(motion, scene.duration),
         "rotations": _base64(np.round(motion.rotations * QUATERNION_STEPS).astype("<i2").tobytes()),
         "root": _base64(root_path(motion)),
-        **({} if scene.face is None else {"face": _base64(_steps(scene.face.at(np.arange(len(motion)) / motion.fps)))}),
+        **({} if face is None else {"face": _base64(np.round(face * QUATERNION_STEPS).astype("<i2").tobytes())}),
     }
-
-
-def _steps(values: Array) -> bytes:
-    """Numbers from -1 to 1 as int16 in steps of 1 / `QUATERNION_STEPS`."""
-    return np.round(np.clip(values, -1.0, 1.0) * QUATERNION_STEPS).astype("<i2").tobytes()
 
 
 def describe_shape(motion: Motion, duration: float) -> dict[str, Any]:
@@ -142,8 +136,7 @@ def describe_shape(motion: Motion, duration: float) -> dict[str, Any]:
 
 def shown(scene: Scene) -> Motion:
     """The motion as the page has it."""
-    motion = scene.standing
-    return kinematics.resample(motion, page_fps(scene.duration, motion.fps))
+    return kinematics.resample(scene.standing, page_fps(scene.duration, scene.fps))
 
 
 def page_fps(duration: float, fps: float) -> float:
@@ -162,10 +155,8 @@ def root_path(motion: Motion) -> bytes:
 def _character(scene: Scene) -> dict[str, Any]:
     """The page's data about the user's character; empty if its format cannot be shown."""
     moved = scene.character
-    if moved is None or moved.character.kind != "glb":
-        return {}
-    rig = moved.character
-    return character_data(rig, {joint: rig.node_ids[node] for joint, node in moved.joints.items()}, scene.face)
+    return {} if moved is None or moved.character.kind != "glb" else character_data(moved.character, {
+        joint: moved.character.node_ids[node] for joint, node in moved.joints.items()}, scene.face)
 
 
 def character_data(rig: Character, joints: Mapping[str, int], face: FaceMotion | None = None) -> dict[str, Any]:
@@ -177,13 +168,13 @@ def character_data(rig: Character, joints: Mapping[str, int], face: FaceMotion |
     file = open_gltf(path).to_bytes() if path.suffix.lower() == ".gltf" else path.read_bytes()
     if len(file) > LARGEST_CHARACTER:
         return {"notice": f"{name} is too large to be kept in the page. Drop the file here to see it."}
-    told: dict[str, Any] = {"name": name, "data": _base64(file), "joints": dict(joints)}
+    data: dict[str, Any] = {"name": name, "data": _base64(file), "joints": dict(joints)}
     if face is not None and rig.kind == "glb":
         from gesticulator.face.page import page_face
 
-        shown_with = page_face(rig, face.lips_only)
-        told |= {"face": shown_with} if shown_with else {}
-    return {"character": told}
+        shapes = page_face(rig, face.lips_only)
+        data |= {"face": shapes} if shapes else {}
+    return {"character": data}
 
 
 def _skeleton(skeleton: Skeleton) -> dict[str, Any]:

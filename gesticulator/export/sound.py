@@ -48,18 +48,16 @@ def with_serial(ogg: bytes, serial: int) -> bytes:
             raise ValueError("not an Ogg stream")
         segments = out[at + 26]
         size = 27 + segments + sum(out[at + 27:at + 27 + segments])
-        out[at + 14:at + 18] = struct.pack("<I", serial)
-        out[at + 22:at + 26] = bytes(4)
-        out[at + 22:at + 26] = struct.pack("<I", checksum(bytes(out[at:at + size])))
+        # The sum is computed with zeros in its own place.
+        out[at + 14:at + 18], out[at + 22:at + 26] = struct.pack("<I", serial), bytes(4)
+        out[at + 22:at + 26] = struct.pack("<I", _checksum(bytes(out[at:at + size])))
         at += size
     return bytes(out)
 
 
-def checksum(page: bytes) -> int:
-    """Ogg's CRC-32 of a page: polynomial 0x04c11db7, most significant bit first, start 0, no final inversion.
-
-    zlib's CRC is the same polynomial read least significant bit first, so mirrored bytes give the mirrored sum.
-    """
+def _checksum(page: bytes) -> int:
+    """Ogg's CRC-32 of a page: polynomial 0x04c11db7, most significant bit first, start 0, no final inversion."""
+    # zlib's CRC is the same polynomial read least significant bit first: mirrored bytes give the mirrored sum.
     mirrored = zlib.crc32(page.translate(_REVERSED), 0xFFFFFFFF) ^ 0xFFFFFFFF
     return int(f"{mirrored:032b}"[::-1], 2)
 

@@ -37,7 +37,7 @@ def write_usd(path: Path, scene: Scene) -> Path:
         stage = Usd.Stage.CreateNew(str(target))
         animation = _fill(stage, scene.nodes, scene.clip)
         if scene.face is not None:
-            _express(animation, scene.face, Usd)
+            _express(animation, scene.face)
         if scene.clip.sound:
             _refer_to_sound(stage, path.with_suffix(".wav").name)
         stage.GetRootLayer().Save()
@@ -47,7 +47,7 @@ def write_usd(path: Path, scene: Scene) -> Path:
 
 def _fill(stage: Any, motion: NodeMotion, clip: ClipLayout) -> Any:
     """Write skeleton, figure and animation; returns the animation."""
-    from pxr import Gf, Usd, UsdGeom, UsdSkel
+    from pxr import Gf, UsdGeom, UsdSkel
 
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, motion.unit)
@@ -66,18 +66,19 @@ def _fill(stage: Any, motion: NodeMotion, clip: ClipLayout) -> Any:
     local = [matrix if parent < 0 else np.linalg.inv(rest[parent]) @ matrix
              for matrix, parent in zip(rest, motion.parents, strict=True)]
     skeleton.CreateRestTransformsAttr([Gf.Matrix4d(*matrix.T.ravel().tolist()) for matrix in local])
-    animation = UsdSkel.Animation.Define(stage, f"{ROOT}/Skeleton/{_animation_name(clip)}")
+    name = "Gesture" if clip.name == NAME else _valid_name(clip.name)
+    animation = UsdSkel.Animation.Define(stage, f"{ROOT}/Skeleton/{name}")
     animation.CreateJointsAttr(joints)
-    _animate(animation, motion, Usd)
+    _animate(animation, motion)
     binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
     _dress(stage, skeleton, figure(motion))
     return animation
 
 
-def _express(animation: Any, face: FaceMotion, usd: Any) -> None:
+def _express(animation: Any, face: FaceMotion) -> None:
     """Add the weights of ARKit's 52 blend shapes to an animation, for meshes with such shapes."""
-    from pxr import Vt
+    from pxr import Usd, Vt
 
     curves = arkit(face)
     if face.lips_only:
@@ -85,11 +86,7 @@ def _express(animation: Any, face: FaceMotion, usd: Any) -> None:
     animation.CreateBlendShapesAttr(list(ARKIT))
     track = animation.CreateBlendShapeWeightsAttr()
     for frame, values in enumerate(np.stack([curves[name] for name in ARKIT], axis=1).astype(np.float32)):
-        track.Set(Vt.FloatArray.FromNumpy(values), usd.TimeCode(frame))
-
-
-def _animation_name(clip: ClipLayout) -> str:
-    return "Gesture" if clip.name == NAME else _valid_name(clip.name)
+        track.Set(Vt.FloatArray.FromNumpy(values), Usd.TimeCode(frame))
 
 
 def _refer_to_sound(stage: Any, name: str) -> None:
@@ -103,8 +100,8 @@ def _refer_to_sound(stage: Any, name: str) -> None:
     sound.CreateStartTimeAttr(Sdf.TimeCode(0.0))
 
 
-def _animate(animation: Any, motion: NodeMotion, usd: Any) -> None:
-    from pxr import Gf, Vt
+def _animate(animation: Any, motion: NodeMotion) -> None:
+    from pxr import Gf, Usd, Vt
 
     # Scales are half floats in UsdSkel.
     animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(*scale) for scale in motion.scales.tolist()]))
@@ -112,7 +109,7 @@ def _animate(animation: Any, motion: NodeMotion, usd: Any) -> None:
     # One array for all frames: only the nodes with a path change between them.
     moved = motion.translations.astype(np.float32)
     for frame, pose in enumerate(motion.turns.tolist()):
-        time = usd.TimeCode(frame)
+        time = Usd.TimeCode(frame)
         turns.Set(Vt.QuatfArray([Gf.Quatf(*turn) for turn in pose]), time)
         for node, track in motion.shifts.items():
             moved[node] = track[frame]
@@ -129,6 +126,7 @@ def _dress(stage: Any, skeleton: Any, body: FigureMesh) -> None:
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray([3] * (count // 3)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray(list(range(count))))
+    # Without this, viewers smooth the mesh as a subdivision surface.
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateDisplayColorAttr([Gf.Vec3f(0.24, 0.45, 0.47)])
     if count:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -31,8 +30,6 @@ WRITERS: Registry[RegistryEntry] = Registry("writers", "a format that can be wri
     ".csv": RegistryEntry("positions and rotations, a row per joint and frame", "gesticulator.export.table:write_csv"),
     ".face.csv": RegistryEntry("the face in ARKit's names, as Live Link Face records it",
                                "gesticulator.export.face:write_live_link"),
-    ".face.parquet": RegistryEntry("the table of .face.csv as Parquet", "gesticulator.export.face:write_face_parquet",
-                                   needs=Requirement("pyarrow", "pyarrow", "parquet")),
     ".fbx": RegistryEntry("motion, or your own character, through Blender", "gesticulator.export.fbx:write_fbx"),
     ".gif": RegistryEntry("an animated figure, looping", "gesticulator.export.film:write_gif",
                   needs=Requirement("PIL", "Pillow", "video")),
@@ -136,8 +133,7 @@ def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
         raise InputError(f"unit {unit}", "is unknown", f"use one of {', '.join(UNITS)}")
     if unit != "cm" and suffix != ".bvh":
         raise InputError(target, f"cannot be in {unit}", "the unit is for .bvh; other formats have their own")
-    needs = WRITERS[suffix].needs
-    if needs is not None:
+    if (needs := WRITERS[suffix].needs) is not None:
         needs.check(target)
     if suffix == ".fbx":
         from gesticulator.characters.blender import check_blender
@@ -145,19 +141,16 @@ def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
         check_blender(target)
 
 
-def writer_for(path: str | os.PathLike[str]) -> Callable[..., Path]:
-    """The writer for a path by its suffix; `InputError` as for `check_output`."""
-    check_output(path)
-    return cast("Callable[..., Path]", WRITERS.load(suffix_of(path)))
-
-
 def write(path: str | os.PathLike[str], scene: Scene, *, unit: str = "cm") -> Path:
     """Write a scene atomically in the format of the suffix; unit: of a BVH file. Returns `path`. `InputError` as for
     `check_output`; OSError for disk errors."""
     check_output(path, unit)
-    writer = writer_for(path)
+    suffix, moved = suffix_of(path), scene.character
+    # The file of a character from FBX is animated by Blender, whatever it is saved as.
+    through_blender = suffix == ".glb" and moved is not None and moved.character.kind == "fbx"
+    writer = cast("Callable[..., Path]", WRITERS.load(".fbx" if through_blender else suffix))
     # Only the BVH writer takes a unit; `check_output` has rejected others.
-    return (writer if unit == "cm" else partial(writer, unit=unit))(Path(path), scene)
+    return writer(Path(path), scene) if unit == "cm" else writer(Path(path), scene, unit=unit)
 
 
 def write_plan(path: Path, scene: Scene) -> Path:

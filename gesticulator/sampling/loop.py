@@ -203,15 +203,6 @@ def motion_of(bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> ND
     return sampler_of(bundle).motion_of(bundle, setup, blocks)
 
 
-def run(bundle: Bundle, setup: Setup, requests: Sequence[Request], text: bool = False) -> list[BlockMotion]:
-    """All blocks of a performance; arguments as of `begin` and `step`."""
-    state, blocks = begin(bundle, setup, text), []
-    for request in requests:
-        block, state = step(bundle, setup, state, request)
-        blocks.append(block)
-    return blocks
-
-
 @torch.inference_mode()
 def idle(bundle: Bundle, state: State, start: float, seconds: float, knots: int) -> tuple[NDArray[np.float32], State]:
     """[knots, D_m] frames of rest at intervals of `seconds`, the first one interval after `start`, and the state after
@@ -313,6 +304,7 @@ def resting(bundle: Bundle, setup: Setup, state: State, request: Request, featur
     """Decide whether the hands rest: by the gate, by pauses and phrases, and in the frames `still` [K]."""
     # A plan may hold a curve of activity; then each block has its own.
     activity = setup.activity if request.activity is None else request.activity
+    # At activity 0 the hands rest whatever the gate says.
     closed, probability, gate = activity == 0, math.nan, state.gate
     if gate is not None and bundle.gate is not None:
         probability, gate = bundle.gate.step(gate, features)
@@ -359,6 +351,7 @@ def shown(bundle: Bundle, rest: Rest | None, block: Tensor, offset: Tensor | Non
         return block, np.asarray(block[0].cpu().numpy())
     if offset is not None:
         block = block + offset
+    # Rest shapes what the generator continues from; idle motion is only laid over what is shown.
     past = tensor(bundle, rest.step(block[0].cpu().numpy()))[None]
     return past, rest.alive(past[0].cpu().numpy()).astype(np.float32)
 

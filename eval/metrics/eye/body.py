@@ -87,10 +87,12 @@ def common_body(motion: Motion) -> CommonBody:
     skeleton = motion.skeleton
     joints = dict(find_table(skeleton.names))
     joints["Chest"] = _chest(skeleton.parents, skeleton.names, joints)
+    # First the rate, as smoothing and thresholds below are in frames of 60 Hz.
     resampled = kinematics.resample(motion, HZ)
     world, places = kinematics.global_rotations(skeleton, resampled.rotations), kinematics.positions_of(resampled)
     change = _axes(skeleton, joints)
     world = rotation.multiply(rotation.multiply(change, world), rotation.conjugate(change))
+    # Seen from the hips in every frame: a speaker who walks gestures alike.
     places = rotation.rotate(change, places - places[:, joints["Hips"], None])
     # The heading of every frame is taken off: a speaker who turns to someone else gestures alike.
     back = _heading(world[:, joints["Hips"]])
@@ -134,6 +136,7 @@ def _axes(skeleton: Skeleton, joints: dict[str, int]) -> Array:
     rest = kinematics.joint_positions(skeleton, np.tile([1.0, 0.0, 0.0, 0.0], (len(skeleton), 1)))
     trunk = unit(rest[joints["Head"]] - rest[joints["Hips"]])
     across = unit(rest[joints["LeftArm"]] - rest[joints["RightArm"]])
+    # Files are Y up or Z up; which of the axes is up is read off the trunk of the rest pose.
     up = _dominant(trunk)
     if trunk @ up <= _UPRIGHT or abs(across @ up) >= _LEVEL:
         raise ValueError("the rest pose is not upright, so there is no common body")
@@ -177,6 +180,7 @@ def _heading(hips: Array) -> Array:
 def _trunk(motion: Motion, joints: dict[str, int], world: Array) -> dict[str, Array]:
     """Waist, chest, neck and head: the spine's own turns, its bones upright at rest and of common lengths."""
     skeleton = motion.skeleton
+    # Rigs differ in the number of spine joints, so the bones share the common length as they share their own.
     lengths = np.linalg.norm(skeleton.offsets, axis=1)
     spine = _chain(skeleton.parents, joints["Hips"], joints["Chest"])
     throat = _chain(skeleton.parents, joints["Chest"], joints["Head"])
@@ -208,6 +212,7 @@ def _arm(points: dict[str, Array], side: str, sign: float, joints: dict[str, int
     """Shoulder, elbow and wrist of a side; sign: +1 on the left."""
     chain = _chain(parents, joints["Chest"], joints[side + "Arm"])
     collar = chain[1] if len(chain) > 2 else joints["Chest"]
+    # The shoulder is that of the common body: sources differ in where they set their clavicles.
     mirror = np.array([sign, 1.0, 1.0])
     points[side + "Arm"] = (points["Chest"] + rotation.rotate(world[:, joints["Chest"]], mirror * _COLLAR)
                             + rotation.rotate(world[:, collar], mirror * _SHOULDER))
@@ -224,6 +229,7 @@ def _finger_speed(motion: Motion, hands: Sequence[int]) -> Array | None:
                and motion.skeleton.names[joint] not in motion.absent]
     if not fingers or len(motion) < 2:
         return None
+    # The fastest joint, not the mean: a hand that points moves one finger.
     turns = motion.rotations[:, fingers]
     speed: Array = np.degrees(rotation.angle_between(turns[:-1], turns[1:])).max(axis=1) * HZ
     return speed

@@ -85,6 +85,7 @@ class ReferenceSpace:
         wanted = ("mean", "sd", "axes", "own_mean", "own_root")
         mean, sd, axes, center, root = read_numbers(path, wanted, f"give {REFERENCE}")
         k = len(axes) if axes.ndim else 0
+        # Files of statistics come from outside, so every shape is looked at before anything is divided.
         shapes = (mean.shape, sd.shape, axes.shape, center.shape, root.shape)
         if shapes != ((WIDTH,), (WIDTH,), (k, WIDTH), (k,), (k, k)) or (sd <= 0).any():
             raise InputError(path, "holds statistics of another shape", f"give {REFERENCE}")
@@ -101,12 +102,7 @@ class ReferenceSpace:
         """Windows [n, 40] in the space, [n, 10]."""
         return ((descriptors - self.mean) / self.sd) @ self.axes.T
 
-    def moments(self, descriptors: Array) -> Gaussian | None:
-        """Of windows [n, 40]; None for fewer than three."""
-        return moments_of(self.see(descriptors))
-
-    def distance(self, descriptors: Array, other: Gaussian | None = None) -> float:
-        """Of windows [n, 40] from the real takes, or from other moments in this space; NaN for fewer than three."""
-        moments_here = self.moments(descriptors)
-        return math.nan if moments_here is None else frechet_distance(
-            moments_here, self.real if other is None else other)
+    def distance(self, descriptors: Array) -> float:
+        """Of windows [n, 40] from the real takes; NaN for fewer than three."""
+        moments = moments_of(self.see(descriptors))
+        return math.nan if moments is None else frechet_distance(moments, self.real)

@@ -48,6 +48,7 @@ _DRIFT = 15.0
 
 def correlation(pair: Array) -> float:
     """Pearson's, of [T, 2]; NaN where either is constant."""
+    # numpy would warn and give NaN as well, but not for a spread that is only rounding.
     if (pair.std(axis=0) <= 1e-9).any():
         return math.nan
     return float(np.asarray(np.corrcoef(pair.T))[0, 1])
@@ -55,6 +56,7 @@ def correlation(pair: Array) -> float:
 
 def one_handed(speed: Array) -> float:
     """Percentage of movement that one hand makes alone, of speeds [T, 2] in m/s; NaN without movement."""
+    # Which hand leads may change from frame to frame.
     fast, slow = speed.max(axis=1), speed.min(axis=1)
     moving = fast > MOVES
     return 100.0 * float((slow[moving] < RESTS * fast[moving]).mean()) if moving.any() else math.nan
@@ -70,6 +72,7 @@ def drift(hands: Array) -> float:
 
 def figures(body: CommonBody) -> dict[str, float]:
     """Every figure of this chapter."""
+    # Raw speeds between frames: the percentiles must see a jump.
     speed, height = body.hand_speed, body.hands[..., 1]
     hangs = height < HANGS
     percentiles = zip(PERCENTILES, np.percentile(speed, PERCENTILES).tolist(), strict=True)

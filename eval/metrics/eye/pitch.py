@@ -62,6 +62,7 @@ def pitch_track(speech: Speech) -> Array:
 
 def trunk_speed(body: CommonBody) -> Array:
     """[T] at `RATE`: degrees a second of the chest's rotation, smoothed by 0.1 s."""
+    # The sign of a turn is no matter: the trunk may turn to either side with a high voice.
     turns = np.degrees(rotation.angle_between(body.chest[:-1], body.chest[1:])) * HZ
     return np.asarray(gaussian_filter1d(turns, _SMOOTHING * HZ)[::round(HZ) // RATE])
 
@@ -109,6 +110,7 @@ def _best(by_lag: Array) -> float:
 
 def coupling(pitches: Sequence[Array], speeds: Sequence[Array], draws: int = 200) -> Coupling:
     """Of recordings with their pitch and trunk speed. With one recording there is no exchange, and no chance."""
+    # All pairs once: exchanges only pick among them.
     pairs = np.array([[lagged(pitch, speed) for speed in speeds] for pitch in pitches])
     matched = np.nanmean(pairs[np.arange(len(speeds)), np.arange(len(speeds))], axis=0)
     rng, chance = np.random.default_rng(_SEED), []

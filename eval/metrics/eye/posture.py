@@ -75,6 +75,7 @@ def _arms(body: CommonBody) -> dict[str, float]:
         azimuths.append(np.degrees(outward[counts]))
         bends.append(angle)
     azimuth = np.concatenate(azimuths)
+    # In space, not across the chest: hands one above the other are apart, too.
     apart = np.linalg.norm(points["LeftHand"] - points["RightHand"], axis=1)
     return {"eye_splay": 100.0 * float(np.mean(splayed)), "eye_splay_both": 100.0 * float(np.all(splayed, 0).mean()),
             "eye_azimuth": float(np.median(azimuth)) if len(azimuth) >= _FEWEST else math.nan,
@@ -96,6 +97,7 @@ def _before_face(body: CommonBody) -> float:
 def _shoulders(body: CommonBody) -> float:
     """Centimetres of lift along the chest's own up axis: square to its left, as near to the trunk as can be."""
     left, points = chest_left(body), body.points
+    # The lift is along the trunk, or leaning would raise a shoulder.
     trunk = points["Neck"] - points["Chest"]
     up = unit(trunk - (trunk * left).sum(axis=1, keepdims=True) * left)
     return 100.0 * float(np.mean([((points[side + "Arm"] - points["Chest"]) * up).sum(axis=1).std()
@@ -104,6 +106,7 @@ def _shoulders(body: CommonBody) -> float:
 
 def _fingers(bends: dict[tuple[str, str], Array]) -> dict[str, float]:
     out = {}
+    # The thumb bends about other axes than the four fingers.
     joints = [angles for (_, finger), angles in bends.items() if finger != "thumb"]
     if joints:
         angles = np.concatenate(joints, axis=1)

@@ -78,7 +78,7 @@ class EyeSample:
         bootstrap's interval over clips."""
         # Projected once: the bootstrap draws the same windows two hundred times.
         projected = [space.see(windows) for windows in self.windows]
-        target = space.real if other is None else space.moments(np.concatenate(other.windows))
+        target = space.real if other is None else frechet.moments_of(space.see(np.concatenate(other.windows)))
         if target is None:
             return Interval.undefined(len(projected))
 

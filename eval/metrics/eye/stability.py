@@ -68,6 +68,7 @@ def healed(apart: NDArray[np.bool_], within: float, hz: float = HZ) -> float:
     least = round(TOGETHER * hz)
     for begin, stop in runs(~apart).tolist():
         together[begin:stop] = stop - begin >= least or stop == len(apart)
+    # A short touch in passing is no coming together, so runs are taken of what lasted.
     counted = good = 0
     for begin, stop in runs(~together).tolist():
         if stop == len(apart) and stop - begin < within * hz:
@@ -83,6 +84,7 @@ def difference(first: CommonBody, second: CommonBody, within: float = UNIT) -> D
     away = np.stack([np.linalg.norm(first.points[joint] - second.points[joint], axis=1) for joint in _JOINTS], axis=1)
     # The last two of `_JOINTS` are the wrists.
     apart = away[:, -2:].max(axis=1) > ALIKE
+    # They part for good after the last time that they were together for long enough.
     near = [stop for begin, stop in runs(~apart).tolist() if stop - begin >= round(TOGETHER * HZ)]
     parting = float(np.argmax(apart)) / HZ if apart.any() else math.nan
     for_good = math.nan if not apart.any() or (near and near[-1] == frames) else near[-1] / HZ if near else 0.0

@@ -97,12 +97,14 @@ def elbow_behind(body: CommonBody, side: str) -> float:
 
 def fastest_elbow(body: CommonBody) -> float:
     """m/s of the faster elbow about its shoulder at its fastest moment; no smoothing, which would hide a jump."""
+    # About the shoulder: a step of the whole body moves no elbow.
     ways = np.stack([body.points[side + "ForeArm"] - body.points[side + "Arm"] for side in SIDES])
     return HZ * float(np.linalg.norm(np.diff(ways, axis=1), axis=-1).max(initial=0.0))
 
 
 def figures(body: CommonBody) -> dict[str, float]:
     """Every figure of this chapter."""
+    # Where the face points, as a heading: a nod is no turn.
     face = rotation.rotate(body.head, np.array([0.0, 0.0, 1.0]))
     yaw = np.degrees(np.abs(np.arctan2(face[:, 0], face[:, 2])))
     out = {

@@ -71,6 +71,7 @@ def lasting(mask: NDArray[np.bool_], seconds: float) -> NDArray[np.bool_]:
 
 def gesture_units(height: Array, speed: Array) -> list[tuple[int, int]]:
     """Frames from and to of the units of a hand with height [T] metres and speed [T] m/s."""
+    # At home a short rest ends a unit; in the air only a long one, as a hold belongs to its gesture.
     slow = speed < HELD
     rests = lasting(slow & (height < np.percentile(height, 10) + _HOME), _REST_AT_HOME) | lasting(slow, _REST_ANYWHERE)
     return [(begin, stop) for begin, stop in runs(~rests).tolist() if speed[begin:stop].max() > MOVES]
@@ -89,6 +90,7 @@ def figures(body: CommonBody) -> dict[str, float]:
 
 def silent_frames(voice: VoiceActivity, frames: int) -> NDArray[np.bool_]:
     """[frames] at 60 Hz, whether the voice is silent."""
+    # The sound may be a frame shorter than the motion.
     at = (np.arange(frames) / HZ * TRACK_HZ).astype(int)
     return np.asarray(voice.silent[np.minimum(at, len(voice.silent) - 1)])
 
@@ -178,9 +180,11 @@ def leads(body: CommonBody, voice: VoiceActivity, shifts: int) -> Leads:
     rate = HZ / TRACK_HZ
     silences = [(round(begin * rate), round(stop * rate))
                 for begin, stop in runs(voice.silent[:round(frames / rate)]).tolist()]
+    # The voice must come back within the recording, half a second before its end at the latest.
     silences = [(begin, stop) for begin, stop in silences
                 if stop - begin >= _SILENCE * HZ and stop < frames - HZ / 2]
     counts, before = np.zeros(shifts), np.zeros(shifts)
+    # Shorter clips have too few places to shift to.
     if frames > 10 * HZ:
         for at, shift in enumerate(np.random.default_rng(_SEED).integers(round(HZ), frames - round(HZ), shifts)):
             moved = _first_movements(np.roll(fast, shift), silences)

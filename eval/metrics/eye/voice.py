@@ -70,6 +70,7 @@ def hear(speech: Speech) -> VoiceActivity:
     frequencies, times, spectrum = stft(samples, SAMPLE_RATE, nperseg=512, noverlap=352)
     power = np.abs(spectrum) ** 2
     hop = SAMPLE_RATE // TRACK_HZ
+    # Whole frames of 10 ms; what is left over at the end is no level.
     whole = len(samples) // hop
     level = 10.0 * np.log10((samples[:whole * hop].reshape(whole, hop) ** 2).mean(axis=1) + _FLOOR)
     onsets = _flux_onsets(frequencies, times, power), _rise_onsets(frequencies, times, power)
@@ -126,6 +127,7 @@ def hand_beats(hands: Array) -> Array:
         braking = -np.gradient(gaussian_filter1d(speed, 2), 1.0 / HZ)
         brakes += [peak / HZ for peak in find_peaks(braking, height=2.0, distance=9)[0]
                   if speed[max(0, peak - 24):peak + 1].max() > 0.25]
+    # Both hands often brake together, and that is one beat.
     beats: list[float] = []
     for time in sorted(brakes):
         if not beats or time - beats[-1] >= 0.1:
@@ -135,6 +137,7 @@ def hand_beats(hands: Array) -> Array:
 
 def summed_beats(hands: Array) -> Array:
     """Second detector: seconds at which the summed speed of hands [T, 2, 3] falls fastest."""
+    # Speeds are smoothed here and places in the first detector: the two must not share their errors.
     velocity = np.gradient(hands, 1.0 / HZ, axis=0)
     speed = np.linalg.norm(gaussian_filter1d(velocity, 3, axis=0), axis=-1).sum(axis=1)
     braking = -np.gradient(speed, 1.0 / HZ)
@@ -148,7 +151,7 @@ def above_chance(beats: Array, onsets: Array, duration: float) -> float:
     beats, onsets = beats[beats < duration], onsets[onsets < duration]
     if len(beats) == 0 or duration <= 2.5:
         return math.nan
-    by_chance = pmb.chance(beats, onsets, duration, DELTA, seed=_SEED, shifts=SHIFTS).mean
+    by_chance = pmb.chance(beats, onsets, duration, DELTA, seed=_SEED, shifts=SHIFTS)
     return 100.0 * pmb.above_chance(pmb.pmb(beats, onsets, DELTA), by_chance)
 
 

@@ -27,7 +27,7 @@ from gesticulator.training.stages.lexicon import LABELS, TOKENS, model_sizes
 from gesticulator.training.stages.q_network import EPISODES, recorded_episodes
 from gesticulator.training.stages.reward import REWARD, TAUGHT_REWARD
 from gesticulator.training.stages.speech import CORPUS
-from interpreters.advantage import CRITICS, GAMMA, Critics, advantages
+from interpreters.advantage import CRITICS, GAMMA, Critics
 from interpreters.episodes import Episode
 from interpreters.lstm import LstmInterpreter
 from interpreters.reward_table import Centred, EnsembleReward
@@ -220,35 +220,12 @@ def _train(run: Run, model: Critics, folder: Path) -> Figures:
 
     @torch.no_grad()
     def validate() -> Figures:
-        rows = [critic_figures(model, fitting.moved(b, run.device)) for b in checks]
-        return {key: float(np.nanmean([row[key] for row in rows])) for key in rows[0]}
+        rows = [model.losses(fitting.moved(b, run.device)) for b in checks]
+        return {key: float(torch.stack([row[key] for row in rows]).mean()) for key in rows[0]}
 
     task = fitting.Task(lambda rng, size: critic_batch(corpus, data, data.windows(rng, size, config.decisions), unit,
                                                        trained_on), validate=validate)
     return run.fit(ADVANTAGE, model, task, folder)
-
-
-def critic_figures(model: Critics, batch: dict[str, Tensor]) -> dict[str, float]:
-    """On the performers' own decisions, Pearson's r: over lexemes between predicted and enumerated advantage
-    (`advantage`, of the block's own reward), over swaps between predicted and computed change of the future (`future`),
-    and between value and return (`value`); also `spread`, the standard deviation of A."""
-    values = model.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
-    valid = batch["valid"] > 0
-    learned = advantages(values.reward, batch["log_prior"])[valid]
-    true = advantages(batch["every"].unsqueeze(-2), batch["log_prior"])[valid]
-    tried = ~torch.isnan(batch["gained"])
-    mean = values.future.mean(-2)
-    moved = mean.gather(-1, batch["swap"]) - mean.gather(-1, batch["action"].unsqueeze(-1))
-    return {"advantage": float(_pearson(learned, true).mean()),
-            "future": float(_pearson(moved[tried], batch["gained"][tried])),
-            "value": float(_pearson(values.value.mean(-1)[valid], batch["return"][valid])),
-            "spread": float(model.spread)}
-
-
-def _pearson(first: Tensor, second: Tensor) -> Tensor:
-    """[...] Pearson's r over the last axis."""
-    a, b = (value - value.mean(-1, keepdim=True) for value in (first, second))
-    return functional.cosine_similarity(a, b, dim=-1)
 
 
 ADVANTAGE: Stage[Critics] = Stage(

@@ -143,10 +143,9 @@ PLANNER: Stage[UnitPlanner] = Stage(
 
 def _train_gate(run: Run, model: ActivityGate, folder: Path) -> Figures:
     active = torch.as_tensor(run.get(LABELS).active.astype(np.float32))
-    share = float(active[torch.as_tensor(run.get(CORPUS).select("train"))].mean())
 
     def validate(batches: list[fitting.Batch]) -> Figures:
-        return {"nll": sum(float(model.losses(b)["activity"]) for b in batches) / len(batches), "active": share}
+        return {"nll": sum(float(model.losses(b)["activity"]) for b in batches) / len(batches)}
 
     task = task_of(run, *_plain_windows(run), validate, {"active": active}, "nll")
     return run.fit(GATE, model, task, folder)
@@ -240,10 +239,7 @@ def train_interpreter(run: Run, model: UnitStyleInterpreter, folder: Path, stage
                          batch["code"][there].cpu()))
         predicted, measured = (torch.cat(column) for column in zip(*rows, strict=True))
         model.calibrate(predicted, measured)
-        # 1 - residual / total variance: the share of each code that speech explains (R^2).
-        left = (predicted - measured).pow(2).mean(0) / measured.var(0).clamp_min(1e-6)
-        return {"code_error": float((predicted - measured).pow(2).mean()),
-                **{f"explained_{name}": float(1 - share) for name, share in zip(CODE, left, strict=True)}}
+        return {"code_error": float((predicted - measured).pow(2).mean())}
 
     codes = {"code": torch.as_tensor(run.get(UNIT_CODES)), "acting": acting}
     task = task_of(run, *_plain_windows(run), validate, codes, "code_error")

@@ -122,8 +122,7 @@ def _train_style(run: Run, model: StyleInterpreter | UnitStyleInterpreter, folde
     checks = list(islice(Windows(corpus, held or parts, config.window, text=text).tiled(AT_ONCE), VALIDATED))
 
     def validate(batches: list[fitting.Batch]) -> Figures:
-        error = sum(float(model.losses(b)["code"]) for b in batches) / len(batches)
-        return {"code_error": error, "code_variance": float(table[1:].var(0).mean())}
+        return {"code_error": sum(float(model.losses(b)["code"]) for b in batches) / len(batches)}
 
     # Codes by block: they are numbered by the training blocks, and all others have the code 0.
     of_blocks = {"code": table[torch.as_tensor(labelled.style_numbers)]}

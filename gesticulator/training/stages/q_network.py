@@ -130,8 +130,8 @@ def _train(run: Run, learner: ConservativeQ, folder: Path, stage: Stage[QNetwork
 
 @torch.no_grad()
 def q_figures(learner: ConservativeQ, batches: Sequence[dict[str, Tensor]]) -> dict[str, float]:
-    """On the performers' own decisions: NLL of softmax(Q), accuracy of arg max, squared Bellman error, mean Q."""
-    totals = np.zeros(4)
+    """On the performers' own decisions: NLL of softmax(Q), accuracy of arg max, squared Bellman error."""
+    totals = np.zeros(3)
     for batch in batches:
         q = learner.online.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
         allowed = learner.online.allowed(batch["silent"])
@@ -140,12 +140,9 @@ def q_figures(learner: ConservativeQ, batches: Sequence[dict[str, Tensor]]) -> d
         nll = data_nll(q, batch["action"], allowed)
         right = (masked.argmax(-1, keepdim=True) == action)[..., 0].float()
         count = valid.sum()
-        # Q of the performers' lexemes, the values that conservative learning raises.
-        taken = q.gather(-1, action)[..., 0]
         error = learner.losses({**batch, "cloned": valid}).get("temporal_difference", torch.nan)
-        totals += [float((nll * valid).sum() / count), float((right * valid).sum() / count), float(error),
-                   float((taken * valid).sum() / count)]
-    names = ("nll", "accuracy", "temporal_difference", "mean_q")
+        totals += [float((nll * valid).sum() / count), float((right * valid).sum() / count), float(error)]
+    names = ("nll", "accuracy", "temporal_difference")
     return {name: float(value) for name, value in zip(names, totals / len(batches), strict=True)}
 
 

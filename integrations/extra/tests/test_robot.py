@@ -149,11 +149,6 @@ def test_a_slowed_track_is_slow_and_as_near_as_one_can_be(values: list[float], s
     assert np.abs(got - track).max() == pytest.approx(max(0.0, apart.max()) / 2.0, abs=1e-9)
 
 
-def test_a_jump_is_spread_over_the_frames_around_it() -> None:
-    got = slowed(np.repeat([0.0, 1.0], 6)[:, None], np.array([0.25]))[:, 0]
-    np.testing.assert_allclose(got, [0, 0, 0, 0.125, 0.25, 0.375, 0.625, 0.75, 0.875, 1, 1, 1], atol=1e-12)
-
-
 def pointing(pan: Array, tilt: Array) -> Array:
     """[T, 3] unit directions."""
     return np.stack([np.cos(tilt) * np.cos(pan), np.cos(tilt) * np.sin(pan), np.sin(tilt)], axis=-1)
@@ -162,15 +157,6 @@ def pointing(pan: Array, tilt: Array) -> Array:
 def missed(way: Array, pan: Array, tilt: Array) -> Array:
     """[T] degrees between directions and where two hinges point."""
     return np.degrees(np.arccos(np.clip(np.sum(way * pointing(pan, tilt), axis=-1), -1.0, 1.0)))
-
-
-def test_hinges_are_found_again_from_where_they_point() -> None:
-    time = np.arange(90) / 30.0
-    pan, tilt = 0.8 * np.sin(2.0 * time), 0.3 + 0.6 * np.cos(3.0 * time)
-    way = pointing(pan, tilt)
-    got = pan_over_time(way, np.zeros(90), 30.0, (-2.6, 2.6), (-1.0, 1.2))
-    np.testing.assert_allclose(got, pan, atol=0.05)
-    assert missed(way, got, tilt_at(got, way, (-1.0, 1.2))).max() < 0.5
 
 
 @pytest.mark.parametrize("high", [2.1, np.pi / 2.0], ids=["bends both ways", "bends one way"])
@@ -218,8 +204,6 @@ def test_the_file_holds_time_base_and_joints_by_name(tmp_path: Path) -> None:
     made = small(1, fps=24.0)
     head, rows = read_g1(write(tmp_path / "talk.g1.csv", made))
     assert head == list(COLUMNS) and len(head) == 1 + 7 + 29
-    assert head[1:8] == ["base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz"]
-    assert head[8:10] + head[-1:] == ["left_hip_pitch_joint", "left_hip_roll_joint", "right_wrist_yaw_joint"]
     np.testing.assert_allclose(rows[:, 0], np.arange(60) / 24.0, atol=1e-6)
     np.testing.assert_allclose(rows[:, 8:], to_robot(made.motion).angles, atol=1e-6)
     assert (rows[:, 8:] >= g1.LOW).all() and (rows[:, 8:] <= g1.HIGH).all()
@@ -357,23 +341,6 @@ def test_arms_point_in_mujoco_where_ours_do(mujoco: ModuleType, model: Any, tmp_
                 scalar_first=True).apply([1.0 if side == "left" else -1.0, 0.0, 0.0]).T
             assert np.median(degrees(turned, fingers.T)) < 1.0
     assert free > 250  # of 450
-
-
-def test_the_lines_of_the_page_play_a_file(mujoco: ModuleType, document: ET.Element, tmp_path: Path,
-                                           monkeypatch: pytest.MonkeyPatch) -> None:
-    page = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
-    lines = page.split("```python\n")[1].split("```")[0]
-    made = small(6)
-    write(tmp_path / "talk.g1.csv", made)
-    (tmp_path / "g1.xml").write_text(ET.tostring(document, encoding="unicode"))
-    monkeypatch.chdir(tmp_path)
-    space: dict[str, Any] = {}
-    exec(compile(lines, "README.md", "exec"), space)
-    np.testing.assert_allclose(space["data"].qpos[7:], to_robot(made.motion).angles[-1], atol=1e-6)
-    order = eval(page.split("take `row[")[1].split("]`")[0], {"range": range})
-    base = [f"base_{name}" for name in ("x", "y", "z", "qx", "qy", "qz", "qw")]
-    assert [COLUMNS[index] for index in order[:7]] == base
-    assert [COLUMNS[index] for index in order[7:]] == list(g1.NAMES)
 
 
 def test_feet_stand_still_and_flat_under_hips_that_move(mujoco: ModuleType, model: Any, tmp_path: Path) -> None:
