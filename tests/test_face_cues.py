@@ -13,7 +13,6 @@ from face_samples import still
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_module.controls import Curve
 from data_module.errors import InputError
 from data_module.speech.audio import load_speech
 from data_module.text.marks import marked_text
@@ -157,7 +156,7 @@ def test_a_marked_smile_in_a_file_and_a_stream(g: Any) -> None:
 
 @pytest.mark.filterwarnings(f"ignore::{PhonesWarning.__module__}.PhonesWarning")
 @pytest.mark.parametrize(("words", "options"), [
-    (True, {"face": "full", "mood": Curve((0.0, 2.0), (-1.0, 1.0))}), (False, {"face": "lips", "mouth": 2.0})])
+    (True, {"face": "full", "mood": 0.5}), (False, {"face": "lips", "mouth": 2.0})])
 def test_the_body_is_the_same_with_a_face_in_a_file_and_a_stream(g: Any, words: bool, options: dict[str, Any]) -> None:
     plain, marked = _speech(words=words), _speech(*(("smile",) if words else ()), words=words)
     made = g(marked, **options)

@@ -15,9 +15,7 @@ from live_double import TURN, served
 from pipecat_gesticulator import Joint, Poses, SteadyPlayer, Welcome
 from pipecat_gesticulator.messages import LONGEST, MessageReader, hello_messages, pose_messages, to_rtvi
 
-from data_module.motion import kinematics, rotation
-from data_module.motion.skeletons import CHARACTER
-from gesticulator.export.vrma import BONES
+from data_module.motion import rotation
 from gesticulator.live.limits import ServerLimits
 from gesticulator.live.server import Page
 
@@ -316,40 +314,3 @@ def test_poses_through_a_data_channel_are_those_that_were_sent(face: bool) -> No
     if face:
         assert packets[0].face is not None and packets[2].face is not None
         np.testing.assert_allclose([row[4] for row in got[3]], np.concatenate([packets[0].face[:60], packets[2].face]))
-
-
-def test_a_vrm_character_is_turned_as_our_skeleton_is() -> None:
-    """World rotations of the character's bones are those of the joints that they take."""
-    rng = np.random.default_rng(2)
-    local = rotation.from_exponential_map(rng.normal(0, 0.5, (1, len(CHARACTER), 3)))
-    worlds = dict(zip(CHARACTER.names, kinematics.global_rotations(CHARACTER, local)[0], strict=True))
-    joints = [{"name": name, "parent": parent} for name, parent in zip(CHARACTER.names, CHARACTER.parents, strict=True)]
-    got = node(f"""
-        import {{ BONES, VrmDriver }} from "./src/vrm.js";
-        const nodes = {{}};
-        for (const bone of Object.keys(BONES).filter((bone) => bone !== "leftShoulder")) {{
-          const position = {{ y: 1.0, set(...p) {{ this.place = p; }} }};
-          const quaternion = {{ set(...q) {{ this.turn = q; }} }};
-          nodes[bone] = {{ position, quaternion }};
-        }}
-        const vrm = {{ humanoid: {{ getNormalizedBoneNode: (bone) => nodes[bone] ?? null }} }};
-        const turns = Float32Array.from({json.dumps(local[0].ravel().tolist())});
-        new VrmDriver({json.dumps(joints)}, vrm).show({{ turns, root: [0.1, 0.9, 0.2] }});
-        console.log(JSON.stringify([Object.fromEntries(Object.entries(nodes).filter(([, node]) => node.quaternion.turn)
-          .map(([bone, node]) => [bone, node.quaternion.turn])), nodes.hips.position.place]));
-    """)
-    turned, place = got
-    world: dict[str, np.ndarray] = {}
-    for bone in BONES:
-        if bone not in turned:
-            continue
-        above = BONES[bone][0]
-        while above is not None and above not in world:
-            above = BONES[above][0]
-        own = np.array(turned[bone])[[3, 0, 1, 2]]
-        world[bone] = own if above is None else rotation.multiply(world[above], own)
-        if bone != "spine":  # of two joints the one that a client without three takes
-            truth = worlds[BONES[bone][1][0]]
-            assert min(np.abs(world[bone] - truth).max(), np.abs(world[bone] + truth).max()) < 1e-5, bone
-    assert {"hips", "chest", "head", "leftUpperArm", "rightHand"} <= world.keys() and "leftShoulder" not in world
-    np.testing.assert_allclose(place, np.array([0.1, 0.9, 0.2]) / 0.9, atol=1e-6)

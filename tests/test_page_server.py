@@ -1,4 +1,4 @@
-"""The server behind the page: who may ask it, for what, how much; and an edit that comes back as motion."""
+"""The server behind the page: who may ask it, for what, and how much."""
 
 from __future__ import annotations
 
@@ -6,32 +6,25 @@ import http.client
 import json
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
-from browser import OpenedPage, chromium
 from performances import perform
 
 from data_module.errors import InputError
-from data_module.motion import kinematics
-from data_module.motion.skeletons import standing
-from gesticulator.export import html
 from gesticulator.page.server import MOST_BYTES, TOKEN_HEADER, PageServer, message
 
 SECONDS = 3.0
 
 
 class Renderer:
-    """Puts lexemes on a performance, and another motion where they are other ones."""
+    """Answers each plan with one message, when it may; lexeme 999 is a fault of the program."""
 
     def __init__(self) -> None:
-        self.first, self.other = perform(SECONDS, seed=3), perform(SECONDS, seed=5)
         self.may_go_on = threading.Event()
         self.may_go_on.set()
         self.begun = threading.Event()
-        self.plan: dict[str, Any] = html.describe(self.first.scene())["plan"]
+        self.plan: dict[str, Any] = perform(SECONDS, seed=3).plan().to_dict()
 
     def __call__(self, request: dict[str, Any], abandoned: Callable[[], bool], report: Callable[[bytes], object]
                  ) -> bytes:
@@ -40,23 +33,15 @@ class Renderer:
         assert self.may_go_on.wait(20)
         if "blocks" not in plan:
             raise InputError("plan", "has no blocks", "give it some")
-        lexemes = np.array([block["lexeme"] for block in plan["blocks"]])
-        if (lexemes == 999).any():
+        if any(block["lexeme"] == 999 for block in plan["blocks"]):
             raise RuntimeError("nobody thought of this")
-        same = (lexemes == self.first.lexemes).all()
-        made = replace(self.first, motion=(self.first if same else self.other).motion, lexemes=lexemes)
-        self.plan = plan
-        motion = html.shown(made.scene())
-        frames, root = np.round(motion.rotations * html.QUATERNION_STEPS).astype("<i2"), html.root_path(motion)
-        return message({"kind": "done", "rendering": 1, "shape": html.describe_shape(motion, SECONDS), "plan": plan,
-                        "range": [0, len(frames)], "root": len(root)}, frames.tobytes() + root)
+        return message({"kind": "done", "rendering": 1, "plan": plan})
 
 
 @pytest.fixture
 def served() -> Iterator[tuple[PageServer, Renderer]]:
     server, renderer = PageServer(), Renderer()
-    live = {"token": server.token, "renderings": [0]}
-    server.page = html.page({"take": renderer.first.scene()}, "talk", more={"live": live}).encode()
+    server.page = b"<!doctype html>"
     server.render = renderer
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
     thread.start()
@@ -91,7 +76,7 @@ def _ask(server: PageServer, method: str = "POST", path: str = "render", body: b
 
 
 def _plan(renderer: Renderer) -> bytes:
-    return json.dumps({"plan": html.describe(renderer.first.scene())["plan"]}).encode()
+    return json.dumps({"plan": renderer.plan}).encode()
 
 
 def test_who_may_ask_and_for_what(served: tuple[PageServer, Renderer]) -> None:
@@ -150,49 +135,3 @@ def test_a_port_that_is_taken_is_told(served: tuple[PageServer, Renderer]) -> No
         PageServer(server.server_port)
     with pytest.raises(InputError, match="cannot be used"):
         PageServer(70_000)
-
-
-def test_an_edit_on_the_page_comes_back_as_motion(served: tuple[PageServer, Renderer]) -> None:
-    server, renderer = served
-    with chromium() as browser:
-        opened = OpenedPage(browser, server.url)
-        page = opened.page
-        opened.go_to(1.0)
-
-        def joints_are(performance: Any) -> None:
-            page.wait_for_function("() => document.getElementById('status').dataset.state === 'same'")
-            opened.go_to(1.0)
-            page.evaluate("() => preview.stage.draw(1.0)")
-            truth = kinematics.positions_of(standing(performance.motion))[25]
-            np.testing.assert_allclose(opened.joints(), truth, atol=4e-3)
-
-        joints_are(renderer.first)
-        page.keyboard.press("2")
-        page.wait_for_function("() => document.getElementById('status').textContent.startsWith('rendered in')")
-        joints_are(renderer.other)
-        # It stays beside what it was, and goes back.
-        page.keyboard.press("d")
-        assert page.locator("#labels span").all_text_contents() == ["take", "before"]
-        page.keyboard.press("d")
-        page.keyboard.press("Control+z")
-        page.wait_for_function("() => preview.session.lane.rendered === preview.session.plan")
-        joints_are(renderer.first)
-        opened.check_quiet(server.url)
-        # A plan that comes while another one is rendered is sent again.
-        server.queue = 0.05
-        server.rendering.acquire()
-        page.keyboard.press("3")
-        page.wait_for_function("() => document.getElementById('status').textContent.startsWith('waiting')")
-        server.rendering.release()
-        joints_are(renderer.other)
-        page.keyboard.press("Control+z")
-        joints_are(renderer.first)
-        # What the renderer refuses is told on the page, which goes on.
-        page.evaluate("""() => {
-            const { session } = preview, [first, ...rest] = session.plan.blocks;
-            session.edit({ ...session.plan, blocks: [{ ...first, lexeme: 999 }, ...rest] });
-        }""")
-        page.wait_for_function("() => document.getElementById('notice').textContent.includes('RuntimeError')")
-        page.keyboard.press("Control+z")
-        joints_are(renderer.first)
-        assert [url for url in opened.requests if not url.startswith((server.url, "data:", "blob:"))] == []

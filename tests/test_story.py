@@ -54,8 +54,7 @@ def _viewing(sound: Path, *words: str) -> Iterator[tuple[PageServer, EditSession
     """What `gesticulator view SOUND` does from the command to Ctrl C, without a window of its own."""
     args = COMMAND.parser("gesticulator view").parse_args([str(sound), "--no-browser", *words])
     with PageServer() as server:
-        saved = _prepare(server, _job(args), run_settings_of(args), None, anew=False)
-        assert saved is not None
+        _prepare(server, _job(args), run_settings_of(args), anew=False)
         gc.unfreeze()  # more is done in this process after it
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
@@ -64,7 +63,6 @@ def _viewing(sound: Path, *words: str) -> Iterator[tuple[PageServer, EditSession
         finally:
             server.shutdown()
             thread.join(10)
-            saved.save()
 
 
 def _look(page: Any) -> int:

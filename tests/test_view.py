@@ -19,7 +19,7 @@ from small_characters import write_character
 from gesticulator import Gesticulator
 from gesticulator.options import InferenceOptions
 from gesticulator.page.command import COMMAND, _job, _way_in, _with_saved_edits
-from gesticulator.page.saved_edits import SavedEdits, place_of
+from gesticulator.page.saved_edits import place_of, save
 from gesticulator.page.server import TOKEN_HEADER
 from gesticulator.plan.plan_file import read_plan
 
@@ -42,8 +42,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ([], "speech: is missing"), (["a.wav", "b.wav"], "names 2 recordings"), (["-"], "cannot be viewed"),
     (["none.wav"], "none.wav"), (["SOUND", "--character", "rig.fbx"], "cannot be shown by the page"),
     (["SOUND", "--port", "70000"], "--port 70000: cannot be used"), (["SOUND", "--port", "x"], "--port"),
-    (["SOUND", "--plan", "a.json", "--beside", "lstm"], "leave one of them out"),
-    (["SOUND", "--beside", "nobody"], "--beside"), (["SOUND", "-o", "out.bvh"], "-o"),
+    (["SOUND", "-o", "out.bvh"], "-o"),
 ])
 def test_what_cannot_be_viewed_is_told_in_a_line(words: list[str], said: str, recording: Path,
                                                  capsys: pytest.CaptureFixture[str]) -> None:
@@ -53,13 +52,6 @@ def test_what_cannot_be_viewed_is_told_in_a_line(words: list[str], said: str, re
     assert stop.value.code == 2 and error.count("\n") == 1 and said in error
 
 
-@pytest.mark.parametrize("what", ["interpreters", "speakers"])
-def test_it_lists_what_the_bundle_contains(what: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        sys.exit(COMMAND.main("gesticulator view", ["--list", what]))
-    assert not stop.value.code and "(default)" in capsys.readouterr().out
-
-
 def test_saved_edits_are_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     samples, rate = soundfile.read(ROOT / "examples" / "speech.flac", frames=4 * 16000, dtype="float32")
     sound = tmp_path / "talk.wav"
@@ -67,9 +59,7 @@ def test_saved_edits_are_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixt
     system = Gesticulator.from_pretrained()
     plan = system(sound, seed=1).plan()
     place = place_of(sound)
-    saved = SavedEdits(place, after=60.0)
-    saved.keep(plan)
-    saved.save()
+    save(sound, plan)
     assert read_plan(place) == plan
 
     def gone_on(*words: str) -> InferenceOptions:
@@ -102,7 +92,7 @@ def _poses(take: dict[str, Any]) -> np.ndarray:
 def test_an_edit_comes_back_and_leaves_the_rest_as_it_was(recording: Path, tmp_path: Path) -> None:
     rig = write_character(tmp_path / "rig.glb")
     process = subprocess.Popen([sys.executable, "-c", CODE, str(recording), "--no-browser", "--character", str(rig),
-                                "--fps", "25", "--beside", "lstm"], stdout=subprocess.PIPE, text=True)
+                                "--fps", "25"], stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
         address, _, secret = process.stdout.readline().split()[0].removeprefix("http://").rstrip("/").partition("/")
@@ -112,8 +102,7 @@ def test_an_edit_comes_back_and_leaves_the_rest_as_it_was(recording: Path, tmp_p
         assert "<img" not in page
         told = json.loads(page.partition('id="performance">')[2].partition("</script>")[0])
         assert told["title"] == recording.stem and set(told["character"]["joints"]) > {"Hips", "LeftForeArm"}
-        assert len(told["takes"]) == 2 and told["takes"][1]["name"].startswith("lstm")
-        first = told["takes"][0]
+        (first,) = told["takes"]
         assert "LeftFoot" in first["skeleton"]["names"], "a character with legs stands on them"
         plan = json.loads(json.dumps(first["plan"]))
         block = plan["blocks"][len(plan["blocks"]) // 2]

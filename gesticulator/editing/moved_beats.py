@@ -60,24 +60,22 @@ class BeatMap:
 
     def place(self, beat: float, onset: bool = False) -> BeatPlace | None:
         """A beat in the new sound; None where the sound was replaced. onset: it lies on one."""
-        # A beat in the same sound at one shift needs no onset: the shift is more exact than the onsets, which lie on a
-        # grid.
-        found = _located(self.stretches, beat)
-        if found is None or not onset:
-            return None if found is None else BeatPlace(*found)
+        times = _located(self.stretches, beat)
+        if times is None or not onset:
+            return None if times is None else BeatPlace(*times)
         nearest = _nearest(self.stretches, beat)
+        # The shift of the same sound is more exact than onsets, which lie on a grid of 10 ms.
         if nearest.same:
-            return BeatPlace(*found)
+            return BeatPlace(*times)
         alike = nearest.alike
-        snapped = [self._onset_near(time, _SAME_ONSET if alike else TOLERANCE) for time in found]
+        snapped = [self._onset_near(time, _SAME_ONSET if alike else TOLERANCE) for time in times]
         fits = alike or any(time is not None for time in snapped)
-        end, start = (time if near is None else near for time, near in zip(found, snapped, strict=True))
+        end, start = (time if near is None else near for time, near in zip(times, snapped, strict=True))
         return BeatPlace(min(end, start), start, fits)
 
     def _onset_near(self, time: float, within: float) -> float | None:
         if not len(self._onsets):
             return None
-        # A hair more than the bound: times in files are rounded.
         near = float(self._onsets[np.abs(self._onsets - time).argmin()])
         return near if abs(near - time) <= within + 1e-9 else None
 
@@ -137,7 +135,7 @@ def _located(stretches: Sequence[Stretch], time: float) -> tuple[float, float] |
     if near:
         end, start = near[0].at(time), near[-1].at(time)
         return (end, start) if end <= start else ((end + start) / 2,) * 2
-    before, after = next((one, two) for one, two in pairwise(stretches) if time < two.times[0])
+    before, after = next(pair for pair in pairwise(stretches) if time < pair[1].times[0])
     # Both sides of a cut meet in the middle of what is left of it.
     if float(after.there[0] - before.there[-1]) <= _SHORT:  # the sound of this moment was cut
         return (float(before.there[-1] + after.there[0]) / 2,) * 2

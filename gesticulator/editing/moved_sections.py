@@ -54,8 +54,8 @@ def moved_sections(plan: GesturePlan, beats: BeatMap, words: Sequence[PlanWord] 
     parts = {
         "words": now, "cues": tuple(cues), "pins": tuple(pins), "knobs": moved_knobs(plan.knobs, beats),
         "units": tuple(unit for unit in (_unit(unit, beats) for unit in plan.units) if unit is not None),
-        "meanings": tuple(_meaning(one, beats, duration) for one in plan.meanings
-                          if beats.moment((one.start + one.end) / 2) is not None),
+        "meanings": tuple(_meaning(meaning, beats, duration) for meaning in plan.meanings
+                          if beats.moment((meaning.start + meaning.end) / 2) is not None),
         "curves": tuple(_curve(curve, beats) for curve in plan.curves),
         "made_by": {**plan.made_by, "settings": _settings(plan.made_by.get("settings", {}), beats)}}
     return parts, losses, 0 if words is not None else moved.count(None)
@@ -121,9 +121,9 @@ def _unit(unit: GestureUnit, beats: BeatMap) -> GestureUnit | None:
         GesturePhase(kind, *range_) for kind, range_ in phases if range_ is not None))
 
 
-def _meaning(one: PlanMeaning, beats: BeatMap, duration: float) -> PlanMeaning:
-    time = None if one.time is None else min(_at(beats, one.time), duration)
-    return replace(one, start=_at(beats, one.start), end=_at(beats, one.end), time=time)
+def _meaning(meaning: PlanMeaning, beats: BeatMap, duration: float) -> PlanMeaning:
+    time = None if meaning.time is None else min(_at(beats, meaning.time), duration)
+    return replace(meaning, start=_at(beats, meaning.start), end=_at(beats, meaning.end), time=time)
 
 
 def moved_knobs(knobs: PlanKnobs, beats: BeatMap) -> PlanKnobs:

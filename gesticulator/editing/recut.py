@@ -35,25 +35,25 @@ class Recutter:
     def courses(self, edges: Sequence[float], wanted: Sequence[int]) -> dict[int, Course]:
         """Number -> what the features of each wanted block of N blocks with edges [N + 1], seconds, depend on."""
         index = {edge: at for at, edge in enumerate(edges)}
-        found = {}
+        courses = {}
         for at in wanted:
             # The edges from the copy on, too: the level of the voice before the window depends on them.
             copy, _ = self._start(edges, at, index)
-            found[at] = copy, tuple(edges[index[self._cutters[copy].uncut[-1]]:at + 3])
-        return found
+            courses[at] = copy, tuple(edges[index[self._cutters[copy].uncut[-1]]:at + 3])
+        return courses
 
     def blocks(self, edges: Sequence[float], flags: Sequence[BeatFlag], wanted: Sequence[int]
                ) -> dict[int, SpeechBlock]:
         """Number -> block, for the wanted ones (rising) of N blocks with edges [N + 1], seconds, and the flags [N] of
         the beats at their ends. Each is cut from the last possible copy, whatever else is wanted."""
         index = {edge: at for at, edge in enumerate(edges)}
-        found: dict[int, SpeechBlock] = {}
+        blocks: dict[int, SpeechBlock] = {}
         for (copy, number), run in itertools.groupby(wanted, lambda at: self._start(edges, at, index)):
-            self._cut(list(zip(edges[1:], flags, strict=True)), list(run), (copy, number), index, found)
-        return {at: found[at] for at in wanted}
+            self._cut(list(zip(edges[1:], flags, strict=True)), list(run), (copy, number), index, blocks)
+        return {at: blocks[at] for at in wanted}
 
     def _cut(self, ends: Sequence[tuple[float, BeatFlag]], wanted: Sequence[int], start: tuple[int, int],
-             index: dict[float, int], found: dict[int, SpeechBlock]) -> None:
+             index: dict[float, int], blocks: dict[int, SpeechBlock]) -> None:
         """Add the wanted blocks. ends: [N] edge and flag at the end of each block; start: see `_start`."""
         at, number = start
         # A copy of the copy, which must serve other edits as well.
@@ -61,12 +61,12 @@ class Recutter:
         cutter.cut_on_at(list(ends[index[cutter.uncut[-1]]:wanted[-1] + 2]))
         for piece in range(at * CUTTER_EVERY, len(self._samples), CUTTER_EVERY):
             for block in cutter.feed(self._samples[piece:piece + CUTTER_EVERY]):
-                found[number] = block
+                blocks[number] = block
                 number += 1
             if number > wanted[-1]:
                 return
         for block in cutter.finish():
-            found[number] = block
+            blocks[number] = block
             number += 1
 
     def _start(self, edges: Sequence[float], wanted: int, index: dict[float, int]) -> tuple[int, int]:

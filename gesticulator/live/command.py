@@ -147,6 +147,7 @@ def serve(args: argparse.Namespace, address: ServerAddress, limits: ServerLimits
                  port)
         gesticulator = Gesticulator.from_pretrained(args.bundle)
         gesticulator.warm()
+        # The first words of a stream would otherwise wait for the language model to be loaded.
         if gesticulator.reads_text:
             gesticulator.warm(text=True)
         # An ended stream is a circle of tasks, exceptions and frames, which the collector looks for when there are many

@@ -120,11 +120,11 @@ class Connection:
         self.frames = 0
         self.seconds = 0.0
         self._waiting: deque[_Sound | _Command] = deque()
-        self._waiting_seconds = 0.0
+        self.waiting_seconds = 0.0
         self._waiting_idle = 0.0
         """Seconds of waits that are queued or being computed."""
         self._unread: deque[bytes | str | None] = deque()
-        self._unread_bytes = 0
+        self.unread_bytes = 0
         self._changed = asyncio.Condition()
         self._idling: float | None = None
         """time.monotonic() up to which idle motion was generated; None if it is not requested."""
@@ -164,8 +164,6 @@ class Connection:
         finally:
             if self.place.output is not None:
                 self.place.output.leave(self.name)
-            self.place.metrics.waiting_seconds.dec(self._waiting_seconds)
-            self.place.metrics.unread_bytes.dec(self._unread_bytes)
             self._waiting.clear()
             self._unread.clear()
 
@@ -189,6 +187,7 @@ class Connection:
         """Read, compute and write until all is written."""
         self._keeps_up = request.keeps_up
         writer = asyncio.create_task(self._write())
+        # Three tasks, so that a client that only sends, only reads or does neither holds up nothing but its own stream.
         started = {writer, asyncio.create_task(self._read(request)), asyncio.create_task(self._work(session))}
         running = set(started)
         try:
@@ -236,7 +235,7 @@ class Connection:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"a stream takes {limits.stream_seconds:g} s of sound")
         waits = item.seconds if isinstance(item, _Command) else 0.0
         # Waits count like audio: each second of them costs as much to compute.
-        waiting = self._waiting_seconds + self._waiting_idle + seconds + waits
+        waiting = self.waiting_seconds + self._waiting_idle + seconds + waits
         if waiting > limits.waiting_seconds or len(self._waiting) >= _MOST_WAITING:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {limits.waiting_seconds:g} s of sound and waits, "
                                f"or {_MOST_WAITING} messages, wait to be worked on")
@@ -248,7 +247,7 @@ class Connection:
             if seconds and not item.other_voice:  # type: ignore[union-attr]
                 self._end_early()
             self._waiting_idle += waits
-            self._count_waiting(seconds)
+            self.waiting_seconds += seconds
             self._changed.notify_all()
 
     def _end_early(self) -> None:
@@ -269,14 +268,10 @@ class Connection:
             remaining: deque[_Sound | _Command] = deque()
             for item in self._waiting:
                 if isinstance(item, _Sound) and not item.other_voice:
-                    self._count_waiting(-len(item.samples) / request.sample_rate)
+                    self.waiting_seconds -= len(item.samples) / request.sample_rate
                 else:
                     remaining.append(item)
             self._waiting = remaining
-
-    def _count_waiting(self, seconds: float) -> None:
-        self._waiting_seconds += seconds
-        self.place.metrics.waiting_seconds.inc(seconds)
 
     async def _work(self, session: Session) -> None:
         """Turn queued messages into poses, turn by turn, until the stream is finished."""
@@ -357,7 +352,7 @@ class Connection:
         """Whether the queue holds less than `lacking` seconds of the avatar's audio, and more may come."""
         if not self._waiting:
             return True
-        if self._waiting_seconds >= lacking - 1e-6 or self._leaving or self._idling is not None:
+        if self.waiting_seconds >= lacking - 1e-6 or self._leaving or self._idling is not None:
             return False
         return all(isinstance(item, _Sound) and not item.other_voice for item in self._waiting)
 
@@ -367,9 +362,10 @@ class Connection:
         assert isinstance(first, _Sound)
         paced = self._keeps_up and not first.other_voice
         # Another speaker's voice costs little, so only the avatar's is hurried or skipped.
-        effort = self._pace.effort(self._waiting_seconds) if paced else Effort.FULL
+        effort = self._pace.effort(self.waiting_seconds) if paced else Effort.FULL
         # All of a skipped piece at once: it costs nothing.
-        most = int((self._waiting_seconds if effort == Effort.NONE else PIECE_SECONDS) * sample_rate) + 1
+        # One sample more: the product is rounded down, and a rest of a sample would be a piece of its own.
+        most = int((self.waiting_seconds if effort == Effort.NONE else PIECE_SECONDS) * sample_rate) + 1
         pieces: list[Samples] = []
         while self._waiting and most > 0:
             item = self._waiting[0]
@@ -382,7 +378,7 @@ class Connection:
             else:
                 self._waiting.popleft()
         samples = np.concatenate(pieces)
-        self._count_waiting(-len(samples) / sample_rate)
+        self.waiting_seconds -= len(samples) / sample_rate
         return _Sound(samples, first.other_voice, first.arrived, effort)
 
     async def _sleep(self) -> bool:
@@ -390,6 +386,7 @@ class Connection:
         if self._idling is None:
             await self._changed.wait()
             return True
+        # By the clock of the server: idle motion without an end must not run ahead of the client that watches it.
         left = self._idling + IDLE_SECONDS - time.monotonic()
         if left > 0:
             try:
@@ -407,9 +404,9 @@ class Connection:
         limits = self.place.limits
         try:
             async with asyncio.timeout(limits.unread_seconds):
-                await self._changed.wait_for(lambda: self._unread_bytes < limits.unread_bytes)
+                await self._changed.wait_for(lambda: self.unread_bytes < limits.unread_bytes)
         except TimeoutError:
-            raise RefusedError(CloseCode.UNREAD, f"{self._unread_bytes} bytes of poses were not read for "
+            raise RefusedError(CloseCode.UNREAD, f"{self.unread_bytes} bytes of poses were not read for "
                                f"{limits.unread_seconds:g} s") from None
 
     async def _put(self, answer: SessionAnswer) -> None:
@@ -421,12 +418,8 @@ class Connection:
                 self.place.output.take(self.name, frames)
         async with self._changed:
             self._unread.extend(answer.messages)
-            self._count_unread(sum(map(len, answer.messages)))
+            self.unread_bytes += sum(map(len, answer.messages))
             self._changed.notify_all()
-
-    def _count_unread(self, size: int) -> None:
-        self._unread_bytes += size
-        self.place.metrics.unread_bytes.inc(size)
 
     async def _write(self) -> None:
         """Send queued messages until the end; each counts as unread until the system has accepted it."""
@@ -440,7 +433,7 @@ class Connection:
             await self.socket.send(message)
             async with self._changed:
                 self._unread.popleft()
-                self._count_unread(-len(message))
+                self.unread_bytes -= len(message)
                 self._changed.notify_all()
             self.place.metrics.sent_bytes.inc(len(message))
 
@@ -456,6 +449,7 @@ class Connection:
 
     async def _close(self, code: int, reason: str) -> None:
         """Close, or abort the connection of a client that does not answer the close frame."""
+        # Cut in bytes, not in characters, which may take four.
         short = reason.encode("utf-8", "replace")[:_REASON_BYTES].decode(errors="ignore")
         try:
             async with asyncio.timeout(CLOSE_SECONDS):
@@ -467,7 +461,6 @@ class Connection:
                 await closing
         except TimeoutError:
             self.socket.transport.abort()
-
 
 
 def _turn(work: Work) -> tuple[SessionAnswer, bool, float]:

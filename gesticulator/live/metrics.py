@@ -21,6 +21,7 @@ class ServerMetrics:
         gauge = partial(Gauge, namespace="gesticulator", registry=self.registry)
         counter = partial(Counter, namespace="gesticulator", registry=self.registry)
         histogram = partial(Histogram, namespace="gesticulator", registry=self.registry, buckets=BUCKETS)
+        # These three are read from the connections when they are asked for (`LiveServer`).
         self.streams = gauge("streams", "Open streams.")
         self.waiting_seconds = gauge("waiting_seconds", "Seconds of audio waiting to be processed.")
         self.unread_bytes = gauge("unread_bytes", "Bytes of poses waiting to be read by clients.")

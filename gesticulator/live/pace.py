@@ -72,6 +72,7 @@ class Pace:
     def effort(self, waiting: float) -> Effort:
         """The effort for the next piece, with `waiting` seconds of audio queued."""
         seconds = self.late(waiting)
+        # Two bounds, so that a stream at the limit does not change its effort at each piece.
         late = seconds > (ON_TIME_SECONDS if self._late else LATE_SECONDS)
         if late and not self._late:
             self._computing = self._computed = 0.0  # the time at full quality does not predict that at lower cost

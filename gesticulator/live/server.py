@@ -143,12 +143,16 @@ class LiveServer:
         self.metrics = ServerMetrics()
         self.compute = ComputeThread()
         self.connections: set[Connection] = set()
+        self.metrics.streams.set_function(lambda: len(self.connections))
+        self.metrics.waiting_seconds.set_function(lambda: sum(stream.waiting_seconds for stream in self.connections))
+        self.metrics.unread_bytes.set_function(lambda: sum(stream.unread_bytes for stream in self.connections))
         self.draining = False
         self._numbers = itertools.count(1)
         self._stop = asyncio.Event()
 
     def stop(self) -> None:
         """Stop: no new streams, `drain_seconds` for open ones, then finish them. A second call aborts at once."""
+        # Whoever presses Ctrl C twice does not want to wait for the streams.
         if self._stop.is_set():
             for connection in self.connections:
                 connection.socket.transport.abort()
@@ -183,6 +187,7 @@ class LiveServer:
 
     def admit(self, connection: Connection, request: StreamRequest) -> None:
         """Give a connection a place; see `Workplace`."""
+        # The token comes first: a stranger learns nothing about how full the server is.
         if not self.address.accepts(request.token):
             raise RefusedError(CloseCode.BAD_TOKEN, "the token is missing or wrong")
         if self.draining:
@@ -190,7 +195,6 @@ class LiveServer:
         if self.full:
             raise RefusedError(CloseCode.TOO_MANY_STREAMS, f"there are {len(self.connections)} streams", RETRY_SECONDS)
         self.connections.add(connection)
-        self.metrics.streams.inc()
 
     @property
     def full(self) -> bool:
@@ -203,9 +207,7 @@ class LiveServer:
         try:
             await connection.run()
         finally:
-            if connection in self.connections:
-                self.connections.discard(connection)
-                self.metrics.streams.dec()
+            self.connections.discard(connection)
             self.metrics.closed.labels(str(int(connection.code))).inc()
             peer = ws.remote_address
             LOG.info("stream %s from %s: %.1f s of sound, %d frames, %d %s", connection.name,

@@ -18,20 +18,17 @@ from gesticulator.arguments import (
     RunSettings,
     check_choices,
     performance_arguments,
-    print_list,
     run_settings_of,
     settings_of,
 )
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
 from gesticulator.jobs import STDIN, Job, Worker, load
-from gesticulator.page.saved_edits import SavedEdits, place_of, put_aside, read_saved
-from interpreters import INTERPRETERS
+from gesticulator.page.saved_edits import place_of, put_aside, read_saved, save
 
 if TYPE_CHECKING:
     from gesticulator.characters.rig import Character
     from gesticulator.gesticulator import Gesticulator
     from gesticulator.page.server import PageServer
-    from gesticulator.performance import Performance
 
 SHOWN = (".glb", ".gltf", ".vrm")
 """Suffixes of characters that the page can show."""
@@ -44,8 +41,6 @@ def arguments(p: argparse.ArgumentParser) -> None:
     page.add_argument("--port", type=int, default=0, metavar="N", help="port on 127.0.0.1 (default: any free one)")
     page.add_argument("--no-browser", action="store_true", help="print the address instead of opening a window")
     page.add_argument("--anew", action="store_true", help="begin without the edits that were saved beside the sound")
-    page.add_argument("--beside", choices=INTERPRETERS, metavar="NAME", help="a second take beside it, whose lexemes "
-                      f"this interpreter chooses: {', '.join(INTERPRETERS)}")
     performance_arguments(p)
 
 
@@ -54,20 +49,11 @@ def run(args: argparse.Namespace) -> int:
     from gesticulator.page.server import PageServer
 
     settings = run_settings_of(args)
-    if settings.listing:
-        from gesticulator.gesticulator import Gesticulator
-
-        with limited_threads(settings.threads):
-            print_list(Gesticulator.from_pretrained(settings.bundle), settings.listing)
-        return 0
-    # What can be wrong with the arguments is told before the models are loaded, which takes seconds.
     job = _job(args)
     check_choices(job.options, settings.bundle)
     with PageServer(args.port) as server, our_warnings(), limited_threads(settings.threads):
-        saved = _prepare(server, job, settings, args.beside, args.anew)
+        _prepare(server, job, settings, args.anew)
         _serve(server, args.no_browser)
-        if saved is not None:
-            saved.save()
         server.rendering.acquire()  # a thread that is stopped within torch at the end of the process crashes it
     return 0
 
@@ -81,20 +67,15 @@ def _job(args: argparse.Namespace) -> Job:
         raise InputError("speech", given, f"name one sound file; see {PROGRAM} view --help")
     if args.speech[0] == STDIN:
         raise InputError("standard input", "cannot be viewed", "name a sound file")
-    if args.plan is not None and args.beside is not None:
-        raise InputError("--beside", "draws another take, and --plan replays one", "leave one of them out")
     if args.character is not None and Path(args.character).suffix.lower() not in SHOWN:
         raise InputError(args.character, "cannot be shown by the page", f"give one of {', '.join(SHOWN)}")
     check_file(Path(args.speech[0]), args.any_length)
     return replace(settings_of(args), source=Path(args.speech[0]), text=None if args.text is None else Path(args.text))
 
 
-def _prepare(server: PageServer, job: Job, settings: RunSettings, beside: str | None, anew: bool) -> SavedEdits | None:
-    """Generate one or two performances, and give the server its page and the renderer of edited plans.
-
-    beside: the interpreter of a second take. anew: begin without the saved edits. Returns what saves the edits; None
-    for a page whose edits are not saved.
-    """
+def _prepare(server: PageServer, job: Job, settings: RunSettings, anew: bool) -> None:
+    """Generate the performance, and give the server its page and the renderer of edited plans. anew: begin without the
+    saved edits."""
     from gesticulator.export import html
     from gesticulator.gesticulator import Gesticulator
     from gesticulator.page.session import EditSession, levels_of
@@ -105,32 +86,29 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings, beside: str | 
     chosen, stands = _character(job)
     gesticulator = Gesticulator.from_pretrained(settings.bundle)
     gesticulator.keeps_generations = True
-    saved = None if beside is not None else SavedEdits(place_of(source))
     # A plan that was given by name comes before the saved one, which it will replace.
-    if saved is not None and not anew and job.options.plan is None:
+    if not anew and job.options.plan is None:
         job = _with_saved_edits(gesticulator, job)
     job = replace(job, options=replace(job.options, legs=job.options.legs or stands))
-    takes = _takes(gesticulator, job, beside, settings.quiet)
-    first = next(iter(takes.values()))
-    session = EditSession(gesticulator, *takes.values())
-    scenes = {name: take.scene() for name, take in takes.items()}
-    live = {"token": server.token, "renderings": [session.opened(take) for take in takes.values()],
+    performance = Worker(gesticulator, quiet=settings.quiet).performed(job, load(job))
+    session = EditSession(gesticulator, performance)
+    scene = performance.scene()
+    live = {"token": server.token, "renderings": [session.opened(performance)],
             "levels": levels_of(gesticulator.bundle), "speakers": list(gesticulator.speakers)}
-    character = {} if chosen is None else html.character_data(*chosen, next(iter(scenes.values())).face)
-    notice = {} if first.retiming is None else {
-        "notice": "The edits were moved onto the new sound. " + " ".join(first.retiming.lines())}
-    server.page = html.page(scenes, html.title_of(source), together=len(takes) > 1,
-                            more={"live": live, **notice, **character}).encode()
-    if saved is not None:
-        # What is only tried is not saved.
-        session.on_edit = lambda request, plan: None if request.get("trial") else saved.keep(plan)
+    more = {"live": live, **({} if chosen is None else html.character_data(*chosen, scene.face))}
+    if performance.retiming is not None:
+        lines = performance.retiming.lines()
+        print("\n".join(f"  {line}" for line in lines), flush=True)
+        more["notice"] = "The edits were moved onto the new sound. " + " ".join(lines)
+    server.page = html.page({performance.decided.interpreter: scene}, html.title_of(source), more=more).encode()
+    # What is only tried is not saved.
+    session.on_edit = lambda request, plan: None if request.get("trial") else save(source, plan)
     # What stays for the whole session need not be looked through for garbage, which would delay edits by a third of a
     # second now and then.
     gc.collect()
     gc.freeze()
     server.render = session.answer
-    server.figures = cache(partial(_figures, gesticulator, first.decided.speaker))
-    return saved
+    server.figures = cache(partial(_figures, gesticulator, performance.decided.speaker))
 
 
 def _figures(gesticulator: Gesticulator, speaker: str | None) -> bytes:
@@ -179,24 +157,6 @@ def _with_saved_edits(gesticulator: Gesticulator, job: Job) -> Job:
     return replace(job, options=replace(options, retime=moved))
 
 
-def _takes(gesticulator: Gesticulator, job: Job, beside: str | None, quiet: bool) -> dict[str, Performance]:
-    """Name -> performance of each take. beside: the interpreter of the second one."""
-    speech = load(job)
-    worker = Worker(gesticulator, quiet=quiet)
-    # The takes share the sound; only the interpreter differs.
-    first = worker.performed(job, speech)
-    if first.retiming is not None:
-        print("\n".join(f"  {line}" for line in first.retiming.lines()), flush=True)
-    name = first.decided.interpreter
-    if beside is None:
-        return {name: first}
-    # Word times are aligned once and reused.
-    speech, job = replace(speech, words=first.speech.words), replace(job, text=None)
-    job = replace(job, options=replace(job.options, interpreter=beside))
-    second = worker.performed(job, speech).labelled(job.name, first.notes)
-    return {name: first, beside if beside != name else f"{name} again": second}
-
-
 def _serve(server: PageServer, no_browser: bool) -> None:
     """Serve until Ctrl C."""
     print(f"{server.url}  (Ctrl C ends it)", flush=True)
@@ -221,5 +181,5 @@ COMMAND = Command(
         "view talk.flac",
         "view talk.flac --text talk.txt --character rig.vrm",
         "view talk.flac --plan talk.plan.json",
-        "view talk.flac --interpreter lstm --beside advantage --port 8123 --no-browser",
+        "view talk.flac --interpreter advantage --port 8123 --no-browser",
     ))

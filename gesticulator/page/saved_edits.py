@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 
 from data_module.errors import InputError, complain
@@ -11,8 +10,6 @@ from gesticulator.plan.plan import GesturePlan
 
 ENDING = ".edits.plan.json"
 """Ending of the file beside `talk.wav`, `talk.edits.plan.json`."""
-AFTER = 2.0
-"""Seconds after the last edit that it is saved."""
 
 
 def place_of(source: Path) -> Path:
@@ -43,33 +40,10 @@ def put_aside(source: Path, why: str) -> None:
     complain(f"{place}: is not opened, and is now {aside.name}: {why}")
 
 
-class SavedEdits:
-    """Saves the latest plan some time after it came, and when it is closed."""
-
-    def __init__(self, place: Path, after: float = AFTER) -> None:
-        self._place, self._after = place, after
-        self._plan: GesturePlan | None = None
-        self._timer: threading.Timer | None = None
-        self._lock, self._writing = threading.Lock(), threading.Lock()
-
-    def keep(self, plan: GesturePlan) -> None:
-        """Save a plan soon, unless another one comes before."""
-        with self._lock:
-            self._plan = plan
-            if self._timer is None:
-                self._timer = threading.Timer(self._after, self.save)
-                self._timer.daemon = True
-                self._timer.start()
-
-    def save(self) -> None:
-        """Save the latest plan now, if it was not saved yet. A file that cannot be written is reported."""
-        with self._lock:
-            # Taken out under the lock, and written without it: a slow disk must not hold up an edit.
-            plan, self._plan, self._timer = self._plan, None, None
-        if plan is None:
-            return
-        with self._writing:
-            try:
-                write_text(self._place, plan.to_json())
-            except OSError as error:
-                complain(f"{self._place}: the edits are not saved ({error.strerror or error})")
+def save(source: Path, plan: GesturePlan) -> None:
+    """Save the edited plan of a sound beside it. A file that cannot be written is reported, and the page goes on."""
+    place = place_of(source)
+    try:
+        write_text(place, plan.to_json())
+    except OSError as error:
+        complain(f"{place}: the edits are not saved ({error.strerror or error})")

@@ -33,16 +33,17 @@ if TYPE_CHECKING:
     from data_module.types import Motion
     from gesticulator.bundle.bundle import Bundle
     from gesticulator.directing.knobs import Shaping
-    from gesticulator.editing.render import Generation, PlanRenderer
+    from gesticulator.editing.render import PlanRenderer
     from gesticulator.gesticulator import Gesticulator
     from gesticulator.sampling.loop import GeneratedMotion
 
 MOST_GENERATIONS = 4
-"""First generations in memory: for the takes of a page, and for plans that were opened from files since."""
+"""First generations in memory: of the page, and of plans that were opened from files since."""
 MOST_RENDERINGS = 8
 """Renderings in memory that a page may have, and that undo finds: ten minutes at 60 frames a second take 14 MB each."""
 MOST_FRAMES = 2
-"""Renderings whose frames the next one may share: ten minutes take 60 MB each. Two, for the takes of a page."""
+"""Renderings whose frames the next one may share: ten minutes take 60 MB each. Two, so that undo shares
+those before the last edit."""
 REPORTS = 12
 """Blocks between two reports of progress: about half a second."""
 
@@ -61,16 +62,14 @@ class Rendering:
 
 
 class EditSession:
-    """Renders plans of the recording of performances. Not thread-safe."""
+    """Renders plans of the recording of a performance. Not thread-safe."""
 
-    def __init__(self, gesticulator: Gesticulator, *performances: Performance) -> None:
-        """performances: one or more of the recording; the sound and words of the first are used, and the generations
-        that they kept (`Gesticulator.keeps_generations`)."""
-        first = performances[0]
+    def __init__(self, gesticulator: Gesticulator, first: Performance) -> None:
+        """first: whose sound and words are used, and its generation, if it has one (`Gesticulator.keeps_generations`).
+        """
         self._gesticulator, self._speech, self._name = gesticulator, first.speech, first.sound_name
         self._sound = sound_hash(first.speech)
-        self._generations = [(_identity(one.decided), one.generation) for one in performances
-                             if one.generation is not None]
+        self._first = _identity(first.decided), first.generation
         self._renderers: OrderedDict[str, PlanRenderer] = OrderedDict()
         self._renderings: OrderedDict[int, Rendering] = OrderedDict()
         self._frames: OrderedDict[int, tuple[Hashable, EditedFrames]] = OrderedDict()
@@ -125,7 +124,8 @@ class EditSession:
         """The rendering of a plan, which shares what it can with the one that the page has. on_block: see
         `PlanRenderer.render`."""
         # Undo sends a plan that was sent or answered before, and most often the last but one.
-        known = next((one for one in reversed(self._renderings.values()) if plan in (one.sent, one.plan)), None)
+        known = next((rendering for rendering in reversed(self._renderings.values())
+                      if plan in (rendering.sent, rendering.plan)), None)
         if known is not None:
             self._renderings.move_to_end(known.number)
             return known
@@ -199,7 +199,7 @@ class EditSession:
         if key in self._renderers:
             self._renderers.move_to_end(key)
         else:
-            generation: Generation | None = next((one for known, one in self._generations if known == key), None)
+            generation = self._first[1] if key == self._first[0] else None
             self._renderers[key] = self._gesticulator.plan_renderer(self._speech, options, generation)
             while len(self._renderers) > MOST_GENERATIONS:
                 self._renderers.popitem(last=False)

@@ -41,7 +41,7 @@ class FaceTraining:
 
 @dataclass(frozen=True)
 class LabelledRows:
-    """A stretch of speech: rows [2 T, WIDTH] of `gesticulator.face.network`, visemes [T] with -1 for unknown."""
+    """A stretch of speech: rows [2 T, WIDTH] of `viseme_net.rows_of`, visemes [T] with -1 for unknown."""
 
     rows: NDArray[np.float32]
     labels: NDArray[np.int64]
