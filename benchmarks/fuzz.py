@@ -1,6 +1,6 @@
 """Every reader of files against damaged files: how many end in anything but an answer or a refusal.
 
-    python benchmarks/fuzz.py --inputs 10000 --seed N [--only NAME] [--out docs/results/fuzz.json]
+    python benchmarks/fuzz.py --inputs 10000 --seed N [--only NAME]
 
 The samples and the ways to damage them are those of `tests/reader_cases.py`. Each reader works in a process of its own
 under a limit of memory. An input fails where reading it raises anything but `InputError` (or the two refusals that
@@ -175,7 +175,6 @@ def main() -> int:
     parser.add_argument("--seed", type=int, required=True, help="of the damage")
     parser.add_argument("--only", help="the readers whose names hold this text")
     parser.add_argument("--workers", type=int, default=2, help="readers at a time")
-    parser.add_argument("--out", type=Path, help="write the table to this file (.json), and a .md beside it")
     asked = parser.parse_args()
     sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
     import select
@@ -204,23 +203,7 @@ def main() -> int:
                 print(f"    {times} x {wrong} (input {next(n for n, w in one.failed if w == wrong)})", flush=True)
     failures = sum(map(len, found.values()))
     print(f"all: {asked.inputs} inputs, {failures} failures")
-    if asked.out is not None:
-        save(asked, shares, found)
     return 1 if failures else 0
-
-
-def save(asked: argparse.Namespace, shares: dict[str, int], found: dict[str, list[tuple[int, str]]]) -> None:
-    """Write the table as JSON and as Markdown."""
-    from eval.table import Column, Provenance, Table, publish
-
-    rows: dict[str, dict[str, Any]] = {name: {"inputs": shares[name], "failures": len(failed),
-                                              "first": failed[0][1] if failed else ""}
-                                       for name, failed in found.items()}
-    rows["all"] = {"inputs": sum(shares.values()), "failures": sum(map(len, found.values())), "first": ""}
-    columns = {"inputs": Column("inputs"), "failures": Column("failures"), "first": Column("the first failure")}
-    notes = ["A failure is anything but a result or a one-line error, or more than 5 s or 1 GB."]
-    publish([Table("Readers of files against damaged files", columns, rows, "reader", notes)], asked.out,
-            Provenance.now(f"python benchmarks/fuzz.py --inputs {asked.inputs} --seed {asked.seed}"))
 
 
 if __name__ == "__main__":

@@ -1,14 +1,13 @@
 """Do the tests notice a wrong formula? Sixty one-line mutants, each with the test file that must kill it.
 
-    python benchmarks/mutants.py [--only SUBSTRING] [--list] [--out docs/results/mutants.json]
+    python benchmarks/mutants.py [--only SUBSTRING] [--list]
 
 A mutant replaces a fragment of one line of a formula. Its test file runs on a temporary copy of the tree, never on the
 checkout, with `pytest -x -n 0`. It is killed when a test fails within the limit, 60 s of processor time, that passes
 again without it; a mutant that breaks the import, or a test that fails without it, proves nothing and counts as an
 error. Exit code 1 if one survives, is in error, or if its fragment does not occur exactly once in its file.
 
-`--only` runs the mutants whose formula, file or test contains the substring. With `--out` the rows of one run replace
-those of the same name in the file, so that the sixty can be run in parts. Each run of pytest is a fork of a process
+`--only` runs the mutants whose formula, file or test contains the substring. Each run of pytest is a fork of a process
 that has loaded the libraries once, which halves the time; Linux and macOS alone can do that.
 """
 
@@ -27,10 +26,7 @@ import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from eval.table import Table
+from typing import Any
 
 ROOT = Path(__file__).parents[1]
 LIMIT = 60.0
@@ -212,31 +208,12 @@ def judged(mutants: Iterable[Mutant], limit: float) -> dict[Mutant, Outcome]:
     return outcomes
 
 
-def table(outcomes: dict[Mutant, Outcome], earlier: Sequence[Table] = ()) -> Table:
-    """The outcomes in the order of `MUTANTS`, with those of an earlier run where a mutant did not run now."""
-    from eval.table import Column, Table  # not before the forks: they must see the tree's packages
-
-    rows: dict[str, Any] = dict(earlier[0].rows) if earlier else {}
-    for mutant, outcome in outcomes.items():
-        rows[mutant.formula] = {"file": f"`{mutant.file}`", "test": f"`{mutant.test}`", "verdict": outcome.verdict,
-                                "seconds": outcome.seconds}
-    rows = {mutant.formula: rows[mutant.formula] for mutant in MUTANTS if mutant.formula in rows}
-    killed = sum(row["verdict"] == KILLED for row in rows.values())
-    lacking = f"; {len(MUTANTS) - len(rows)} more were not run" if len(rows) < len(MUTANTS) else ""
-    notes = [f"{killed} of {len(rows)} mutants are killed{lacking}. Seconds are processor time of the test "
-             "file up to its first failing test."]
-    columns = {"file": Column("file"), "test": Column("test that must notice"), "verdict": Column("verdict"),
-               "seconds": Column("time", "s", 1)}
-    return Table("Mutants of formulas", columns, rows, "formula, mutated", notes)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--only", default="", metavar="SUBSTRING", help="of the formula, the file or the test")
     p.add_argument("--list", action="store_true", help="print the mutants and run nothing")
     p.add_argument("--limit", type=float, default=LIMIT, metavar="SECONDS", help="processor time of a test file")
-    p.add_argument("--out", type=Path, help="write the table here (.json, and .md beside it)")
     asked = p.parse_args(arguments)
     chosen = [mutant for mutant in MUTANTS if asked.only in mutant.haystack]
     if asked.list:
@@ -247,11 +224,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         p.error(f"no mutant matches {asked.only!r}")
     started = time.perf_counter()
     outcomes = judged(chosen, asked.limit)
-    if asked.out:
-        from eval.table import Provenance, load, publish
-
-        publish([table(outcomes, load(asked.out) if asked.out.exists() else ())], asked.out,
-                Provenance.now("python benchmarks/mutants.py"))
     killed = sum(outcome.verdict == KILLED for outcome in outcomes.values())
     print(f"{killed} of {len(outcomes)} killed in {time.perf_counter() - started:.0f} s")
     return 0 if killed == len(outcomes) else 1

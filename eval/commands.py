@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import importlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,26 +18,12 @@ if TYPE_CHECKING:
     from eval.table import Table
 
 
-@dataclass(frozen=True)
-class Plugin:
-    """module: has `arguments(parser)`, which adds what it takes, and `run(arguments)`. about: one line for --list."""
-
-    module: str
-    about: str
-
-    def arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Add what it takes."""
-        importlib.import_module(self.module).arguments(parser)
-
-    def run(self, arguments: argparse.Namespace) -> Any:
-        """The result of the module's `run`; InputError for input that cannot be used."""
-        return importlib.import_module(self.module).run(arguments)
-
-
 def verb(about: str, module: str, *examples: str) -> Command:
-    """A command that is a module, whose `run` gives the exit code."""
-    plugin = Plugin(module, about)
-    return Command(about, plugin.arguments, plugin.run, examples)
+    """A command that is a module with `arguments(parser)`, which adds its options, and `run(arguments)`, which gives
+    the exit code."""
+    # The module is imported only when its own verb runs: torch and matplotlib take seconds.
+    return Command(about, lambda parser: importlib.import_module(module).arguments(parser),
+                   lambda given: importlib.import_module(module).run(given), examples)
 
 
 def choice(word: str, about: str, known: Registry[RegistryEntry], show: Callable[[Any, Any], None],
@@ -57,11 +42,13 @@ def choice(word: str, about: str, known: Registry[RegistryEntry], show: Callable
             width = max(map(len, known), default=0)
             print("\n".join(f"{name:<{width}}  {entry.about}" for name, entry in known.items()))
             return 0
+        # Distributions bring entries of this table, so an empty one is no error of the program.
         if not given.name:
             raise InputError(f"the name after {word}", "is missing", f"choose among {', '.join(known)}" if known else
                              "install a distribution that brings one, such as gesticulator-performer")
         tool = known.load(given.name)
         parser = argparse.ArgumentParser(f"{PROGRAM} {word} {given.name}", description=known.entry(given.name).about)
+        # The tool's options first: those of the table stand below them in --help.
         tool.arguments(parser)
         extra(parser)
         chosen = parser.parse_args(given.rest)
@@ -90,7 +77,7 @@ def _name_files(files: Sequence[Path], arguments: argparse.Namespace) -> None:
 
 SCORE = verb("compare real, generated and other motion, with negative controls", "eval.score.command",
              "score --truth STORE --system ours=bvh_folder",
-             "score --truth real --system ours=generated --speech wav --bundle shipped --out score.json")
+             "score --truth real --system ours=generated --speech wav --bundle default --out score.json")
 ABLATE = verb("repeat the tables, figures and claims of both papers", "eval.ablate.command",
               "ablate --list", "ablate --data STORE --work DIR --only ours no-style --seeds 1",
               "ablate --tables --out docs/results/ablation")

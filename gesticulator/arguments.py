@@ -103,7 +103,6 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
     body.add_argument("--no-contacts", action="store_true", help="do not keep the hands outside the trunk")
     p.add_argument("--bundle", metavar="NAME|DIR", help="trained weights: default, paper (both papers in their own "
                    "form), or a folder (default: default)")
-    p.add_argument("--list", choices=("speakers", "interpreters"), help="list what the bundle contains and exit")
     # One thread: blocks are small, and threads that wait for each other cost more than they gain.
     p.add_argument("--threads", type=number("threads"), default=1, metavar="N",
                    help="number of torch threads; it affects the last bits of the output (default 1, usually the "
@@ -254,28 +253,19 @@ def check_cues(gesticulator: Gesticulator, options: InferenceOptions) -> None:
                 raise InputError(f"--cue {shown(gesture)}", "is the name of no gesture", near_gestures(gesture, names))
 
 
-def print_list(gesticulator: Gesticulator, what: str) -> None:
-    """Print the names of the "speakers" or "interpreters", with the default one marked."""
-    names = gesticulator.speakers if what == "speakers" else gesticulator.interpreters
-    default = gesticulator.speakers[gesticulator.resolver.speaker(None)] if what == "speakers" else names[0]
-    for name in names:
-        print(f"{name}  (default)" if name == default else name)
-
-
 @dataclass(frozen=True)
 class RunSettings:
     """How a command runs. bundle: its name or folder; None: the default. threads: of torch. quiet: print no progress
-    bar and no summary. listing: "speakers" or "interpreters" are to be listed, and nothing else."""
+    bar and no summary."""
 
     bundle: str | None
     threads: int
     quiet: bool
-    listing: str | None
 
 
 def run_settings_of(args: argparse.Namespace) -> RunSettings:
     """The settings of a run from the arguments of `performance_arguments`."""
-    return RunSettings(args.bundle, int(args.threads), args.quiet, args.list)
+    return RunSettings(args.bundle, int(args.threads), args.quiet)
 
 
 def batch_of(args: argparse.Namespace) -> BatchRequest | None:

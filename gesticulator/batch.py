@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from typing import TypeAlias
 
 from data_module.errors import InputError, complain, one_line
 from data_module.files import remove_unfinished_of
@@ -35,8 +35,6 @@ Outcomes: TypeAlias = "Callable[[Sequence[int]], Iterator[TaskOutcome]]"
 """Processes the recordings of these numbers; the outcomes come in any order."""
 READERS = 8
 """Threads that read and hash recordings before processing."""
-_Given = TypeVar("_Given")
-_Found = TypeVar("_Found")
 _MOST_SHARDS = 10**9
 _BYTES_PER_SECOND = 16_000
 """Assumed for files whose header lacks a duration, such as MP3 at 128 kbit/s; affects only how work is divided."""
@@ -91,19 +89,6 @@ def estimated_seconds(path: Path) -> float:
         return header_seconds(path) or path.stat().st_size / _BYTES_PER_SECOND
     except OSError:
         return 0.0
-
-
-def _read(function: Callable[[_Given], _Found], items: Sequence[_Given]) -> list[_Found]:
-    """Apply a function to all items in several threads: a shared folder has high latency but serves many requests."""
-    from concurrent.futures import ThreadPoolExecutor
-
-    # Threads, not processes: hashing and waiting for a network folder both release the lock of Python.
-    with ThreadPoolExecutor(READERS, thread_name_prefix="reader") as readers:
-        try:
-            return list(readers.map(function, items))
-        except BaseException:
-            readers.shutdown(wait=False, cancel_futures=True)  # do not wait for the remaining items
-            raise
 
 
 def parse_shard(text: str | None) -> tuple[int, int]:
@@ -181,13 +166,16 @@ def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Outcomes, sh
     outcomes: processes recordings by number, given longest first, yielding in any order. `InputError` if another
     process has locked the manifest.
     """
+    from concurrent.futures import ThreadPoolExecutor
+
     from tqdm import tqdm
 
-    lengths = _read(estimated_seconds, [task.source for task in tasks])
-    chosen = sharded([replace(task, seconds=seconds) for task, seconds in zip(tasks, lengths, strict=True)], *shard)
-    with Manifest(manifest) as notes:
+    # Threads, because a shared folder has high latency but serves many requests at a time.
+    with ThreadPoolExecutor(READERS, thread_name_prefix="reader") as readers, Manifest(manifest) as notes:
+        lengths = readers.map(estimated_seconds, [task.source for task in tasks])
+        chosen = sharded([replace(task, seconds=seconds) for task, seconds in zip(tasks, lengths, strict=True)], *shard)
         waiting: dict[int, ManifestRow] = {}
-        for task, row in zip(chosen, _read(BatchTask.row, chosen), strict=True):
+        for task, row in zip(chosen, readers.map(BatchTask.row, chosen), strict=True):
             # A row counts as done only if recording, program, bundle, settings and outputs are those of now.
             before = notes.rows.get(str(task.source))
             if task.fault is not None:
@@ -197,7 +185,7 @@ def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Outcomes, sh
                 waiting[task.number] = row
         # Rows of an earlier run that are still valid.
         unchanged = sum(notes.rows[str(task.source)].status == DONE for task in chosen
-                   if task.number not in waiting and task.fault is None)
+                        if task.number not in waiting and task.fault is None)
         # A killed run or worker may have left partially written files.
         # Only files of this shard: another machine may be writing its own into the same folder.
         outputs = [output for task in chosen if task.number in waiting for output in task.outputs]

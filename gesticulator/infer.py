@@ -20,7 +20,6 @@ from gesticulator.arguments import (
     check_options,
     infer_arguments,
     jobs_of,
-    print_list,
     run_settings_of,
 )
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
@@ -36,10 +35,6 @@ EXIT_PART_FAILED = 1
 def run(args: argparse.Namespace) -> int:
     """Process all recordings; exit code 0, 1 if some failed, 2 if none succeeded."""
     settings = run_settings_of(args)
-    if settings.listing:
-        with our_warnings(), limited_threads(settings.threads):
-            print_list(_loaded(settings), settings.listing)
-        return 0
     jobs, batch = jobs_of(args), batch_of(args)
     check_choices(jobs[0].options, settings.bundle)
     if batch is not None:
@@ -154,7 +149,6 @@ COMMAND = Command(
         "infer recordings/ -o out/ --shard 2/8",
         "infer recordings/ -o out/ --ray local:4",
         "infer - -o gesture.bvh < speech.wav",
-        "infer --list speakers",
     ))
 
 

@@ -113,7 +113,8 @@ class InferenceOptions:
     """
 
     speaker: str | None = _option(None, "NAME")
-    """Performer whose gesture style to use (see --list speakers). It has nothing to do with the voice."""
+    """Performer whose gesture style to use (gesticulator bundle inspect lists them). It has nothing to do with the
+    voice."""
     interpreter: str | LexemeInterpreter | None = _option(None, "NAME")
     """The model that chooses the lexemes. A name of `Gesticulator.interpreters` ("lstm", "cql", "advantage",
     "statistical") or an object (`interpreters.base.LexemeInterpreter`)."""

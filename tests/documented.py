@@ -8,14 +8,11 @@ imported; only pages and recordings are read.
 
 from __future__ import annotations
 
-import copy
-import json
 import os
 import re
 import shlex
 import shutil
 import signal
-import struct
 import subprocess
 import sys
 import tempfile
@@ -36,6 +33,7 @@ LEFT_OUT = {
     r"-m pytest": "is run in a checkout; a wheel has no tests",
     r"benchmarks/": "is run in a checkout; a wheel has no benchmarks",
     r"\.fbx": "needs Blender",
+    r"cast\.glb": "needs a file of several characters",
     r"build performer": "needs gesticulator-performer and its data",
     r"train .*after_dropout": "takes hours; training with --preset tiny is run",
     r"acceptance": "needs a store with a test split; --preset tiny has none",
@@ -106,36 +104,9 @@ def prepare(folder: Path) -> None:
     subprocess.run(command, cwd=folder, check=True)
     for name in ("avatar.glb", "avatar.vrm", "rig.vrm"):
         shutil.copy(folder / "rig.glb", folder / name)
-    (folder / "cast.glb").write_bytes(two_of((folder / "rig.glb").read_bytes(), ("Alice", "Bob")))
     for name in ("talk.plan.json", "gesture.json"):
         shutil.copy(folder / "plan.json", folder / name)
     subprocess.run(["gesticulator", "talk.wav", "--plan-out", "talk.plan.json", "--quiet"], cwd=folder, check=True)
-
-
-def two_of(glb: bytes, names: tuple[str, str]) -> bytes:
-    """A GLB of one skeleton as one of two, each under a node of its own with one of these names."""
-    (length,) = struct.unpack_from("<I", glb, 12)
-    scene, rest = json.loads(glb[20:20 + length]), glb[20 + length:]
-    nodes, skins, (roots,) = scene["nodes"], scene["skins"], [one["nodes"] for one in scene["scenes"]]
-    count, skin_count, held = len(nodes), len(skins), list(roots)
-    for node in copy.deepcopy(nodes):
-        if "children" in node:
-            node["children"] = [child + count for child in node["children"]]
-        if "skin" in node:
-            node["skin"] += skin_count
-        nodes.append(node)
-    for skin in copy.deepcopy(skins):
-        skin["joints"] = [joint + count for joint in skin["joints"]]
-        if "skeleton" in skin:
-            skin["skeleton"] += count
-        skins.append(skin)
-    nodes += [{"name": name, "children": [root + shift for root in held], "translation": [shift / count, 0.0, 0.0]}
-              for name, shift in zip(names, (0, count), strict=True)]
-    roots[:] = [2 * count, 2 * count + 1]
-    text = json.dumps(scene).encode()
-    text += b" " * (-len(text) % 4)
-    whole = struct.pack("<II", len(text), 0x4E4F534A) + text + rest
-    return struct.pack("<III", 0x46546C67, 2, 12 + len(whole)) + whole
 
 
 _CUT = """

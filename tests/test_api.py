@@ -106,12 +106,6 @@ def test_samples_that_cannot_be_used(samples: np.ndarray, rate: float | None, sa
         g(samples, rate)
 
 
-def test_a_rate_beside_a_file_is_refused(g: Gesticulator, tmp_path: Path) -> None:
-    for given in (tmp_path / "speech.wav", Speech(voice(), RATE)):
-        with pytest.raises(InputError, match="has a rate"):
-            g(given, RATE)
-
-
 def test_a_str_is_what_is_said_and_a_path_is_a_file(g: Gesticulator, tmp_path: Path) -> None:
     spoken = "тяжёлый хлеб медленно поднимается"  # the aligner knows English alone, so the times are guessed
     (tmp_path / "words.txt").write_text(spoken, encoding="utf-8")

@@ -83,17 +83,6 @@ def test_two_recordings_of_one_name_are_refused(folder: Path) -> None:
     assert len(targets("out/", "-", "talks/c.MP3")) == 2
 
 
-def test_several_things_of_one_recording_may_go_to_one_folder(folder: Path) -> None:
-    jobs = jobs_for(["talks/b.wav"], {".bvh": "out/", ".html": "out/", ".json": "plans/b2.json"})
-    assert [str(target) for target in jobs[0].targets] == [str(Path("out", "b.bvh")), str(Path("out", "b.html")),
-                                                           str(Path("plans", "b2.json"))]
-
-
-def test_no_output_is_wrong_usage(folder: Path) -> None:
-    with pytest.raises(InputError, match="-o"):
-        jobs_for(["talks/b.wav"], {})
-
-
 def test_a_place_that_cannot_be_written_is_the_fault_of_one_recording(folder: Path) -> None:
     (folder.parent / "out" / "b.bvh").mkdir(parents=True)
     faults = {job.name: job.fault for job in jobs_for(["talks"], {".bvh": "out/"})}

@@ -9,13 +9,10 @@ import numpy as np
 import pytest
 import soundfile
 
-from data_module.motion.kinematics import positions_of_some
 from data_module.types import Array, Speech
 from eval.renderings import ListeningGesticulator
 from gesticulator.bundle.bundle import SHIPPED, Bundle, load
-from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of
-from gesticulator.gesticulator import Gesticulator
 from gesticulator.sampling.candidates import (
     FASTEST,
     CandidateChooser,
@@ -248,17 +245,3 @@ def test_candidates_share_their_arms_but_where_controls_ask_for_a_choice(
     (trunk, arms), (other_trunk, other_arms) = (first_block(monkeypatch, chosen, **asked) for chosen in (0, 3))
     assert np.abs(trunk - other_trunk).max() > 0.05
     assert (np.abs(arms - other_arms).max() < 0.01) == alike
-
-
-def test_more_reach_takes_the_hands_farther_from_the_body() -> None:
-    bundle = load(SHIPPED)
-    sound, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32")
-
-    def reached(amount: float) -> float:
-        config = with_settings(bundle.config, [f"selection.reach={amount}"])
-        motion = Gesticulator(replace(bundle, config=config))(Speech(sound[:12 * rate], rate), seed=1).motion
-        skeleton = motion.skeleton
-        places = positions_of_some(motion, [skeleton.index(name) for name in ("LeftHand", "RightHand", "Hips")])
-        return float(np.linalg.norm((places[:, :2] - places[:, 2:])[..., [0, 2]], axis=-1).mean())
-
-    assert reached(2.0) > reached(-2.0) + 0.01

@@ -134,7 +134,7 @@ def test_every_example_of_infer_is_understood() -> None:
     for line in COMMAND.examples:
         verb, *arguments = line.split(" < ")[0].split()
         asked = parser.parse_args(arguments)
-        assert verb == "infer" and (asked.list or asked.speech)
+        assert verb == "infer" and asked.speech
 
 
 def test_abbreviations_are_refused(capfd: pytest.CaptureFixture[str]) -> None:

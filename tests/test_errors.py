@@ -41,13 +41,6 @@ def test_names_that_the_terminal_cannot_show_are_one_line(encoding: str, code: s
     assert done.stderr == (said[encoding] if isinstance(said, dict) else said)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="a shell's way to close a stream")
-def test_an_error_does_not_go_to_the_output_where_there_is_no_terminal() -> None:
-    done = subprocess.run(["/bin/sh", "-c", '"$0" -c "$1" 2>&-', sys.executable, _FAIL], capture_output=True,
-                          check=False)
-    assert (done.returncode, done.stdout) == (EXIT_BAD_INPUT, b"")
-
-
 def test_what_is_long_or_deep_is_shown_short() -> None:
     deep: list[object] = []
     for _ in range(900):

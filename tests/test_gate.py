@@ -111,14 +111,6 @@ def test_opening_is_monotone(p: float, more: float, activity: float, livelier: f
     assert opened(more, livelier) >= opened(p, activity)
 
 
-@pytest.mark.parametrize("wrong", [-0.1, 1.1, math.nan])
-def test_refuses_what_is_no_share(wrong: float) -> None:
-    with pytest.raises(ValueError):
-        opened(0.5, wrong)
-    with pytest.raises(ValueError):
-        opened(wrong, 0.5)
-
-
 def run(probabilities: list[float], activity: float, hold: int) -> list[bool]:
     latch, out = Latch(), []
     for probability in probabilities:

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from untrained import PLAIN, untrained
 
 from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import JOINTS
@@ -168,16 +167,6 @@ def test_one_bad_recording_of_a_folder_is_told_and_the_rest_is_done(
     assert (tmp_path / "alone.bvh").read_bytes() == (tmp_path / "new" / "out" / "c.bvh").read_bytes()
 
 
-def test_what_the_bundle_has_is_listed(tiny_bundle: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    speakers = bundles.load(tiny_bundle).speakers
-    assert infer.main(["--list", "speakers", "--bundle", str(tiny_bundle)]) == 0
-    lines = capfd.readouterr().out.splitlines()
-    assert [line.split("  ")[0] for line in lines] == list(speakers)
-    assert [line for line in lines if line.endswith("(default)")] == [f"{speakers[0]}  (default)"]
-    assert infer.main(["--list", "interpreters", "--bundle", str(tiny_bundle)]) == 0
-    assert capfd.readouterr().out.splitlines() == ["lstm  (default)", "cql", "advantage", "statistical"]
-
-
 @pytest.mark.parametrize("name", ["caf\u00e9.flac", os.fsdecode(b"caf\xe9.flac")])
 def test_names_that_the_terminal_cannot_show(name: str, recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
     try:
@@ -297,31 +286,6 @@ def test_a_folder_of_transcripts_serves_recordings_by_name(recording: Path, tiny
 
 
 # ------------------------------------------------------------------------------- style editing and activity
-
-@pytest.fixture(scope="module")
-def plain_bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bundle without text, gate and style editing."""
-    path = tmp_path_factory.mktemp("plain") / "bundle"
-    bundles.save(untrained(*PLAIN), path, "a card")
-    return path
-
-
-@pytest.mark.parametrize(("arguments", "said"), [
-    (["--text", "words.json"], "text: is not read"), (["--hand-height", "high"], "--hand-height"),
-    (["--hand-speed", "0.4"], "--hand-speed"), (["--activity", "0.5"], "gate"),
-])
-def test_a_bundle_says_what_it_cannot_do(arguments: list[str], said: str, recording: Path, plain_bundle: Path,
-                                         tmp_path: Path, capfd: pytest.CaptureFixture[str],
-                                         monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    as_json(Path("words.json"))
-    with pytest.raises(SystemExit) as stop:
-        infer.main([str(recording), "-o", "o.bvh", "--bundle", str(plain_bundle), *arguments])
-    out, error = capfd.readouterr()
-    assert stop.value.code == 2 and out == "" and error.count("\n") == 1 and said in error
-    assert not Path("o.bvh").exists()
-    assert infer.main([str(recording), "-o", "o.bvh", "--bundle", str(plain_bundle), "--activity", "0"]) == 0
-
 
 @pytest.mark.parametrize(("name", "score"), [("lstm", "log-probability"), ("statistical", "log-probability"),
                                              ("cql", "Q value")])

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import gc
 import tracemalloc
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -21,12 +19,10 @@ from data_module.errors import InputError
 from data_module.motion.kinematics import positions_of
 from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.types import Array, Motion, Samples, Speech, Word
-from generator.flow import Guidance, SamplingHead
 from gesticulator.bundle.features import representation_of
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.sampling.cutter import BlockCutter
 from gesticulator.stream import Stream, StreamFrames, StreamState
-from gesticulator.systems import movement
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
 FPS = 60.0
@@ -297,36 +293,6 @@ def test_what_is_passed_over_leaves_no_jump_and_no_gap(latency: str) -> None:
         assert found["head"][0][seam - 10:seam + 60].max() < HEAD_FASTEST
     # Who has nothing to say to what she did not hear keeps her hands still: all but the life of them.
     assert found["hands"][0][seams[-1] - 40:seams[-1]].max() < 0.1
-
-
-@contextmanager
-def asked_of_the_head() -> Iterator[list[int]]:
-    """How many rows v is computed for, each time that it is."""
-    rows: list[int] = []
-    call = SamplingHead.__call__
-
-    def counted(self: SamplingHead, noisy: torch.Tensor, time: float, conditions: Any, guidance: Guidance
-                ) -> torch.Tensor:
-        rows.append(len(noisy) + len(guidance.gains) * guidance.guided)
-        return call(self, noisy, time, conditions, guidance)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SamplingHead, "__call__", counted)
-        yield rows
-
-
-def test_who_hurries_draws_with_fewer_steps_and_says_the_same_blocks() -> None:
-    """The flow head is asked for one way of each step, three times a block instead of 20; the beats are the sound's."""
-    sound, edges, calls = example()[:round(SHORT * SAMPLE_RATE)], [], []
-    for hurried in (False, True):
-        stream = system().stream()
-        stream.hurried = hurried
-        with asked_of_the_head() as rows:
-            blocks = [block for part in (*fed(stream, sound, (4000,)), stream.finish()) for block in part.blocks]
-        edges.append([block.end for block in blocks])
-        calls.append(sum(rows) / len(blocks))
-    assert edges[0] == edges[1]
-    assert calls[0] >= (movement.FLOW_STEPS + 1) * movement.CANDIDATES and calls[1] == 3
 
 
 def test_who_listens_nods_in_the_pauses_of_the_other() -> None:

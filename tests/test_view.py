@@ -52,13 +52,6 @@ def test_what_cannot_be_viewed_is_told_in_a_line(words: list[str], said: str, re
     assert stop.value.code == 2 and error.count("\n") == 1 and said in error
 
 
-@pytest.mark.parametrize("what", ["interpreters", "speakers"])
-def test_it_lists_what_the_bundle_contains(what: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        sys.exit(COMMAND.main("gesticulator view", ["--list", what]))
-    assert not stop.value.code and "(default)" in capsys.readouterr().out
-
-
 def test_saved_edits_are_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     samples, rate = soundfile.read(ROOT / "examples" / "speech.flac", frames=4 * 16000, dtype="float32")
     sound = tmp_path / "talk.wav"

@@ -64,6 +64,7 @@ def looped(motion: Motion) -> Motion:
 
 def _looped_turns(turns: Array, fps: float) -> Array:
     """[T + 1, J, 4] rotations [T, J, 4] that end as they begin."""
+    # One frame beyond the end, extrapolated, is where the first frame must be met.
     turns = rotation.continuous(turns)
     ahead = rotation.multiply(turns[-1], rotation.multiply(rotation.conjugate(turns[-2]), turns[-1]))
     seam = rotation.interpolate(rotation.continuous(np.stack([ahead, turns[0]])), np.array([0.5]))[0]
@@ -73,6 +74,7 @@ def _looped_turns(turns: Array, fps: float) -> Array:
     begins, ends = rotation.unroll(away), rotation.unroll(away[::-1])[::-1]
     out = rotation.multiply(seam, rotation.from_exponential_map(_without_seam(begins, ends, np.zeros(3), fps)))
     out[-1] = out[0]
+    # The middle is copied: the logarithm and back would change its last bits.
     near = _reach(len(turns), fps)
     out[near:len(turns) - near] = turns[near:len(turns) - near]
     return rotation.continuous(rotation.normalise(out))
@@ -98,6 +100,7 @@ def _without_seam(begins: Array, ends: Array, seam: Array, fps: float) -> Array:
     frames = len(begins) - 1
     near = _reach(frames, fps)
     leaving, coming = begins[1] - begins[0], ends[-1] - ends[-2]
+    # Both ends leave the seam with the mean of their velocities.
     slope = (leaving + coming) / 2.0
     s = (np.arange(near + 1) / near).reshape(-1, *(1,) * (begins.ndim - 1))
     offset = 1.0 - 10.0 * s ** 3 + 15.0 * s ** 4 - 6.0 * s ** 5
@@ -127,6 +130,7 @@ def replanted(motion: Motion, ankles: Array, feet: Array) -> Motion:
         socket = root + rotation.rotate(hips, skeleton.offsets[places[0]])
         thigh, shin = bent_leg(ankles[:, number] - socket, rotation.rotate(feet[:, number], _FORWARD),
                                leg_lengths(skeleton, side))
+        # World rotations to local ones, from the hip down.
         above = hips
         for place, turn in zip(places, (thigh, shin, feet[:, number]), strict=True):
             rotations[:, place] = rotation.multiply(rotation.conjugate(above), turn)

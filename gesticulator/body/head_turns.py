@@ -59,6 +59,7 @@ class HeadTurns:
     def __init__(self, seed: int, joints: Sequence[str]) -> None:
         """seed: of the side that the head turns to; joints: names of the joints of the poses."""
         self.seed = seed
+        # Neck and head share a turn as they share a shift of gaze.
         self._mixing = np.zeros((3, len(joints), 3))
         for name, part in LOOKED.items():
             if name in joints:
@@ -71,6 +72,7 @@ class HeadTurns:
 
     def __call__(self, times: Array) -> Array | None:
         """[T, 3 J] radians to add to the exponential maps at rising `times` [T] seconds; None without any turn."""
+        # Turns that are over add nothing any more.
         self._turns = [turn for turn in self._turns if turn.end is None or turn.end + turn.fall > times[0]]
         if not self._turns:
             return None
@@ -102,6 +104,7 @@ class HeadTurns:
         sound, size, step = np.concatenate([self._rest, samples]), round(STEP * FRAME * SAMPLE_RATE), STEP * FRAME
         for start in range(0, len(sound) - size + 1, size):
             loudness = self._loudness.step(frame_levels(sound[start:start + size], SAMPLE_RATE))
+            # By majority of the frames of a step: a click is not speech.
             silent = bool(loudness.silent.mean() > 0.5)
             self._listened += step
             self._quiet = self._quiet + step if silent else 0.0

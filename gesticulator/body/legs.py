@@ -83,6 +83,7 @@ class LegWeight:
     def step(self, times: Array, speed: Array) -> Array:
         """[T] the weight at the next `times` [T] seconds. speed: [T] m/s of the chest over the hips, smoothed."""
         before = self._time
+        # The clock of the module: slow while the trunk is still, so that a shift waits for a movement.
         rate = _STILL + _QUICKEST * np.tanh(speed / _MOVING / _QUICKEST)
         clock = np.cumsum(np.concatenate([[self._clock], rate * np.diff(times, prepend=before)]))
         self._begin(np.concatenate([[before], times]), clock)
@@ -94,6 +95,7 @@ class LegWeight:
             start = int(np.searchsorted(clock[1:], begin, side="right"))
             a = np.maximum(clock[1 + start:] - begin, 0.0) / _TAU
             weight[start:] += change * (1.0 - (1.0 + a + a * a / 2.0) * np.exp(-a))
+            # Complete to the last bit: it joins the settled weight, and no longer costs anything.
             if self._clock - begin > _DONE * _TAU:
                 self._settled += change  # from the next step on
             else:
@@ -180,6 +182,7 @@ class Steps:
         for foot, (_, sign) in enumerate(SIDES):
             for shift, _ in self._placed[foot][1:]:
                 begin = self.begins(shift)
+                # A tenth of a second into the step the foot leaves the floor: the hips are over the other one by then.
                 early, late = begin + 0.1 - _OVER_IN, begin + _STEP_LASTS + _OVER_OUT
                 near = slice(*np.searchsorted(times, [early, late]))
                 way = eased((times[near] - early) / _OVER_IN) - eased((times[near] - late + _OVER_OUT) / _OVER_OUT)
@@ -221,6 +224,7 @@ class Steps:
             begin, following = self._weight.begins(np.array([shift, shift + 1]))
             weight = float(self._weight.posture(shift)[0])
             chance = float(uniform(self.seed, _STEP_CHANNEL, np.array([shift]))[0])
+            # A step needs a foot that is freed, and time to land before the next shift.
             if abs(weight) < CROSSES or following - begin < _STEP_NEEDS or begin < 1.0 or chance > _STEPS:
                 continue
             foot = 1 if weight > 0 else 0
@@ -343,6 +347,7 @@ def seated(motion: Motion, skeleton: Skeleton = WHOLE_BODY) -> Motion:
     root = np.zeros((len(body), 3))
     ankle = sum(leg_lengths(skeleton, "Left")) / _LEG * SOLE - skeleton.offsets[skeleton.index("LeftToeBase")][1]
     root[:, 1] = ankle + leg_lengths(skeleton, "Left")[1] - skeleton.offsets[skeleton.index("LeftUpLeg")][1]
+    # Thighs level and a little apart; shins, feet and toes upright and turned out.
     level = abouts(_LEFTWARD, np.radians(np.array([-90.0])))
     knees, toes = (abouts(UP, np.radians(np.array([sign * out for _, sign in SIDES])))
                    for out in (SEAT_SPREAD, _SEAT_TOES))
@@ -410,6 +415,7 @@ class _Follower:
         left = rotation.rotate(chest[:, 0], _LEFTWARD)
         yaw = np.degrees(np.arctan2(-left[:, 2], left[:, 0]))
         slow = self._roll(roll[:, None])
+        # The frame before is kept, so that pieces of any length give the same speeds.
         moves = np.diff(places, axis=0, prepend=places[:1] if self._last is None else self._last) * self._fps
         self._last = places[-1:]
         squares = np.sum(moves**2, axis=-1)
@@ -482,6 +488,7 @@ class Stance:
         sway[:, 4:] *= drives.active[:, None]
         across, ahead = sway[:, [0, 1, 4]].sum(axis=1), sway[:, [2, 3, 5]].sum(axis=1)
         leans = np.array(_WITH_LEAN) * drives.lean[:, [0, 2]] - np.array(_COUNTERS) * drives.quick[:, [0, 2]]
+        # Between the feet by the weight, or over one of them while the other steps.
         both = (feet[0].middle + feet[1].middle) / 2.0
         both[:, 0] += scale * _within(_TRAVEL * g + across + leans[:, 0], _FAR)
         one = np.where(side[:, None] > 0, feet[0].middle, feet[1].middle)
@@ -503,6 +510,7 @@ class Stance:
         hips, ankles = rotations[:, 0], np.stack([foot.ankles for foot in feet], axis=1)
         socket = rotation.rotate(hips[:, None], self.skeleton.offsets[_LEGS[0]])
         longest = _BENT * (self._lengths[0] + self._lengths[1])[:, 0]
+        # Pythagoras: how high a leg of full length holds the hips, given how far its foot is aside.
         level = np.sum((root[:, None] + socket - ankles)[..., [0, 2]] ** 2, axis=-1)
         reach = ankles[..., 1] + np.sqrt(np.maximum(longest**2 - level, 0.0)) - socket[..., 1]
         soft = _SOFT * self._steps.scale

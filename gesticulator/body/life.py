@@ -243,6 +243,7 @@ class Idle:
     def __call__(self, times: Array) -> Array:
         """[T, J, 3] radians to add to the exponential maps at `times` [T], seconds from 0."""
         times = np.asarray(times, dtype=np.float64)
+        # All noise in one call: it is most of the cost of a frame.
         smooth = noise(self.seed, _CHANNELS, times, _STEPS)
         sway = self._weight.at(times) + _SWAY * smooth[:, :_SWAYS]
         breathed = _breathed(self.seed, times, smooth[:, -1])
@@ -330,6 +331,7 @@ class LifeLayer:
     def __call__(self, block: Array, span: Span, rests: Sequence[Flags]) -> Array:
         """[K, D_m] a block of normalised poses with idle motion added; rests: [K] for each part, whether it rests."""
         times = span.times
+        # In the units of the normalised poses; absent joints have none.
         life = self._idle(times).reshape(block.shape) * self._scale
         seconds = span.duration / len(times)
         steps = np.diff(block, axis=0, prepend=self._shown[None])

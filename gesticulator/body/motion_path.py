@@ -40,6 +40,7 @@ class MotionPath:
         self._representation = representation_of(bundle.config)
         first: Array = bundle.statistics.rest_pose[speaker]
         self._knots = KnotPath(first, float(options.fps), bundle.config.motion.smoothing, prompt)
+        # Joint positions give rotations only as a whole: their frames wait for the end.
         self._whole: list[Array] | None = None if bundle.config.motion.representation == "rotations" else []
         self._last: Array | None = None
         self._stance: Stance | None = None
@@ -138,11 +139,13 @@ class MotionPath:
         return mirrored_motion(motion)
 
     def _moved(self, frames: Array) -> Motion:
+        # Interpolated frames between two clear knots may pass through the body, so frames are cleared, too.
         body = self._representation.motion(frames, self._knots.fps)
         if self._whole is None:
             body = cleared(body, self._options.seated)
         if self._stance is not None:
             first = self._knots.next - len(frames)
+            # The legs before these frames, to return to: a stream that is interrupted takes frames back.
             self._stances.append((first, self._stance.fork()))
             while (first - self._stances[0][0]) / self._knots.fps > self.history and len(self._stances) > 1:
                 self._stances.popleft()

@@ -131,6 +131,7 @@ class _Course:
         untils = [-math.inf, *(pin.until for pin in pins[:-1])]
         ats = [*(pin.at for pin in pins[1:]), math.inf]
         for pin, before, after in zip(pins, untils, ats, strict=True):
+            # Neighbours that are near share the gap: one fades while the other rises.
             rise, fall = (gap if gap < 2 * fade else fade for gap in (pin.at - before, after - pin.until))
             away = np.where(frames < pin.at, (pin.at - frames) / rise, np.maximum(frames - pin.until, 0.0) / fall)
             s = 1.0 - np.minimum(away, 1.0)
@@ -184,10 +185,12 @@ def _move_hand(motion: Motion, hand: int, course: _Course, error: Problem) -> No
     for pin, (first, last) in zip(course.pins, course.rows, strict=True):
         _check_reach(pin, side, far[first:last + 1], length, error)
     near = np.flatnonzero(course.share)
+    # The limits of the arm hold where a pin acts; elsewhere the motion reaches as far as it did.
     keep = (1.0 - (1.0 - course.share) ** 4)[near]
     limited = far[near] + keep * (_limited(far[near], length) - far[near])
     goal = shoulder[near] + way[near] * (limited / np.maximum(far[near], 1e-9))[:, None]
     turns = {skeleton.index(joint): turn[near] for joint, turn in pose.turns.items()}
+    # The whole arm turns first, which keeps its manner; only the rest is left to the elbow.
     turned = swing(wrist[near] - shoulder[near], goal - shoulder[near])
     for joint in chain[:2]:
         turns[joint] = turned @ turns[joint]
@@ -275,6 +278,7 @@ def _lean(joints: Sequence[Array], goal: Array) -> Array:
     """[T, 3] axis times angle of the bend of the spine that brings the head nearest to its goal [T, 3]."""
     lean = np.zeros_like(goal)
     for _ in range(_ITERATIONS):
+        # A fixed-point iteration: each turn is by what is lacking, and more, since the spine turns about nearer points.
         off = swing(_leant(joints, lean) - joints[0], goal - joints[0])
         lean = lean + _GAIN * Rotation.from_matrix(off).as_rotvec()
     return lean

@@ -84,6 +84,9 @@ _TRUSTED = 4.0
 _RANKED = 1000
 """Number of previous phrases that a phrase is ranked among: most of an hour, with bounded memory."""
 _PATH = 9
+"""Places on the way to rest at which the speed of the hands is measured."""
+_SINKS_IN = 2.0
+"""Seconds in which the head goes to rest."""
 
 
 # ---------------------------------------------------------------------------------------------------- pauses
@@ -268,9 +271,9 @@ class _Join:
 class RestingPart:
     """Dimensions of the pose that rest and wake together, in units in which all are near 1."""
 
-    def __init__(self, rest: Array, bounds: Array, way: _Way) -> None:
-        """rest: [D] the resting pose; bounds: [2, D] smallest and largest values; way: how it stops and sinks."""
-        self.rest, self.bounds, self._way = rest, bounds, way
+    def __init__(self, rest: Array, bounds: Array, hands: _Hands | None) -> None:
+        """rest: [D] the resting pose; bounds: [2, D] smallest and largest values; hands: whose speed is limited."""
+        self.rest, self.bounds, self._hands = rest, bounds, hands
         self._stop: _Stop | None = _Stop(_ALWAYS, rest, np.zeros_like(rest), rest, np.ones_like(rest), rest, 1.0, HOLD)
         self._join: _Join | None = None
         self._last = [(-1.0, rest), (0.0, rest)]
@@ -314,34 +317,54 @@ class RestingPart:
         return (later - earlier) / (now - before)
 
     def _stopping(self, hold_still: bool) -> _Stop:
-        (_, _), (now, pose) = self._last
+        now, pose = self._last[1]
         velocity = self._velocity()
-        stopped, stops_in = self._way.stop(pose, velocity, self.rest)
-        stopped = np.clip(stopped, *self.bounds)
         hold, fastest = (STILL_HOLD, STILL_SINKING) if hold_still else (HOLD, SINKING)
+        if self._hands is None:
+            stops_in = np.full(len(pose), LONGEST_STOP)
+            stopped = np.clip(pose + velocity * stops_in / 3.0, *self.bounds)
+            return _Stop(now, pose, velocity, stopped, stops_in, self.rest, _SINKS_IN, hold)
+        stopped, stops_in = self._hands.stop(pose, velocity, self.rest)
+        stopped = np.clip(stopped, *self.bounds)
         return _Stop(now, pose, velocity, stopped, stops_in, self.rest,
-                     self._way.sink_seconds(stopped, self.rest, fastest), hold)
+                     self._hands.sink_seconds(stopped, self.rest, fastest), hold)
 
 
-class _Way:
-    """How a part stops and sinks: by the speed of its hands or, without hands, in the longest time."""
+class _Hands:
+    """The hands, the right first, by the dimensions of the body without the head: where they are and how they rest."""
 
-    def __init__(self, hands_of: _Hands | None = None) -> None:
-        self._hands_of = hands_of
+    def __init__(self, representation: Representation, statistics: Statistics, speaker: int, columns: NDArray[np.int64]
+                 ) -> None:
+        """columns: the dimensions of the body among those of the pose."""
+        self._representation, self._statistics, self._speaker = representation, statistics, speaker
+        self._columns = columns
+        skeleton = representation.motion(statistics.rest_pose[speaker][None], 1.0).skeleton
+        self._joints = [skeleton.index(side + "Hand") for side in SIDES]
+        names = [skeleton.names[column // 3] for column in columns]
+        # Of each side the dimensions of arm and fingers.
+        self._arms = [np.flatnonzero([name.startswith(side) for name in names]) for side in SIDES]
+
+    def places(self, features: Array) -> Array:
+        """[M, 2, 3] metres for features [M, D] of the body."""
+        # The head keeps its resting pose: it does not move the hands.
+        poses = np.repeat(self._statistics.rest_pose[self._speaker][None], len(features), axis=0)
+        whole = self._statistics.normalise(poses, self._speaker)
+        whole[:, self._columns] = features
+        motion = self._representation.motion(self._statistics.denormalise(whole, self._speaker), 1.0)
+        return positions_of_some(motion, self._joints)
 
     def stop(self, pose: Array, velocity: Array, rest: Array) -> tuple[Array, Array]:
-        """The pose where it stops [D] and the durations in seconds [D], from a pose with a velocity."""
-        seconds = np.full(len(pose), LONGEST_STOP)
-        if self._hands_of is None:
-            return pose + velocity * seconds / 3.0, seconds
+        """The pose where the body stops [D] and the durations in seconds [D], from a pose with a velocity."""
         tiny = 1e-3
-        now, then, end = self._hands_of(np.stack([pose, pose + velocity * tiny, rest]))
+        now, then, end = self.places(np.stack([pose, pose + velocity * tiny, rest]))
         # Velocity of the hands by a finite difference: the chain from angles to places is not linear.
         moves, ahead = (then - now) / tiny, end - now
         speeds, ways = np.linalg.norm(moves, axis=-1), np.linalg.norm(ahead, axis=-1)
-        seconds[:] = np.clip(3.0 * _STOP_WITHIN / max(float(speeds.max()), 1e-6), _SHORTEST_STOP, LONGEST_STOP)
+        # The cubic covers v T / 3: the faster the hand, the less time it gets.
+        seconds = np.full(len(pose), np.clip(3.0 * _STOP_WITHIN / max(float(speeds.max()), 1e-6), _SHORTEST_STOP,
+                                             LONGEST_STOP))
         stopped = pose + velocity * seconds / 3.0
-        for side, columns in enumerate(self._hands_of.arms):
+        for side, columns in enumerate(self._arms):
             cosine = float(moves[side] @ ahead[side]) / max(float(speeds[side] * ways[side]), 1e-9)
             # 0 to 1: how surely the hand is on its way to rest.
             comes = min(max((cosine - _TOWARDS[0]) / (_TOWARDS[1] - _TOWARDS[0]), 0.0), 1.0)
@@ -354,35 +377,10 @@ class _Way:
 
     def sink_seconds(self, pose: Array, rest: Array, fastest: float) -> float:
         """Duration in seconds of the straight path from a pose to rest such that no hand exceeds `fastest` m/s."""
-        if self._hands_of is None:
-            return 2.0
         share = np.linspace(0.0, 1.0, _PATH)[:, None]
-        steps = np.linalg.norm(np.diff(self._hands_of(pose + share * (rest - pose)), axis=0), axis=-1)
+        steps = np.linalg.norm(np.diff(self.places(pose + share * (rest - pose)), axis=0), axis=-1)
         # The smooth step peaks at 1.5 times its mean speed.
         return max(1.5 * float(steps.max()) * (_PATH - 1) / fastest, 1.0)
-
-
-class _Hands:
-    """Positions of the hands, the right first, from the dimensions of the body without the head. arms: for each side,
-    the indices of the dimensions of arm and fingers."""
-
-    def __init__(self, representation: Representation, statistics: Statistics, speaker: int, columns: NDArray[np.int64]
-                 ) -> None:
-        self._representation, self._statistics, self._speaker = representation, statistics, speaker
-        self._columns = columns
-        skeleton = representation.motion(statistics.rest_pose[speaker][None], 1.0).skeleton
-        self._joints = [skeleton.index(side + "Hand") for side in SIDES]
-        names = [skeleton.names[column // 3] for column in columns]
-        self.arms = [np.flatnonzero([name.startswith(side) for name in names]) for side in SIDES]
-
-    def __call__(self, features: Array) -> Array:
-        """[M, 2, 3] hand positions in metres for features [M, D] of the part."""
-        # The head keeps its resting pose: it does not move the hands.
-        poses = np.repeat(self._statistics.rest_pose[self._speaker][None], len(features), axis=0)
-        whole = self._statistics.normalise(poses, self._speaker)
-        whole[:, self._columns] = features
-        motion = self._representation.motion(self._statistics.denormalise(whole, self._speaker), 1.0)
-        return positions_of_some(motion, self._joints)
 
 
 @dataclass(frozen=True)
@@ -406,14 +404,15 @@ class Rest:
                  ) -> None:
         """representation: of exponential maps; activity: share of speech time that is gestured; seed: of the choice of
         phrases and of the idle motion."""
+        # Head and body rest apart: in a phrase without gestures the head still moves.
         rest_pose = statistics.rest_pose[speaker]
         names = representation.motion(rest_pose[None], 1.0).skeleton.names
         turned = np.repeat([name in HEAD for name in names], 3)
-        self._head, self._body = np.flatnonzero(turned), np.flatnonzero(~turned)
+        head, body = np.flatnonzero(turned), np.flatnonzero(~turned)
         rest = statistics.normalise(rest_pose, speaker)
-        ways = _Way(), _Way(_Hands(representation, statistics, speaker, self._body))
-        self._parts = [(columns, RestingPart(rest[columns], statistics.bounds[:, columns], way))
-                       for columns, way in zip((self._head, self._body), ways, strict=True)]
+        hands = _Hands(representation, statistics, speaker, body)
+        self._parts = [(columns, RestingPart(rest[columns], statistics.bounds[:, columns], moves))
+                       for columns, moves in ((head, None), (body, hands))]
         self._life = LifeLayer(seed, statistics, representation, speaker, [columns for columns, _ in self._parts])
         self._pauses, self._phrases = Pauses(), Phrases(activity, seed)
         self._rests: list[Flags] = []
@@ -440,6 +439,7 @@ class Rest:
         pause = self._pauses.step(span)
         gestured = self._phrases.step(span, pause, score, activity)
         self._span = span
+        # In a phrase that is not gestured the hands rest as in a pause.
         hands = pause if gestured else np.ones_like(pause)
         self._rests = [pause, hands if still is None else hands | still]
         self._asked = still is not None and bool(still.any())
@@ -454,6 +454,7 @@ class Rest:
         """Instead of `analyse`, for a block without sound: rest throughout."""
         # A new `Pauses` starts at rest, as after a long silence.
         self._pauses, self._span, self._asked = Pauses(), span, False
+        # Nothing is heard, so nothing is decided: a phrase begins anew afterwards.
         self._rests = [np.ones(len(span.quiet), bool)] * 2
 
     def break_off(self, shown: RestKnots, word: float) -> None:

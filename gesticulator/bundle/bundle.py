@@ -205,6 +205,7 @@ class Bundle:
         # With words, the variant that reads them; without one, the audio-only model serves.
         entry = entries()[name]
         part = entry.text_part if text and entry.text_part in self.parts else entry.part
+        # An interpreter may stand on another one: an advantage steers a behaviour policy.
         system = opened(INTERPRETERS.load(name), InterpreterParts(
             self.parts[part] if part else None, self.interpreter_named(entry.prior, text) if entry.prior else None,
             self.frequencies, self.transitions, section(self.config, entry.settings), self.config.selection.beta))
@@ -318,6 +319,7 @@ def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
     lacking = [name for name in required(config) if table[name].file not in weights]
     if lacking:
         raise InputError(folder, f"lacks {', '.join(lacking)}", "copy the bundle again")
+    # Before any weights: the width of word vectors decides shapes of the interpreters.
     text = _text_source(folder, index["text"])
     speakers, silent = tuple(index["speakers"]), np.array(index["silent_lexemes"], dtype=np.int64)
     statistics, tensors = _statistics(folder, weights, config, speakers)

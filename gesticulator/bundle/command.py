@@ -54,6 +54,7 @@ def _inspected(given: str | None, settings: bool) -> str:
              f"words: {bundle.text.encoder if bundle.text else 'not read'}", "", "trained on"]
     lines += [f"  {name}: {_short(value)}" for name, value in bundle.provenance.items()]
     lines += ["", f"{'file':<36}{'bytes':>12}{'weights':>12}  sha256"]
+    # Files are listed, not parts: the card and the statistics have hashes, too.
     parts = {f"{part.file}.safetensors": name for name, part in part_table().items()}
     for name, digest in sorted(index["files"].items()):
         count = f"{sizes[parts[name]]:,}" if parts.get(name) in sizes else ""
@@ -121,6 +122,7 @@ def lexemes(text: str, size: int) -> tuple[int, ...]:
     """The silent lexemes of "3, 7,9", sorted. size: S. `InputError` for a number outside 0 to S - 1, for an empty list
     (silence would have no lexeme) and for the whole lexicon (speech would have none)."""
     try:
+        # Spaces count as commas, so that a list can be pasted from Python.
         chosen = {int(part) for part in text.replace(",", " ").split()}
     except ValueError:
         chosen = set()

@@ -139,6 +139,7 @@ class SilenceConfig:
     frame of a pause and phrase by phrase, and adds idle motion (`gesticulator.body.rest`)."""
 
 
+# Zero steps leave a stage out; a batch of 0 would be refused by its range.
 NOT_TRAINED = FitSettings(steps=0, batch=1)
 
 
@@ -171,6 +172,7 @@ class Schedules:
     """A second Q-network as published (`Config.cql_literal`), beside the first."""
     advantage: FitSettings = NOT_TRAINED
     """The critics of the advantage interpreter."""
+    # Plain values, because the stages of other packages are not known here.
     others: dict[str, dict[str, Any]] = field(default_factory=dict, hash=False)
     """Stage -> changes to its default schedule, for stages of other packages."""
 
@@ -215,6 +217,7 @@ class Config:
     """All settings of a bundle."""
 
     name: str
+    # Without a default: how long a model is trained is the choice of a preset.
     schedules: Schedules
     system: Annotated[str, SettingChoice(("paper", "movement", "racer"))] = "paper"
     """Which of the three systems (`gesticulator.systems`): "paper", Rhythmic Gesticulator; "movement", the default,
@@ -258,6 +261,7 @@ class Config:
         # Read here, because their classes belong to packages that may not be installed.
         object.__setattr__(self, "others", {name: _other(name, value) for name, value in self.others.items()})
         check(self)
+        # The types of the fields hold ranges of single values; these are conditions between several.
         if not self.lexicon.widths:
             raise InputError("lexicon.widths", "is empty", "give the channels of one convolution at least")
         if self.rests_by_phrase and self.motion.representation != "rotations":
@@ -270,6 +274,7 @@ class Config:
     @property
     def rests_by_phrase(self) -> bool:
         """Whether rest is decided phrase by phrase, with idle motion (`gesticulator.body.rest`)."""
+        # RACER decodes all codes together, so no block can be replaced by rest afterwards.
         return self.silence.rest == "life" and self.system != "racer"
 
 

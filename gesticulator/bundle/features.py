@@ -57,6 +57,7 @@ class Normaliser:
         if len(rows) == 0:
             raise ValueError("a normaliser needs a row at least")
         mean = rows.mean(axis=0, dtype=np.float64)
+        # A dimension that never moves would be divided by rounding errors.
         spread = rows.std(axis=0, dtype=np.float64)
         return cls(mean, np.where(spread > _LEAST_SPREAD, spread, 1.0))
 
@@ -114,6 +115,7 @@ class Statistics:
 
     def normalise(self, poses: Array, speaker: int) -> Array:
         """Vectors [..., D_m] to normalised features, exactly 0 in dimensions that never move."""
+        # The mask comes last: rounding must not bring still dimensions to life.
         return (poses - self.mean_pose[speaker]) / self.deviation * self._moves
 
     def denormalise(self, features: Array, speaker: int) -> Array:
@@ -144,6 +146,7 @@ def body_columns(config: Config) -> dict[str, tuple[int, ...]]:
 
     chosen = representation_of(config)
     if chosen.name != "rotations":
+        # Positions of joints belong to no single limb, so all of them are one part.
         return {"body": tuple(range(chosen.width))}
     return body_parts(CHARACTERS[config.motion.joints].names)
 
@@ -217,6 +220,7 @@ class SpeechFeatures:
         three = (max(i - 1, 0), i, min(i + 1, count - 1))
         before, during, after = (float(blocks.edges[n + 1] - blocks.edges[n]) for n in three)
         was, now, then = (bool(blocks.silent[n]) for n in three)
+        # A store knows silence of whole blocks, a cutter that of each frame.
         quiet = [np.full(blocks.frames, blocks.silent[n]) if self.quiet is None else self.quiet[n] for n in three[1:]]
         return SpeechBlock(i, float(blocks.edges[i]), float(blocks.edges[i + 1]), (before, during, after),
                            (was, now, then), self.low[i], self.high[i], None if self.text is None else self.text[i],
@@ -306,6 +310,7 @@ def tempo_column(durations: Array, longest: float, frames: int) -> Features:
 
 def three_blocks(rows: NDArray, empty: NDArray) -> NDArray:
     """[N, K, ...] to [N, 3K, ...]: the block before, the block and the block after; `empty` [...] beyond the ends."""
+    # The caller says what lies beyond the ends: silence, or the empty word.
     edge = np.broadcast_to(empty, rows[:1].shape).astype(rows.dtype)
     padded = np.concatenate([edge, rows, edge])
     return np.concatenate([padded[:-2], padded[1:-1], padded[2:]], axis=1)
@@ -320,6 +325,7 @@ def encode(stretched: Samples, reference: Array, durations: Array, config: Confi
     levels = [front.encode(windows[at:at + _CHUNK], reference[at:at + _CHUNK]) for at in range(0, len(windows), _CHUNK)]
     tempo = tempo_column(durations, config.rhythm.beats.d_max, config.rhythm.frames)
     low = np.concatenate([np.concatenate([level.low for level in levels]), tempo], axis=-1)
+    # The same array, not a copy: an hour of one level takes half the memory of two.
     if levels[0].low is levels[0].high:
         return low, low
     return low, np.concatenate([np.concatenate([level.high for level in levels]), tempo], axis=-1)

@@ -13,7 +13,6 @@ import os
 import platform
 import shutil
 import tempfile
-import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -37,9 +36,8 @@ TIED = "lexicon_hash"
 """Metadata key of a weight file: the hash of the codebook that it was trained with."""
 ENDING = ".safetensors"
 _ASSETS = Path(__file__).parents[1] / "assets"
-NAMED = {"default": _ASSETS / "bundle", "paper": _ASSETS / "paper", "shipped": _ASSETS / "bundle"}
-"""Name -> folder of the shipped bundles: `default`, also called `shipped`, and `paper`, both papers in their own
-form."""
+NAMED = {"default": _ASSETS / "bundle", "paper": _ASSETS / "paper"}
+"""Name -> folder of the shipped bundles; `paper` is both papers in their own form."""
 _LARGEST_INDEX = 16 * 2**20
 """Largest index, bytes: real ones are a thousand times smaller."""
 _HEADER = 2**20
@@ -49,28 +47,20 @@ _LARGEST_STATISTICS = 256 * 2**20
 _MOST_SPEAKERS = 10_000
 
 
-class BundleWarning(UserWarning):
-    """A name of a bundle that could also mean a folder."""
-
-
 def bundle_folder(given: str | os.PathLike[str] | None) -> Path:
     """The folder of a bundle that is given by name (a string of `NAMED`) or by folder; that of `default` for None.
 
     A name means the shipped bundle even where a bundle of that name lies in the current folder, so that a command does
-    not depend on where it runs; then a line says so. `./paper`, and any `Path`, is a folder.
+    not depend on where it runs. `./paper`, and any `Path`, is a folder.
     """
     if given is None:
         return NAMED["default"]
-    if not isinstance(given, str) or given not in NAMED:
-        return Path(given)
-    if (Path(given) / INDEX).is_file():
-        warnings.warn(BundleWarning(f"{given} is the shipped bundle; for the folder here write .{os.sep}{given}"),
-                      stacklevel=2)
-    return NAMED[given]
+    return NAMED[given] if isinstance(given, str) and given in NAMED else Path(given)
 
 
 def lexicon_hash(vectors: Tensor) -> str:
     """SHA-256 of a codebook [S, D_s], which ties an interpreter's weights to it."""
+    # In half precision, as it is stored, so that a bundle in training and one on disk agree.
     return hashlib.sha256(vectors.detach().half().cpu().numpy().tobytes()).hexdigest()
 
 
@@ -100,6 +90,7 @@ def replace_folder(target: Path, write: Callable[[Path], Any]) -> None:
         temporary.chmod(0o755)  # mkdtemp and safetensors restrict access to the owner
         for file in temporary.iterdir():
             file.chmod(0o644)
+            # Flushed before the rename: after a power failure there is the old bundle or the new one.
             _sync(file)
         _sync(temporary)
         if target.exists():
@@ -110,6 +101,7 @@ def replace_folder(target: Path, write: Callable[[Path], Any]) -> None:
             shutil.rmtree(old)
         else:
             temporary.rename(target)
+    # Also for Ctrl C: a half-written folder would look like a bundle that lacks files.
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)
         raise
@@ -146,6 +138,7 @@ def read_index(path: str | Path) -> dict[str, Any]:
     if version != FORMAT or isinstance(version, bool):
         raise InputError(file, f"has format {str(version)[:20]}, and this version reads format {FORMAT}",
                          "train it again or use the matching version")
+    # All names at once, because a file with one missing entry usually lacks several.
     lacking = [key for key in _KINDS if key not in index]
     if lacking:
         raise InputError(file, f"lacks {', '.join(lacking)}", "copy the bundle again")
@@ -166,6 +159,7 @@ def read_index(path: str | Path) -> dict[str, Any]:
 
 def _skeleton_of(config: Mapping[str, Any]) -> Skeleton:
     """The skeleton of stored settings; older ones do not name it and mean the papers' 16 joints."""
+    # Read from plain values: the settings themselves may not be valid yet.
     motion = config.get("motion")
     joints = motion.get("joints") if isinstance(motion, Mapping) else None
     return CHARACTERS[joints] if type(joints) is int and joints in CHARACTERS else CHARACTER
@@ -182,6 +176,7 @@ class Weights:
         """InputError if a listed file is missing or a weight file is not listed."""
         self.folder, self.listed = folder, listed
         for name in listed:
+            # A name with a folder in it would read files outside the bundle.
             if Path(name).name != name or not (folder / name).is_file():
                 raise InputError(folder / name[:200], "is missing from the bundle", "copy the bundle again")
         # A stray file of weights is most likely left over from a broken copy.
@@ -216,6 +211,7 @@ class Weights:
             tensors = load_tensors(data)
         except _BROKEN as error:
             raise InputError(file, f"is broken ({str(error).splitlines()[0][:100]})", "copy the bundle again") from None
+        # Compared as a whole: an extra tensor means other settings as much as a missing one does.
         found = {key: tuple(value.shape) for key, value in tensors.items()}
         if shapes is not None and found != dict(shapes):
             raise InputError(file, f"does not fit the settings ({_difference(found, shapes)})", "train it again")

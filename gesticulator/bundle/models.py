@@ -66,6 +66,7 @@ def reward_judge(sizes: Sizes) -> RewardEnsemble:
 def _reward(sizes: Sizes, config: RewardConfig) -> RewardEnsemble:
     from interpreters.reward import RewardEnsemble
 
+    # The term compares lexemes that follow one another.
     if not system_of(sizes.config).IN_CONTEXT:
         config = replace(config, choice=0.0)  # only movements are decoded in context, lexeme by lexeme
     return RewardEnsemble(config, sizes.frames, sizes.motion, sizes.block_audio)
@@ -92,6 +93,7 @@ PARTS = {"encoder": BundlePart("speech_encoder", encoder),
 
 def part_table() -> dict[str, BundlePart]:
     """Every part that a bundle may have, including those of all registered lexeme interpreters."""
+    # Computed on each call, because packages can be registered while the program runs.
     return {**PARTS, **{part: BundlePart(file, partial(_interpreter, entry, part), entry.tied)
                         for entry in entries().values() for part, file in entry.files.items()}}
 

@@ -35,6 +35,7 @@ from gesticulator.contacts.limbs import (
     SOFT,
     Pose,
     bent,
+    combined,
     length,
     pose_of,
     receding,
@@ -101,10 +102,12 @@ def _off_trunk(motion: Motion) -> Motion:
     body, rotations = _Body(pose), None
     points = [[pose.places[side + part] for part in _HAND if side + part in names] for side in SIDES]
     push = body.push(np.array(points), _SIGNS)
+    # Both sides at once: this runs for every block of a stream, and few large arrays are faster.
     hidden = body.hidden(np.array([pose.places[side + "ForeArm"] for side in SIDES]), _SIGNS[..., 0])
     moved = (length(push) > LEAST) | (length(hidden) > LEAST)
     for side, sign, frames in zip(SIDES, (1.0, -1.0), moved[..., 0], strict=True):
         if frames.any():
+            # Most motions are clear, and are returned as they came.
             rotations = motion.rotations.copy() if rotations is None else rotations
             _bend_arm(rotations, motion.skeleton, pose.at(frames), (side, sign), np.flatnonzero(frames))
     return motion if rotations is None else replace(motion, rotations=rotations)
@@ -124,6 +127,7 @@ def _bend_arm(rotations: Array, skeleton: Skeleton, pose: Pose, side: tuple[str,
         inside = length(push) > LEAST
         if not inside.any():
             break
+        # The elbow stays in the plane of its arm, so that a push of the hand does not swing it.
         reaching = bent(upper, lower, upper + lower + push, POLE_OF_ELBOW)
         upper, lower = np.where(inside, reaching[0], upper), np.where(inside, reaching[1], lower)
     for _ in range(_SWINGS):
@@ -155,6 +159,7 @@ def _tipped(turn: Array, hand: tuple[Array, Array], body: _Body, sign: float) ->
     before, after = before / length(before), after / np.maximum(length(after), 1e-9)
     axis = rotation.cross(before, after)
     sine = length(axis)
+    # The arctangent is exact for small angles, where an arccosine loses half of its digits.
     angle = np.minimum(np.arctan2(sine, np.sum(before * after, axis=-1, keepdims=True)), FARTHEST_TIP)
     tipped = rotation.from_exponential_map(axis / np.maximum(sine, 1e-9) * angle)
     turn = turn.copy()
@@ -169,6 +174,7 @@ def cleared_poses(poses: Array, representation: Representation, sits: bool = Fal
     if free is motion:
         return poses
     moved = (free.rotations != motion.rotations).any(axis=-1, keepdims=True)
+    # Of the exponential maps of a rotation, the one nearest to the given pose: models differentiate them over time.
     reference = poses.reshape(*moved.shape[:2], 3)
     turned = rotation.unroll(np.stack([reference, rotation.to_exponential_map(free.rotations)]))[1]
     return np.asarray(np.where(moved, turned, reference).reshape(poses.shape))
@@ -185,15 +191,13 @@ class _Body:
 
     def push(self, points: Array, sign: Sign) -> Array:
         """[..., T, 3] the displacement of a hand whose P points [..., P, T, 3] are in the body; sign: 1 for the left
-        hand, -1 for the right, or an array of them. Of several displacements the larger ones count more, so that none
-        takes over at once."""
-        moves = np.concatenate([self.out_of_trunk(points, sign, SOFT), self._off_face(points)], axis=-3)
-        weights = np.sum(moves ** 2, axis=-1, keepdims=True)
-        return np.asarray(np.sum(weights * moves, axis=-3) / np.maximum(np.sum(weights, axis=-3), 1e-12))
+        hand, -1 for the right, or an array of them."""
+        return combined(np.concatenate([self.out_of_trunk(points, sign, SOFT), self._off_face(points)], axis=-3))
 
     def hidden(self, elbow: Array, sign: Sign) -> Array:
         """[..., T, 3] the displacement of an elbow [..., T, 3] behind the trunk; sign: see `push`."""
         across, along, ahead = self._from_hips(elbow)
+        # Behind the plane only: an elbow beside or ahead of the trunk is in view.
         depth = soft(back_at(across * sign, along, self._length) - ahead, ELBOW_SOFT)[..., None]
         out = OUTWARD[0] * self._axes[:, 0]
         return depth * (np.asarray(sign)[..., None] * out + OUTWARD[1] * self._axes[:, 2])
@@ -226,6 +230,7 @@ def trunk_front(across: Array) -> Array:
     edge = STEEPEST * width / depth
     edge = width * edge / np.hypot(1.0, edge)
     ellipse = depth * np.sqrt(1.0 - np.clip(across / width, -1.0, edge / width) ** 2)
+    # Beyond the edge the slope stays, so that a hanging hand beside the hip is not thrown ahead.
     own = ellipse - STEEPEST * np.maximum(across - edge, 0.0)
     begins, height, slope = OTHER_SIDE
     return np.asarray(np.where(across > -begins, own, np.maximum(ellipse, height + slope * (across + begins))))
@@ -240,6 +245,7 @@ def front_at(across: Array, along: Array, length: Array) -> Array:
 def shirt_at(across: Array, along: Array, length: Array) -> Array:
     """As `front_at`, over hips that are wider than the trunk."""
     wide = 1.0 + HIPS * (1.0 - _ramp(along, (0.0, HIPS_UNDER)))
+    # Down to the hem the shirt is as wide as at the hips; it begins to recede there.
     hem = np.maximum(along, np.minimum(along + HEM, 0.0))
     return np.asarray(wide * trunk_front(across / wide) - receding(hem, 0.0, length))
 

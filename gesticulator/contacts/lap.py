@@ -24,6 +24,7 @@ from gesticulator.contacts.limbs import (
     BelowShoulder,
     Pose,
     bend,
+    combined,
     pose_of,
     soft,
     swivel,
@@ -53,11 +54,13 @@ _LIFTS = 3
 def kept_off_thighs(motion: Motion) -> Motion:
     """A motion on the default skeleton, seated or about to be, with its hands above its thighs."""
     pose = pose_of(replace(motion, root_positions=np.zeros((len(motion), 3))))
-    lap, rotations = _Lap(pose), None
+    thighs, rotations = _thighs(pose), None
     for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
         hand = _Hand(pose, side, sign)
         points = hand.points(pose.places[side + "Hand"], pose.turns[side + "Hand"])
-        lacks, slowed = lap.push(points, hand.margins, TIP_SOFT), lap.push(points[:2], hand.margins, SOFT)
+        lacks, slowed = (_push(thighs, some, hand.margins, over)
+                         for some, over in ((points, TIP_SOFT), (points[:2], SOFT)))
+        # The wide margin slows the whole hand; the narrow one is for fingertips, which may lie on the thigh.
         at = np.flatnonzero((np.linalg.norm(lacks, axis=-1) > LEAST) | (np.linalg.norm(slowed, axis=-1) > LEAST))
         if len(at):
             rotations = motion.rotations.copy() if rotations is None else rotations
@@ -79,12 +82,14 @@ def _lift(rotations: Array, motion: Motion, pose: Pose, side: str, sign: float, 
     pose = pose.at(at)
     turns = {skeleton.index(joint): turn for joint, turn in pose.turns.items()}
     shoulder, elbow, wrist = (skeleton.index(side + part) for part in ("Arm", "ForeArm", "Hand"))
-    limbs, lap, hand = BelowShoulder(skeleton, shoulder, pose.places[side + "Arm"]), _Lap(pose), _Hand(pose, side, sign)
+    limbs = BelowShoulder(skeleton, shoulder, pose.places[side + "Arm"])
+    thighs, hand = _thighs(pose), _Hand(pose, side, sign)
 
     def lift(count: int, over: float) -> None:
         place = limbs.place(turns, wrist)
-        push = lap.push(hand.points(place, turns[wrist])[:count], hand.margins, over)
+        push = _push(thighs, hand.points(place, turns[wrist])[:count], hand.margins, over)
         chain, moved = (shoulder, elbow, wrist), np.linalg.norm(push, axis=-1) > LEAST
+        # An arm that bends more points its elbow somewhere: out, down and back, as people who sit do.
         before = _beside(limbs, turns, chain)
         bend(turns, limbs, chain, place + push, POLE_OF_ELBOW, moved)
         after = _beside(limbs, turns, chain)
@@ -93,8 +98,9 @@ def _lift(rotations: Array, motion: Motion, pose: Pose, side: str, sign: float, 
 
     for _ in range(_LIFTS):
         lift(2, SOFT)
+    # Fingers first lie down along the thigh; what is still inside afterwards lifts the hand again.
     place = limbs.place(turns, wrist)
-    turns[wrist] = _tipped(hand.points(place, turns[wrist]), hand.margins, lap) @ turns[wrist]
+    turns[wrist] = _tipped(hand.points(place, turns[wrist]), hand.margins, thighs) @ turns[wrist]
     for _ in range(_LIFTS):
         lift(len(hand.margins), TIP_SOFT)
     write_turns(rotations, skeleton, turns, (shoulder, elbow, wrist), at)
@@ -108,15 +114,16 @@ def _beside(limbs: BelowShoulder, turns: dict[int, Array], chain: tuple[int, int
     return np.asarray(np.linalg.norm(np.cross(elbow - shoulder, way), axis=-1, keepdims=True))
 
 
-def _tipped(points: Sequence[Array], margins: Sequence[float], lap: _Lap) -> Array:
+def _tipped(points: Sequence[Array], margins: Sequence[float], thighs: Sequence[Thigh]) -> Array:
     """[T, 3, 3] the turn of a hand about its wrist that lifts its fingertips. points: [T, 3], the wrist first."""
     turn, weights = np.zeros_like(points[0]), np.full((len(points[0]), 1), 1e-12)
     for point, margin in zip(points[1:], margins[1:], strict=True):
-        arm, push = point - points[0], lap.push([point], [margin], TIP_SOFT)
+        arm, push = point - points[0], _push(thighs, [point], [margin], TIP_SOFT)
         weight = np.sum(push ** 2, axis=-1, keepdims=True)
         turn = turn + weight * np.cross(arm, push) / np.sum(arm ** 2, axis=-1, keepdims=True)
         weights = weights + weight
     turn = turn / weights
+    # tanh bounds the turn without a kink.
     angle = np.maximum(np.linalg.norm(turn, axis=-1, keepdims=True), 1e-9)
     return np.asarray(Rotation.from_rotvec(turn / angle * FARTHEST_TIP * np.tanh(angle / FARTHEST_TIP)).as_matrix())
 
@@ -129,6 +136,7 @@ class _Hand:
         if side + "HandMiddle1" in pose.places:
             tips = [pose.places[side + tip] + sign * _LAST_BONE * pose.turns[side + tip][..., 0] for tip in FINGERTIPS
                     if side + tip in pose.places]
+            # In the axes of the hand, since lifting changes where it is but not the pose of its fingers.
             self._local = [np.einsum("tji,tj->ti", turned, place - wrist)
                            for place in (pose.places[side + "HandMiddle1"], *tips)]
         else:
@@ -140,30 +148,25 @@ class _Hand:
         return [wrist, *(wrist + np.einsum("tij,tj->ti", turned, place) for place in self._local)]
 
 
-class _Lap:
-    """The thighs over T frames, relative to the hips."""
+def _thighs(pose: Pose) -> tuple[Thigh, ...]:
+    """Those of a pose that sits or is about to, relative to the hips."""
+    if "LeftUpLeg" in pose.places:
+        return our_thighs(*_ends(pose))
+    # The upper body keeps its pose when it is seated, and the hips are turned under it.
+    hips, knees, spine = _seat()
+    shift = pose.turns["Hips"] @ spine - spine
+    return our_thighs(*([end + shift for end in ends] for ends in (hips, knees)))
 
-    def __init__(self, pose: Pose) -> None:
-        if "LeftUpLeg" in pose.places:
-            hips, knees = _ends(pose)
-        else:
-            # The upper body keeps its pose when it is seated, and the hips are turned under it.
-            hips, knees, spine = _seat()
-            shift = pose.turns["Hips"] @ spine - spine
-            hips, knees = ([end + shift for end in ends] for ends in (hips, knees))
-        self._thighs: tuple[Thigh, ...] = our_thighs(hips, knees)
 
-    def push(self, points: Sequence[Array], margins: Sequence[float], over: float) -> Array:
-        """[T, 3] the displacement of a hand with points [T, 3] that belong above the thighs by the margins. Of several
-        displacements the larger ones count more, so that none takes over at once. over: metres in which it is
-        rounded."""
-        moves = []
-        for point, margin in zip(points, margins, strict=False):
-            for thigh in self._thighs:
-                depth, up = thigh.depth(point)
-                moves.append(soft(depth + margin, over)[:, None] * up)
-        weights = np.sum(np.square(moves), axis=-1, keepdims=True)
-        return np.asarray(np.sum(weights * moves, axis=0) / np.maximum(np.sum(weights, axis=0), 1e-12))
+def _push(thighs: Sequence[Thigh], points: Sequence[Array], margins: Sequence[float], over: float) -> Array:
+    """[T, 3] the displacement of a hand with points [T, 3] that belong above the thighs by the margins; over: metres in
+    which it is rounded."""
+    moves = []
+    for point, margin in zip(points, margins, strict=False):
+        for thigh in thighs:
+            depth, up = thigh.depth(point)
+            moves.append(soft(depth + margin, over)[:, None] * up)
+    return combined(np.array(moves))
 
 
 def _ends(pose: Pose) -> tuple[list[Array], list[Array]]:
@@ -179,6 +182,7 @@ def _seat() -> tuple[list[Array], list[Array], Array]:
     offsets = {name: WHOLE_BODY.offsets[WHOLE_BODY.index(name)]
                for name in ("Spine", *(side + part for side in SIDES for part in ("UpLeg", "Leg")))}
     hips = [offsets[side + "UpLeg"][None] for side in SIDES]
+    # The seat is that of `gesticulator.body.legs.seated`.
     level = Rotation.from_euler("x", -90.0, degrees=True)
     knees = [hip + (Rotation.from_euler("y", out, degrees=True) * level).apply(offsets[side + "Leg"])
              for side, hip, out in zip(SIDES, hips, (SEAT_SPREAD, -SEAT_SPREAD), strict=True)]

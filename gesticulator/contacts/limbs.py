@@ -45,6 +45,7 @@ class Pose:
 def pose_of(motion: Motion, names: Sequence[str] | None = None) -> Pose:
     """World rotations and positions of a motion's joints; of these and those above them, if names are given."""
     skeleton = motion.skeleton
+    # Fewer joints cost less: a stream asks for a dozen of 54 in every block.
     joints: Sequence[int] = range(len(skeleton))
     if names is not None:
         joints = with_ancestors(skeleton.parents, tuple(map(skeleton.index, names)))
@@ -77,6 +78,7 @@ def trunk_axes(neck: Array, chest: Array) -> TrunkAxes:
     """neck: [T, 3] relative to the hips; chest: [T, 3, 3] the character's axes there (columns left, up, ahead)."""
     length = np.maximum(np.linalg.norm(neck, axis=-1), 1e-9)
     up = neck / length[:, None]
+    # Gram-Schmidt: up is kept exactly, left as far as it is level.
     left = chest[..., 0] - np.sum(chest[..., 0] * up, axis=-1, keepdims=True) * up
     left = left / np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
     return TrunkAxes(np.stack([left, up, rotation.cross(left, up)], axis=-2), length)
@@ -119,11 +121,13 @@ def bent(upper: Array, lower: Array, way: Array, pole: Array) -> tuple[Array, Ar
     """The two bones [T, 3] of a limb that reaches `way` [T, 3] from its first joint; see `bend`."""
     first, second, far = length(upper), length(lower), length(way)
     along = way / np.maximum(far, 1e-9)
+    # A place out of reach is approached as far as the bones allow.
     far = np.clip(far, np.abs(first - second) / _STRETCHED + 1e-9, _STRETCHED * (first + second))
     # Law of cosines: the middle joint's distance along the direction to the goal, and beside it.
     share = (first ** 2 + far ** 2 - second ** 2) / (2.0 * far)
     beside = np.sqrt(np.maximum(first ** 2 - share ** 2, 0.0))
     out = upper - np.sum(upper * along, axis=-1, keepdims=True) * along
+    # A straight limb has no plane of its own to bend in.
     straight = length(out) < 1e-4 * first
     out = np.where(straight, pole - (along @ pole)[:, None] * along, out)
     new_upper = share * along + beside * (out / np.maximum(length(out), 1e-9))
@@ -153,6 +157,7 @@ def swivelled(upper: Array, lower: Array, shift: Array) -> Array:
     centre = np.sum(upper * along, axis=-1, keepdims=True) * along
     beside = upper - centre
     size = length(beside)
+    # The middle joint moves on a circle about the line between the others.
     shift = shift - np.sum(shift * along, axis=-1, keepdims=True) * along
     cosine = np.sum(shift * beside, axis=-1, keepdims=True) / np.maximum(length(shift) * size, 1e-9)
     moved = beside + shift * np.sqrt(np.maximum(1.0 + cosine, 0.0) / 2.0)
@@ -169,6 +174,7 @@ def swing(a: Array, b: Array) -> Array:
     """[T, 3, 3] the shortest rotations from directions a [T, 3] to b."""
     a = a / length(a)
     b = b / length(b)
+    # (1 + cos, sin axis) is twice cos(half) times the quaternion of half the angle: no trigonometry is needed.
     q = np.concatenate([1.0 + np.sum(a * b, axis=-1, keepdims=True), rotation.cross(a, b)], axis=-1)
     return rotation.to_matrix(rotation.normalise(q))
 
@@ -199,6 +205,14 @@ def write_turns(rotations: Array, skeleton: Skeleton, turns: Mapping[int, Array]
     old = rotations[where]
     # Of the two quaternions of a rotation the one on the side of the frame as it was, so that none turns round.
     rotations[where] = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
+
+
+def combined(moves: Array) -> Array:
+    """[..., T, 3] the displacement of a hand, of those of its points [..., P, T, 3]: the larger ones count more, so
+    that none takes over at once."""
+    # Weights that vanish with their displacement: a point that just touches changes nothing.
+    weights = np.sum(moves ** 2, axis=-1, keepdims=True)
+    return np.asarray(np.sum(weights * moves, axis=-3) / np.maximum(np.sum(weights, axis=-3), 1e-12))
 
 
 def soft(depth: Array, over: Array | float = SOFT) -> Array:

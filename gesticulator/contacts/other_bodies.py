@@ -74,11 +74,13 @@ class HandLimit:
         character's; trunk: of the character; size: its arm's length relative to ours."""
         column, outline = trunk
         width, depth = OURS
+        # Equation (1): the normal of the ellipse through the hand, and its distance from the tangent.
         x, z = our[0] / width ** 2, our[2] / depth ** 2
         norm = np.maximum(np.hypot(x, z), 1e-9)
         x, z = x / norm, z / norm
         slim = np.hypot(width * x, depth * z)
         gap = x * our[0] + z * our[2] - slim
+        # Equation (2), with a trunk that recedes above and below.
         reach = outline.support(their[1] / column.length, np.arctan2(z, x))
         margin = size * near(gap)
         receded = receding(their[1], outline.steps[0] * column.length, column.length, size)
@@ -101,6 +103,7 @@ def displacement(limits: list[HandLimit], reached: Array, arm: float) -> Array:
     """[T, 3] the displacement that brings a hand at `reached` [T, 3] from the shoulder within all limits and the reach
     of an arm, metres: by projections on them in turn, which move no two hands apart."""
     moved = reached
+    # Projections on convex sets in turn converge to a place in all of them, if there is one.
     for _ in range(_ROUNDS):
         for limit in limits:
             moved = moved + limit.lacking(moved - reached)
@@ -110,6 +113,7 @@ def displacement(limits: list[HandLimit], reached: Array, arm: float) -> Array:
 
 def within_reach(moved: Array, reached: Array, arm: float) -> Array:
     """Places [T, 3] from the shoulder, brought within the reach of an arm that was at `reached` [T, 3], metres."""
+    # An arm that was stretched already may stay so.
     longest = np.maximum(np.linalg.norm(reached, axis=-1), _REACH * arm)
     far = np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
     return np.asarray(moved * np.minimum(longest / far, 1.0)[:, None])
@@ -138,6 +142,7 @@ class Obstacle:
         """[T, 3] what is to be added to a displacement [T, 3] of a point, so that it is outside by its margins."""
         x, y, z = self.column.local(point.places + push)
         share = y / self.column.length
+        # The tangent that the point is least behind is the way out.
         gaps = np.stack([np.cos(angle) * x + np.sin(angle) * z - self.outline.support(share, np.full(len(x), angle))
                          for angle in ANGLES])
         nearest = gaps.argmax(axis=0)
@@ -160,11 +165,14 @@ def spread(push: Array, points: list[HandPoint], trunk: Obstacle, arm: tuple[Arr
     """
     reached, length = arm
     width, loops = AHEAD * fps / np.sqrt(_TURNS), bool(np.linalg.norm(reached[0] - reached[-1]) < _CLOSED)
+    # What counts as hasty: faster than the hand is anyway around that moment.
     pace = maximum_filter1d(_speeds(reached), round(2.0 * _NEAR * fps) + 1)
     for _ in range(_TURNS):
         hasty = np.clip(_speeds(reached + push) / np.maximum(pace, _SLOW / fps) - 1.0, 0.0, 1.0)
         hasty = gaussian_filter1d(maximum_filter1d(hasty, round(2.0 * AHEAD * fps) + 1), width)[:, None]
+        # One step of descent: the displacements are smoothed, and where the hand is hasty its path, too.
         push = _smoothed(push, width, loops) + hasty * (_smoothed(reached, width, loops) - reached)
+        # Then back into the reach of the arm and out of the body, both more than once, as each may undo the other.
         for _ in range(_CORRECTIONS):
             push = within_reach(reached + push, reached, length) - reached
             for point in points:

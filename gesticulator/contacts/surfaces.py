@@ -43,6 +43,7 @@ class Outline:
 
     def support(self, share: Array, angle: Array) -> Array:
         """[T] metres to the tangent with its normal at angles [T] (0 left, pi / 2 ahead) at heights [T]."""
+        # Bilinear between heights and directions; directions wrap around.
         row = np.clip(np.interp(share, self.steps, np.arange(len(self.steps))), 0.0, len(self.steps) - 1.0)
         column = np.mod(angle, 2.0 * np.pi) / (2.0 * np.pi) * len(ANGLES)
         low, first = np.floor(row).astype(int), np.floor(column).astype(int)
@@ -72,6 +73,7 @@ class Thigh:
         """[T, 3, 3] rows: to its left, which is level, up, and along it."""
         along = self.knee - self.hip
         along = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
+        # Level and not the bone's own left: a thigh that rolls keeps its upper side up.
         left = np.cross([0.0, 1.0, 0.0], along)
         left = left / np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
         return np.stack([left, np.cross(along, left), along], axis=-2)
@@ -83,8 +85,10 @@ class Thigh:
                                                       points - self.hip), -1, 0)
         length = np.linalg.norm(self.knee - self.hip, axis=-1)
         share = along / np.maximum(length, 1e-9)
+        # The height field of the module: the lowest of the tangents over this place across.
         tangents = [(self.outline.support(share, np.full(len(share), ANGLES[at])) - across * np.cos(ANGLES[at]))
                     / np.sin(ANGLES[at]) for at in _UPPER]
+        # Beyond hip and knee it falls, rounded so that a hand gliding off has no kink in its path.
         beyond = np.maximum(np.maximum(-along, along - length), 0.0)
         top = np.min(tangents, axis=0) - _STEEPEST * (np.hypot(beyond, _ROUND) - _ROUND)
         return top - height, np.broadcast_to(axes[:, 1], points.shape)

@@ -18,7 +18,6 @@ from gesticulator.arguments import (
     RunSettings,
     check_choices,
     performance_arguments,
-    print_list,
     run_settings_of,
     settings_of,
 )
@@ -50,13 +49,6 @@ def run(args: argparse.Namespace) -> int:
     from gesticulator.page.server import PageServer
 
     settings = run_settings_of(args)
-    if settings.listing:
-        from gesticulator.gesticulator import Gesticulator
-
-        with limited_threads(settings.threads):
-            print_list(Gesticulator.from_pretrained(settings.bundle), settings.listing)
-        return 0
-    # Faulty arguments are reported before the models are loaded, which takes seconds.
     job = _job(args)
     check_choices(job.options, settings.bundle)
     with PageServer(args.port) as server, our_warnings(), limited_threads(settings.threads):

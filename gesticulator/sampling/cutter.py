@@ -416,6 +416,7 @@ def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None,
     blocks: cut the speech into these instead of detecting beats. cutters: receives a copy of the cutter before every
     `CUTTER_EVERY` samples, from which parts can be cut again (`gesticulator.editing.recut`).
     """
+    # Without words the audio-only models are used, which take no rows of text.
     read = words if speech.words is not None else None
     cutter = BlockCutter(config, front, read)
     cutter.add_words(speech.words or ())

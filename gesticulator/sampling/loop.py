@@ -304,6 +304,7 @@ def resting(bundle: Bundle, setup: Setup, state: State, request: Request, featur
     """Decide whether the hands rest: by the gate, by pauses and phrases, and in the frames `still` [K]."""
     # A plan may hold a curve of activity; then each block has its own.
     activity = setup.activity if request.activity is None else request.activity
+    # At activity 0 the hands rest whatever the gate says.
     closed, probability, gate = activity == 0, math.nan, state.gate
     if gate is not None and bundle.gate is not None:
         probability, gate = bundle.gate.step(gate, features)
@@ -350,6 +351,7 @@ def shown(bundle: Bundle, rest: Rest | None, block: Tensor, offset: Tensor | Non
         return block, np.asarray(block[0].cpu().numpy())
     if offset is not None:
         block = block + offset
+    # Rest shapes what the generator continues from; idle motion is only laid over what is shown.
     past = tensor(bundle, rest.step(block[0].cpu().numpy()))[None]
     return past, rest.alive(past[0].cpu().numpy()).astype(np.float32)
 

@@ -41,6 +41,7 @@ class Keys:
 
     def noise(self, time: float, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Standard normal noise of the motion of the block that begins at `time` seconds, of this shape."""
+        # Row by row, so that the first candidate is the same for any number of them.
         return self._normal(_MOTION, time, shape[0] * shape[1]).reshape(shape).astype(np.float32)
 
     def gumbel(self, time: float, count: int) -> Array:
