@@ -108,7 +108,8 @@ def test_what_the_schema_refuses_is_refused_with_its_place(place: tuple[str | in
 
 @pytest.mark.parametrize(("old", "new", "message"), [
     ('"seed": 7,', '"seed": 7,,', "line 6: is not valid JSON"), ('"seed": 7,', '"seed": NaN,', "not valid JSON"),
-    ('"seed": 7,', '"seed": 1e999,', "is not valid JSON"), ('"seed": 7,', f'"seed": {2**64},', "seed is 18446744073709551616"),
+    ('"seed": 7,', '"seed": 1e999,', "is not valid JSON"),
+    ('"seed": 7,', f'"seed": {2**64},', "seed is 18446744073709551616"),
     ('"version": 2', '"version": 3', "this version reads 2"), (FORMAT, "other", "--plan-out"),
     ('"wave"', '"wavy"', "did you mean wave"), ('"word": "Hello"', '"word": null', "a word or a time"),
     ('"time": 0.5', '"time": 99', "0 to "),
