@@ -35,6 +35,7 @@ from gesticulator.contacts.limbs import (
     SOFT,
     Pose,
     bent,
+    combined,
     length,
     pose_of,
     receding,
@@ -190,12 +191,8 @@ class _Body:
 
     def push(self, points: Array, sign: Sign) -> Array:
         """[..., T, 3] the displacement of a hand whose P points [..., P, T, 3] are in the body; sign: 1 for the left
-        hand, -1 for the right, or an array of them. Of several displacements the larger ones count more, so that none
-        takes over at once."""
-        moves = np.concatenate([self.out_of_trunk(points, sign, SOFT), self._off_face(points)], axis=-3)
-        # Weights that vanish with their displacement: a point that just touches changes nothing.
-        weights = np.sum(moves ** 2, axis=-1, keepdims=True)
-        return np.asarray(np.sum(weights * moves, axis=-3) / np.maximum(np.sum(weights, axis=-3), 1e-12))
+        hand, -1 for the right, or an array of them."""
+        return combined(np.concatenate([self.out_of_trunk(points, sign, SOFT), self._off_face(points)], axis=-3))
 
     def hidden(self, elbow: Array, sign: Sign) -> Array:
         """[..., T, 3] the displacement of an elbow [..., T, 3] behind the trunk; sign: see `push`."""

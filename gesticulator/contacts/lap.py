@@ -24,6 +24,7 @@ from gesticulator.contacts.limbs import (
     BelowShoulder,
     Pose,
     bend,
+    combined,
     pose_of,
     soft,
     swivel,
@@ -53,11 +54,12 @@ _LIFTS = 3
 def kept_off_thighs(motion: Motion) -> Motion:
     """A motion on the default skeleton, seated or about to be, with its hands above its thighs."""
     pose = pose_of(replace(motion, root_positions=np.zeros((len(motion), 3))))
-    lap, rotations = _Lap(pose), None
+    thighs, rotations = _thighs(pose), None
     for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
         hand = _Hand(pose, side, sign)
         points = hand.points(pose.places[side + "Hand"], pose.turns[side + "Hand"])
-        lacks, slowed = lap.push(points, hand.margins, TIP_SOFT), lap.push(points[:2], hand.margins, SOFT)
+        lacks, slowed = (_push(thighs, some, hand.margins, over)
+                         for some, over in ((points, TIP_SOFT), (points[:2], SOFT)))
         # The wide margin slows the whole hand; the narrow one is for fingertips, which may lie on the thigh.
         at = np.flatnonzero((np.linalg.norm(lacks, axis=-1) > LEAST) | (np.linalg.norm(slowed, axis=-1) > LEAST))
         if len(at):
@@ -80,11 +82,12 @@ def _lift(rotations: Array, motion: Motion, pose: Pose, side: str, sign: float, 
     pose = pose.at(at)
     turns = {skeleton.index(joint): turn for joint, turn in pose.turns.items()}
     shoulder, elbow, wrist = (skeleton.index(side + part) for part in ("Arm", "ForeArm", "Hand"))
-    limbs, lap, hand = BelowShoulder(skeleton, shoulder, pose.places[side + "Arm"]), _Lap(pose), _Hand(pose, side, sign)
+    limbs = BelowShoulder(skeleton, shoulder, pose.places[side + "Arm"])
+    thighs, hand = _thighs(pose), _Hand(pose, side, sign)
 
     def lift(count: int, over: float) -> None:
         place = limbs.place(turns, wrist)
-        push = lap.push(hand.points(place, turns[wrist])[:count], hand.margins, over)
+        push = _push(thighs, hand.points(place, turns[wrist])[:count], hand.margins, over)
         chain, moved = (shoulder, elbow, wrist), np.linalg.norm(push, axis=-1) > LEAST
         # An arm that bends more points its elbow somewhere: out, down and back, as people who sit do.
         before = _beside(limbs, turns, chain)
@@ -97,7 +100,7 @@ def _lift(rotations: Array, motion: Motion, pose: Pose, side: str, sign: float, 
         lift(2, SOFT)
     # Fingers first lie down along the thigh; what is still inside afterwards lifts the hand again.
     place = limbs.place(turns, wrist)
-    turns[wrist] = _tipped(hand.points(place, turns[wrist]), hand.margins, lap) @ turns[wrist]
+    turns[wrist] = _tipped(hand.points(place, turns[wrist]), hand.margins, thighs) @ turns[wrist]
     for _ in range(_LIFTS):
         lift(len(hand.margins), TIP_SOFT)
     write_turns(rotations, skeleton, turns, (shoulder, elbow, wrist), at)
@@ -111,11 +114,11 @@ def _beside(limbs: BelowShoulder, turns: dict[int, Array], chain: tuple[int, int
     return np.asarray(np.linalg.norm(np.cross(elbow - shoulder, way), axis=-1, keepdims=True))
 
 
-def _tipped(points: Sequence[Array], margins: Sequence[float], lap: _Lap) -> Array:
+def _tipped(points: Sequence[Array], margins: Sequence[float], thighs: Sequence[Thigh]) -> Array:
     """[T, 3, 3] the turn of a hand about its wrist that lifts its fingertips. points: [T, 3], the wrist first."""
     turn, weights = np.zeros_like(points[0]), np.full((len(points[0]), 1), 1e-12)
     for point, margin in zip(points[1:], margins[1:], strict=True):
-        arm, push = point - points[0], lap.push([point], [margin], TIP_SOFT)
+        arm, push = point - points[0], _push(thighs, [point], [margin], TIP_SOFT)
         weight = np.sum(push ** 2, axis=-1, keepdims=True)
         turn = turn + weight * np.cross(arm, push) / np.sum(arm ** 2, axis=-1, keepdims=True)
         weights = weights + weight
@@ -145,31 +148,25 @@ class _Hand:
         return [wrist, *(wrist + np.einsum("tij,tj->ti", turned, place) for place in self._local)]
 
 
-class _Lap:
-    """The thighs over T frames, relative to the hips."""
+def _thighs(pose: Pose) -> tuple[Thigh, ...]:
+    """Those of a pose that sits or is about to, relative to the hips."""
+    if "LeftUpLeg" in pose.places:
+        return our_thighs(*_ends(pose))
+    # The upper body keeps its pose when it is seated, and the hips are turned under it.
+    hips, knees, spine = _seat()
+    shift = pose.turns["Hips"] @ spine - spine
+    return our_thighs(*([end + shift for end in ends] for ends in (hips, knees)))
 
-    def __init__(self, pose: Pose) -> None:
-        if "LeftUpLeg" in pose.places:
-            hips, knees = _ends(pose)
-        else:
-            # The upper body keeps its pose when it is seated, and the hips are turned under it.
-            hips, knees, spine = _seat()
-            shift = pose.turns["Hips"] @ spine - spine
-            hips, knees = ([end + shift for end in ends] for ends in (hips, knees))
-        self._thighs: tuple[Thigh, ...] = our_thighs(hips, knees)
 
-    def push(self, points: Sequence[Array], margins: Sequence[float], over: float) -> Array:
-        """[T, 3] the displacement of a hand with points [T, 3] that belong above the thighs by the margins. Of several
-        displacements the larger ones count more, so that none takes over at once. over: metres in which it is
-        rounded."""
-        moves = []
-        for point, margin in zip(points, margins, strict=False):
-            for thigh in self._thighs:
-                depth, up = thigh.depth(point)
-                moves.append(soft(depth + margin, over)[:, None] * up)
-        # As for the trunk: a point that just touches must not take over.
-        weights = np.sum(np.square(moves), axis=-1, keepdims=True)
-        return np.asarray(np.sum(weights * moves, axis=0) / np.maximum(np.sum(weights, axis=0), 1e-12))
+def _push(thighs: Sequence[Thigh], points: Sequence[Array], margins: Sequence[float], over: float) -> Array:
+    """[T, 3] the displacement of a hand with points [T, 3] that belong above the thighs by the margins; over: metres in
+    which it is rounded."""
+    moves = []
+    for point, margin in zip(points, margins, strict=False):
+        for thigh in thighs:
+            depth, up = thigh.depth(point)
+            moves.append(soft(depth + margin, over)[:, None] * up)
+    return combined(np.array(moves))
 
 
 def _ends(pose: Pose) -> tuple[list[Array], list[Array]]:

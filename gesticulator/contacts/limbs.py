@@ -207,6 +207,14 @@ def write_turns(rotations: Array, skeleton: Skeleton, turns: Mapping[int, Array]
     rotations[where] = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
 
 
+def combined(moves: Array) -> Array:
+    """[..., T, 3] the displacement of a hand, of those of its points [..., P, T, 3]: the larger ones count more, so
+    that none takes over at once."""
+    # Weights that vanish with their displacement: a point that just touches changes nothing.
+    weights = np.sum(moves ** 2, axis=-1, keepdims=True)
+    return np.asarray(np.sum(weights * moves, axis=-3) / np.maximum(np.sum(weights, axis=-3), 1e-12))
+
+
 def soft(depth: Array, over: Array | float = SOFT) -> Array:
     """max(depth, 0) without a kink, metres. over: metres on both sides in which it is rounded."""
     return np.where(depth > over, depth, np.clip(depth + over, 0.0, 2.0 * over) ** 2 / (4.0 * over))
