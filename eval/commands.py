@@ -42,11 +42,13 @@ def choice(word: str, about: str, known: Registry[RegistryEntry], show: Callable
             width = max(map(len, known), default=0)
             print("\n".join(f"{name:<{width}}  {entry.about}" for name, entry in known.items()))
             return 0
+        # Distributions bring entries of this table, so an empty one is no error of the program.
         if not given.name:
             raise InputError(f"the name after {word}", "is missing", f"choose among {', '.join(known)}" if known else
                              "install a distribution that brings one, such as gesticulator-performer")
         tool = known.load(given.name)
         parser = argparse.ArgumentParser(f"{PROGRAM} {word} {given.name}", description=known.entry(given.name).about)
+        # The tool's options first: those of the table stand below them in --help.
         tool.arguments(parser)
         extra(parser)
         chosen = parser.parse_args(given.rest)

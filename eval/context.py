@@ -62,6 +62,7 @@ class EvalContext:
     def over(cls, store: Store, bundle: Bundle, work: Path, limit: int | None = None, progress: bool = True
              ) -> EvalContext:
         """A bundle on the recordings of a store."""
+        # The bundle's encoder stands in for the stage that would train one, so blocks are cut as the bundle cuts them.
         run = Run(bundle.config, store, work, progress=progress, workers=os.cpu_count() or 1)
         run.provide(ENCODER, bundle.encoder, weights_hash(bundle.encoder) if bundle.encoder else "")
         return cls(run, bundle, limit=limit)
@@ -186,6 +187,7 @@ def with_judges(bundle: Bundle, work: Path | None) -> Bundle:
     """The bundle with the reward models that the work folder holds of its training; those that it has already stay."""
     if work is None:
         return bundle
+    # A model that the bundle holds already goes before one of the work folder: it may be another training's.
     there = {name: folder_of(bundle, work, name) for name in JUDGES if name not in bundle.parts}
     models = {name: _reward_model(bundle, folder, name) for name, folder in there.items() if finished(folder)}
     return bundle.with_parts(**models) if models else bundle
@@ -194,6 +196,7 @@ def with_judges(bundle: Bundle, work: Path | None) -> Bundle:
 def _reward_model(bundle: Bundle, folder: Path, name: str) -> RewardEnsemble:
     weights = load_file(folder / WEIGHTS)
     frames, motion = bundle.frames, len(bundle.statistics.deviation)
+    # The width of the audio is that of the front end, which no setting of the reward model repeats.
     audio = weights["members.0.read_audio.weight"].shape[1] // frames
     # A new network draws its first weights: the caller's random numbers must not move for that.
     with torch.random.fork_rng():
@@ -220,6 +223,7 @@ def provenance(arguments: argparse.Namespace) -> Provenance:
     """Where the figures of the command that is running come from: `--bundle` is measured, the shipped one where it is
     left out, and none where the command has no such option."""
     named = getattr(arguments, "bundle", None)
+    # A command without the option measures no bundle, even where a shipped one is installed.
     index = bundle_folder(named) / INDEX
     return Provenance.now(shlex.join([PROGRAM, *without_work(sys.argv[1:])]),
                           index if hasattr(arguments, "bundle") and index.is_file() else None)

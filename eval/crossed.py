@@ -83,6 +83,7 @@ def crossed(values: ArrayLike, weights: ArrayLike | None = None) -> Interval:
 def components(values: ArrayLike, weights: ArrayLike | None = None) -> Components:
     """Variance components and weighted mean of values [seeds, clips]; see `crossed`."""
     value = np.atleast_2d(np.asarray(values, dtype=np.float64))
+    # A missing value has weight 0, so unbalanced tables need no case of their own.
     weight = np.isfinite(value) * (np.ones(value.shape[1]) if weights is None else np.asarray(weights, np.float64))
     places = np.nonzero(weight > 0)
     y, c = value[places], weight[places]
@@ -99,6 +100,7 @@ def components(values: ArrayLike, weights: ArrayLike | None = None) -> Component
         parts["rest"] = np.eye(len(y))
     shares, squares, expected = _moments(y, parts, ("rest",) if seeds >= FEW_SEEDS else ("rest", "seed"))
     squares_kept = [parts[name] for name in shares]
+    # The variance of the mean as a linear function of the squares, from which Satterthwaite's freedom follows.
     toward = _solved(expected.T, np.array([c @ part @ c for part in squares_kept]))
     # The method of moments may give a negative variance, which is none.
     held = [max(share, 0.0) for share in shares.values()]
@@ -137,6 +139,7 @@ def _solved(matrix: Array, right: Array) -> Array:
 def satterthwaite(seed: float, clip: float, rest: float, seeds: Array, clips: Array) -> tuple[Array, Array]:
     """Standard error and degrees of freedom of a mean over as many seeds and clips (two at least; arrays of one shape),
     for these variances."""
+    # Mean squares of seeds, clips and rest as the three variances make them expected.
     squares = (rest + clips * seed, rest + seeds * clip, np.full_like(seeds, rest))
     total = squares[0] + squares[1] - squares[2]
     over = squares[0] ** 2 / (seeds - 1) + squares[1] ** 2 / (clips - 1) + squares[2] ** 2 / (seeds - 1) / (clips - 1)
@@ -158,6 +161,7 @@ def robust(values: ArrayLike, weights: ArrayLike | None = None) -> Components:
 def decisive(values: Array) -> float:
     """The greatest share that one clip has in the squares about the median clip, of values [seeds, clips]."""
     means = np.nanmean(values, axis=0)
+    # About the median: the mean itself would follow the clip that is looked for.
     squares = (means - np.median(means)) ** 2
     return float(squares.max() / squares.sum()) if squares.sum() > 0 else 0.0
 

@@ -85,6 +85,7 @@ def retold(lexicon: BlockLexicon, motion: torch.Tensor, past: Pasts, frequent: i
     levels below it; "predicted" is what the body would do if nothing new came. Poses take no notice of the past.
     """
     if isinstance(lexicon, MovementLexicon):
+        # A movement is an addition to what the body would do anyway, so all zeros is the prediction from the past.
         true, always = lexicon.basis.coefficients(motion, past), torch.full((len(motion),), frequent)
         for name, coefficients in (("unquantised", true), ("quantised", lexicon.quantised(true)),
                                    (ALONE, lexicon.quantised(true, 0)), (FREQUENT, lexicon.added(always)),
@@ -125,11 +126,13 @@ def lexicon_table(context: EvalContext, recordings: Sequence[Recording], take: t
     test = torch.as_tensor(np.concatenate([corpus.blocks_of(number) for number in context.numbers()]))
     known, unknown = (corpus.motion[part].flatten(1).numpy().astype(np.float64) for part in (train, test))
     few = known[np.random.default_rng(0).permutation(len(known))[:FIT_BLOCKS]]
+    # As many components as a lexeme is wide, but never more than the data can carry.
     linear = PCA(min(bundle.vectors.shape[1], *few.shape), random_state=0).fit(few)
     means = KMeans(min(bundle.config.lexicon.size, len(few)), n_init=3, random_state=0).fit(few)
     errors = {"PCA": ((linear.inverse_transform(linear.transform(unknown)) - unknown) ** 2).mean(1),
               "k-means": ((means.cluster_centers_[means.predict(unknown)] - unknown) ** 2).mean(1),
               **reconstructions(bundle, corpus.motion[test], corpus.pasts[test])}
+    # Held-out strokes tell a lexicon that has learned movements from one that has stored them.
     kinds = np.concatenate([stroke_kinds(recording, cut(recording.speech, bundle.config.rhythm).edges)
                             for recording in recordings])
     for name, kind in (("quantised, strokes seen in training", 0), ("quantised, strokes never seen", 1)):
@@ -167,6 +170,7 @@ def accuracy_table(context: EvalContext, rows: Mapping[str, LexemeInterpreter]) 
     decisions = replace(Decisions.of(context.bundle, context.corpus, context.labels), masked=True)
     body: Rows = {}
     for name, interpreter in rows.items():
+        # An interpreter of words is asked where there are words; elsewhere it is the one without.
         wanted = context.numbers(with_text=isinstance(interpreter, LstmInterpreter) and interpreter.config.reads)
         takes = [take for take in decisions.takes if take.recording in wanted]
         body[name] = {kind: stats.mean_interval(

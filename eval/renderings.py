@@ -79,6 +79,7 @@ class AcceptanceVoice:
     @cached_property
     def key(self) -> str:
         """Of sound and words."""
+        # By content and not by name: the same file under another name is the same rendering.
         digest = hashlib.sha256(self.speech.samples.tobytes())
         digest.update(repr((self.speech.sample_rate, self.speech.words)).encode())
         return digest.hexdigest()
@@ -197,6 +198,7 @@ class BundleSystem:
         """bundle: that of the folder, where it was opened before."""
         self.name, self.folder, self._kept = name, folder, kept
         self.gesticulator = ListeningGesticulator(bundle or bundles.load(folder))
+        # The index names the hash of every file of the bundle, so its own hash stands for all of them.
         self.key = hashlib.sha256((folder / INDEX).read_bytes()).hexdigest()
         self._encoded: dict[str, SpeechFeatures] = {}
         self._asked: dict[str, Any] = {}
@@ -208,6 +210,7 @@ class BundleSystem:
 
     def asking(self, name: str, **asked: Any) -> BundleSystem:
         """The same under another name, with these options in every rendering."""
+        # A shallow copy: models and encoded speech are shared, options are not.
         other = copy.copy(self)
         other.name, other._asked = name, self._asked | asked
         return other

@@ -29,11 +29,13 @@ def document(folder: Path, out: Path) -> str:
     """The whole page as Markdown, for a file in `out`; InputError where the folder holds no results."""
     if not folder.is_dir():
         raise InputError(folder, "is not a folder", "name the one that the evaluation commands write to")
+    # Sorted by path, so that the same results give the same page.
     names = [file.relative_to(folder).with_suffix("").as_posix() for file in sorted(folder.rglob("*.json"))]
     sections: dict[str, list[str]] = {}
     unreadable = []
     for name in dict.fromkeys((*FIRST, *names)):
         try:
+            # The figures of an ablation are pictures with captions; every other file holds tables.
             parts = _figures(folder, name, out) if name.endswith("figures") else {name: _section(folder, name)}
         except InputError:
             unreadable.append(f"`{name}.json`")

@@ -152,6 +152,7 @@ def limits(got: float, drawn: ArrayLike, n: int, *, basic: bool = False, least: 
     """
     values = np.asarray(drawn, dtype=np.float64)
     values = values[np.isfinite(values)]
+    # Redrawn sets may be undefined where the set itself is not: they are left out, the figure stays.
     if len(values) == 0 or not math.isfinite(got):
         return Interval.exact(got, n)
     low, high = (float(value) for value in np.percentile(values, LEVEL))
@@ -173,6 +174,7 @@ def of_set(figure: Callable[..., float], *counts: int, seed: int = 0, draws: int
 
     figure: of the clips with these indices; it takes one array for each of `counts`, sets that are drawn apart.
     """
+    # The figure of the set as it is, not the mean of the redrawn ones, which is biased.
     got = figure(*(np.arange(count) for count in counts))
     if min(counts) < 2:
         return Interval.exact(got, min(counts))
@@ -188,6 +190,7 @@ def mean(values: Array) -> float:
 
 def runs(mask: ArrayLike) -> NDArray[np.int64]:
     """[n, 2] the first index of each run of True in a mask [T], and the one after its last."""
+    # False on either side, so that a run at an end has two ends like any other.
     ends = np.flatnonzero(np.diff(np.concatenate([[False], np.atleast_1d(mask), [False]]).astype(np.int8)))
     return ends.reshape(-1, 2)
 

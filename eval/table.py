@@ -129,6 +129,7 @@ class Table:
         """Title, table, notes; a table of more than `MOST_COLUMNS` columns in parts of the same rows."""
         lines = [f"### {self.title}", ""] if self.title else []
         keys = list(self.columns)
+        # Parts of nearly one width: eight columns and a last part of one would be hard to read.
         parts = math.ceil(len(keys) / (MOST_COLUMNS - 1))
         for keys_of_part in np.array_split(np.array(keys, dtype=object), parts) if parts else ():
             first, *rest = self.cells(list(keys_of_part))
@@ -197,6 +198,7 @@ def _unpacked(cell: Any) -> Cell:
 
 def plain(value: Any) -> Any:
     """Null for what is no finite number, however deep it lies; numbers of numpy as those of Python."""
+    # Numbers of numpy are no numbers to json.
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, Mapping):
@@ -234,6 +236,7 @@ def markdown(tables: Iterable[Table], about: Provenance | None = None) -> str:
 
 def save(tables: Sequence[Table], out: str | Path, about: Provenance) -> None:
     """Write `out` (.json) and its .md, each whole or not at all; the folder is made where it lacks."""
+    # JSON first: a reader of the page can make it again from there, and not the other way round.
     place = Path(out)
     place.parent.mkdir(parents=True, exist_ok=True)
     write_text(place, dumps({"about": asdict(about), "tables": [table.to_dict() for table in tables]}, indent=1))

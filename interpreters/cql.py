@@ -127,6 +127,7 @@ class QNetwork(nn.Module, InterpreterDefaults):
 
     def start(self, speaker: int, first_lexeme: int) -> QState:
         """The state before the first block; `first_lexeme`, a_0, is the previous lexeme in the first `step`."""
+        # On the device of the weights: a stream may run on a GPU.
         number = torch.tensor([speaker], device=self.positions.device)
         one_hot = functional.one_hot(number, self.speakers).float()
         return QState(one_hot, self.positions.new_zeros(1, 2, 0, self.config.width), None)
@@ -194,6 +195,7 @@ def conservative_q_loss(values: Tensor, next_value: Tensor, done: DecisionBatch,
     second over those of them whose next value is known."""
     conservative = data_nll(values, done.action, done.allowed)
     chosen = values.gather(-1, done.action.unsqueeze(-1)).squeeze(-1)
+    # No gradient through the target: it is a label, though it moves with the weights.
     target = backed_up(done.reward, done.terminal, next_value, gamma).detach()
     error = 0.5 * (chosen - target).square()
     return masked_mean(done.cloned * conservative, done.valid), masked_mean(error, done.valid * done.known)

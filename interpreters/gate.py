@@ -77,6 +77,7 @@ class ActivityGate(nn.Module):
     @torch.inference_mode()
     def step(self, state: GateState, features: BlockFeatures) -> tuple[float, GateState]:
         logits, hidden = self.logits(features.low[None, None], state.speaker, state.hidden)
+        # In doubles, so that a probability near 1 still differs from 1.
         return float(torch.sigmoid(logits[0, 0].double())), GateState(hidden, state.speaker)
 
     @staticmethod

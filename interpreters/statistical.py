@@ -29,6 +29,7 @@ class StatisticalInterpreter(InterpreterDefaults):
 
     def __init__(self, frequencies: Array, transitions: Array) -> None:
         """frequencies: [speakers, S] f^I; transitions: [S, S] L, rows from, each summing to 1."""
+        # Tolerant: rows are stored with rounded numbers.
         if not np.allclose(transitions.sum(1), 1.0, atol=1e-3):
             raise ValueError("the rows of the transition matrix must sum to 1")
         self.frequencies, self.transitions = frequencies, transitions

@@ -38,6 +38,7 @@ class TextHead(nn.Module):
     def forward(self, text: Tensor, previous: Tensor, speaker: Tensor) -> Tensor:
         """[B, N, S] from text [B, N, 3K, d_t + 1], vectors of the previous lexemes [B, N, D] and speaker one-hot
         [B, speakers]."""
+        # Averages over half blocks: where in a block a word begins is uncertain by a few frames anyway.
         rows = text.flatten(0, 1).transpose(1, 2)
         parts = functional.adaptive_avg_pool1d(rows, _PARTS).transpose(1, 2).unflatten(0, text.shape[:2])
         words = functional.gelu(self.hidden(self.dropout(self.narrow(self.dropout(parts)).flatten(-2))))

@@ -37,6 +37,7 @@ def sliding(tokens: Tensor, window: int, read: Callable[[Tensor], Tensor]) -> Te
     would give another result, since later tokens have attended to it. Memory grows with M x window.
     """
     batch, steps = tokens.shape[0], tokens.shape[2]
+    # One causal reading serves all steps while no token has left the window.
     if steps <= window:
         return read(tokens)
     # Each window is read whole from its own first position, as `QNetwork.step` does once its window slides.
@@ -64,6 +65,7 @@ class Attention(nn.Module):
             # The new pair comes after all cached tokens, so the order in the cache is by time and not [U; A]; attention
             # does not depend on it, as positions are in the tokens.
             key, value = torch.cat([past[0], key], dim=2), torch.cat([past[1], value], dim=2)
+        # Dropout is an argument here, which `eval` does not switch off by itself.
         attended = functional.scaled_dot_product_attention(query, key, value, mask,
                                                        dropout_p=self.dropout if self.training else 0.0)
         return self.out(attended.transpose(1, 2).flatten(-2)), (key, value)
@@ -97,6 +99,7 @@ class Head(nn.Sequential):
 @torch.no_grad()
 def begin_small(module: nn.Module) -> None:
     """Initialise linear layers and embeddings from N(0, 0.02), biases at zero; for `nn.Module.apply`."""
+    # Norms keep their ones and zeros.
     if isinstance(module, nn.Linear | nn.Embedding):
         module.weight.normal_(0.0, INITIAL)
     if isinstance(module, nn.Linear):

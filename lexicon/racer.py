@@ -56,6 +56,7 @@ def encoder_layers(motion_width: int, width: int) -> nn.Sequential:
     """The encoder's column of the table: [B, D_m, T] to [B, C, T / 8]."""
     layers: list[nn.Module] = []
     for stage in range(HALVINGS):
+        # Kernel 4, stride 2, padding 1 halves the frames exactly.
         layers.append(nn.Conv1d(width if stage else motion_width, width, 4, stride=2, padding=1))
         layers += [ResidualBlock(width, dilation) for dilation in DILATIONS]
     return nn.Sequential(*layers, nn.Conv1d(width, width, 3, padding=1))
@@ -135,6 +136,7 @@ class RacerCodec(nn.Module):
         generator = torch.Generator().manual_seed(seed)
         # A generator on the CPU gives the same choice whatever the device.
         chosen = torch.randperm(len(latents), generator=generator)[:10_000].to(latents.device)
+        # One start is enough: the moving averages move the codes from there.
         self.quantizer.fit(latents[chosen], seed, restarts=1)
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gesticulator.training.stages.advantage import CounterfactualRewards, discounted, gains
-from interpreters.advantage import AdvantageInterpreter, Critics, CriticValues, advantages
+from interpreters.advantage import AdvantageInterpreter, Critics, advantages
 from interpreters.base import BlockFeatures, Scores, select
 from interpreters.reward import RewardConfig, RewardModel
 from interpreters.reward_table import EnsembleReward, RewardTable
@@ -60,32 +60,10 @@ def test_the_advantage_of_one_critic_is_q_less_its_mean_under_the_behaviour() ->
     torch.testing.assert_close(advantages(q, log_prior), torch.tensor([1.0, 3.0, -2.0]) - 0.75)
 
 
-def test_of_several_critics_the_least_counts() -> None:
-    q = torch.tensor([[0.0, 1.0], [10.0, 9.0]])  # one prefers the second lexeme by 1, the other the first
-    flat = torch.zeros(2)
-    torch.testing.assert_close(advantages(q, flat), torch.zeros(2))  # they agree about nothing
-    # A of the first is (-0.5, 0.5), of one that is surer (-1.5, 1.5): the least (-1.5, 0.5) told from its mean, -0.5.
-    sure = advantages(torch.stack([q[0], 3 * q[0]]), flat)
-    torch.testing.assert_close(sure, torch.tensor([-1.0, 1.0]))
-
-
 def test_the_least_of_the_critics_is_taken_lexeme_by_lexeme() -> None:
     """Of three lexemes alike to the behaviour, A is (-2, -1, 3) and (-2, 2, 0): the least (-2, -1, 0) has mean -1."""
     q = torch.tensor([[0.0, 1.0, 5.0], [0.0, 4.0, 2.0]])
     torch.testing.assert_close(advantages(q, torch.zeros(3)), torch.tensor([-1.0, 0.0, 1.0]))
-
-
-def test_what_comes_later_is_discounted() -> None:
-    found = CriticValues(torch.tensor([[1.0, 2.0]]), torch.tensor([[10.0, -10.0]]), torch.zeros(1))
-    torch.testing.assert_close(found.q(), torch.tensor([[10.0, -7.0]]))  # by 0.9
-    torch.testing.assert_close(critics().advantage(found, torch.zeros(2)), torch.tensor([8.5, -8.5]))
-
-
-def test_what_a_state_is_worth_changes_nothing() -> None:
-    q, log_prior = torch.randn(4, 2, SIZE), torch.randn(4, SIZE)
-    torch.testing.assert_close(advantages(q + torch.randn(4, 2, 1), log_prior), advantages(q, log_prior))
-    own = advantages(q, log_prior)
-    torch.testing.assert_close((own * log_prior.softmax(-1)).sum(-1), torch.zeros(4), atol=1e-6, rtol=0)
 
 
 def test_beta_0_is_the_behaviour_policy_to_the_last_bit() -> None:
@@ -119,18 +97,6 @@ def test_what_the_state_says_of_a_block_is_that_of_the_policy() -> None:
     assert state.log_prior is not None and state.advantage is not None
     np.testing.assert_array_equal(state.log_prior, prior())
     assert (np.exp(prior()) * state.advantage).sum() == pytest.approx(0, abs=1e-5)
-
-
-def test_a_stream_values_blocks_as_a_batch_does() -> None:
-    model = critics()
-    previous, rows = torch.tensor([[1, 3, 0, 2, 2, 4]]), torch.randn(8, FRAMES, AUDIO)
-    audio = torch.cat([rows[:-2], rows[1:-1], rows[2:]], 1)[None]
-    whole = model.values(previous, audio, torch.tensor([[0.0, 1.0]]), torch.zeros(1, 6))
-    state = model.trunk.start(1, 1)
-    for i in range(6):
-        found, state = model.step(state, BlockFeatures(audio[0, i], audio[0, i]), int(previous[0, i]))
-        torch.testing.assert_close(found.reward, whole.reward[0, i], atol=1e-5, rtol=1e-4)
-        torch.testing.assert_close(found.future, whole.future[0, i], atol=1e-5, rtol=1e-4)
 
 
 # ------------------------------------------------------------------------------------------- counterfactual rewards

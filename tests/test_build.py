@@ -10,22 +10,19 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from data_module.blocks import cut
 from data_module.build import main
-from data_module.build_report import doubts
 from data_module.corpora.table import CORPORA
 from data_module.files import lock
-from data_module.intervals import STEP, Intervals, measure
+from data_module.intervals import STEP, measure
 from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.motion.motion_beats import motion_beats
 from data_module.motion.skeletons import FINGER_JOINTS, WHOLE_BODY
-from data_module.speech.audio import write_flac
 from data_module.store import Store
 from data_module.types import Speech
 
@@ -202,14 +199,6 @@ def test_two_builds_of_one_store_keep_out_of_each_others_way(tmp_path: Path, cap
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("option", ["--split", "--speaker"])
-def test_options_of_a_folder_are_refused_elsewhere(option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-                                                   ) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["trinity", "--source", str(tmp_path), "--out", str(tmp_path / "s"), option, "80/10/10"])
-    assert caught.value.code == 2 and f"unrecognized arguments: {option}" in capsys.readouterr().err
-
-
 def test_a_corpus_of_another_distribution_says_what_to_install(monkeypatch: pytest.MonkeyPatch,
                                                                capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(CORPORA, "_points", {})  # as in an environment without other distributions
@@ -217,26 +206,6 @@ def test_a_corpus_of_another_distribution_says_what_to_install(monkeypatch: pyte
         main(["performer", "--out", "x"])
     said = capsys.readouterr().err
     assert caught.value.code == 2 and said.count("\n") == 1 and "pip install -e integrations/performer" in said
-
-
-def test_help_names_every_corpus_and_imports_nothing_heavy() -> None:
-    code = ("import sys\nfrom data_module.build import main\n"
-            "try:\n    main(['--help'])\n"
-            "except SystemExit:\n    print([name for name in ('numpy', 'torch') if name in sys.modules])")
-    said = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    assert all(f"\n  {name} " in said for name in CORPORA)
-    assert said.splitlines()[-1] == "[]"
-
-
-def test_the_words_in_the_data_set_are_those_of_the_store(tiny_store: Path) -> None:
-    store = Store.open(tiny_store)
-    told = json.loads((tiny_store / "dataset" / f"{store.names[0]}.json").read_text(encoding="utf-8"))
-    recording = store.load(store.names[0])
-    assert recording.speech.words is not None and recording.truth is not None
-    assert [w["text"] for w in told["words"]] == [w.text for w in recording.speech.words]
-    assert set(told) >= {"words", "performer", "voice", "language", "split", "phrases", "syllables", "strokes"}
-    assert set(told["strokes"][0]) == {"lexeme", "clip", "hand", "start", "beat", "hold_end", "end", "syllable", "gain",
-                                       "held_out", "meaning", "word"}
 
 
 def test_the_report_counts_what_is_in_the_store(tiny_store: Path) -> None:
@@ -268,17 +237,6 @@ def test_a_store_that_is_there_is_reported_as_when_it_was_built(toy_corpus: Path
     assert f"{told['minutes']:.1f} minutes" in capsys.readouterr().out
 
 
-def test_an_empty_split_is_doubted(tiny_store: Path) -> None:
-    store = Store.open(tiny_store)
-    little = [line for line in doubts(store) if "minutes of training data" in line]
-    assert len(little) == 1
-    trained = SimpleNamespace(recordings=[info for info in store.recordings if info.split == "train"])
-    assert [line.split(" split")[0] for line in doubts(trained)][:2] == ["the val", "the test"]  # type: ignore[arg-type]
-    enough = SimpleNamespace(recordings=[SimpleNamespace(split=split, seconds=3600.0)
-                                         for split in ("train", "val", "test")])
-    assert list(doubts(enough)) == []  # type: ignore[arg-type]
-
-
 def _ticking(apart: float, seconds: float = 6.0) -> Speech:
     """A tick every `apart` seconds from `apart` on."""
     rng = np.random.default_rng(1)
@@ -299,25 +257,3 @@ def test_intervals_of_a_ticking_clock(apart: float, beats: tuple[float, float]) 
     # Ticks that are too far apart get pseudo-beats between them.
     within = np.array(found.beats)[round(beats[0] / STEP):round(beats[1] / STEP)]
     assert within.sum() >= blocks - 2 and sum(found.beats) == blocks
-
-
-def test_intervals_add_up_and_come_back_from_their_file() -> None:
-    _, fast = measure(_ticking(0.33))
-    _, slow = measure(_ticking(2.6, 12.0))
-    both = fast + slow
-    assert slow.onsets[-1] == sum(slow.onsets) == 3 and sum(both.onsets) == sum(fast.onsets) + 3
-    assert Intervals.from_json(json.loads(json.dumps(both.as_json()))) == both
-    assert both.line().startswith(f"{sum(fast.onsets) / sum(both.onsets):.0%} of the intervals between onsets lie")
-    with pytest.raises(ValueError, match="other bins"):
-        Intervals.from_json({"step": 0.1, "onsets": [], "beats": []})
-
-
-def test_a_quiet_recording_has_blocks_and_no_onsets(tmp_path: Path) -> None:
-    """Two seconds without a sound: pseudo-beats only, and no division by zero in the report."""
-    from data_module.motion import skeletons
-
-    write_bvh(tmp_path / "calm.bvh", skeletons.from_vector(np.zeros((120, 48)), 60.0))
-    write_flac(tmp_path / "calm.flac", Speech(np.zeros(32000, np.float32), 16000))
-    assert main(["folder", "--source", str(tmp_path), "--out", str(tmp_path / "s"), "--workers", "1"]) == 0
-    told = json.loads((tmp_path / "s" / "report.json").read_text(encoding="utf-8"))
-    assert told["blocks"] >= 4 and sum(told["intervals"]["onsets"]) == 0 and told["words"] == {"": 1}

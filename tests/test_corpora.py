@@ -11,10 +11,8 @@ import numpy as np
 import published
 import published_bvh
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from data_module.corpora.base import DroppedError, Options, Reader, load, spread, trimmed
+from data_module.corpora.base import DroppedError, Options, Reader, load, spread
 from data_module.corpora.folder import FolderOptions
 from data_module.corpora.table import CORPORA, SEPARATE, open_corpus
 from data_module.errors import InputError
@@ -106,19 +104,6 @@ def test_contract(name: str, tmp_path: Path) -> None:
     assert all(isinstance(line, str) for line in reader.notes())
 
 
-@given(st.integers(60, 200), st.floats(1.0, 4.0))
-def test_trimmed_keeps_whole_frames_of_both(frames: int, seconds: float) -> None:
-    words = (Word("a", 0.1, 0.5), Word("b", 0.9, 2.0), Word("c", 3.0, 3.5))
-    speech, motion = trimmed(_speech(seconds, words), _motion(frames, 60.0))
-    assert len(motion) <= frames and speech.duration <= seconds + 1e-9
-    assert 0 <= speech.duration - motion.duration + 1e-9 <= 1 / RATE + 2e-9
-    assert min(frames / 60, seconds) - motion.duration < 1 / 60 + 1e-3
-    again = trimmed(speech, motion)
-    assert len(again[1]) == len(motion) and len(again[0].samples) == len(speech.samples)
-    assert speech.words is not None
-    assert all(w.start < motion.duration and w.end <= motion.duration for w in speech.words)
-
-
 def test_folder_pairs_by_name_and_reports_the_rest(tmp_path: Path) -> None:
     source = _folder(tmp_path)
     write_bvh(source / "lonely.bvh", _motion(100))
@@ -158,16 +143,6 @@ def test_shares_give_every_split_a_recording_where_they_can(count: int, counts: 
     # Spread, not at one end: every half of a long list has its part.
     if count >= 40:
         assert 0.4 < splits[:count // 2].count("test") / counts[2] < 0.6
-
-
-@given(st.integers(1, 300), st.tuples(*[st.integers(0, 100)] * 3).filter(any))
-def test_a_share_of_nothing_gets_nothing_and_no_share_is_far_off(count: int, shares: tuple[int, int, int]) -> None:
-    splits = spread(count, shares)
-    assert len(splits) == count
-    for split, share in zip(SPLITS, shares, strict=True):
-        found = splits.count(split)
-        assert share or not found
-        assert abs(found - count * share / sum(shares)) <= 2 or count < 3
 
 
 def test_splits_and_speakers_of_a_folder_as_the_user_says(tmp_path: Path) -> None:

@@ -222,25 +222,6 @@ def test_the_two_terms_by_hand() -> None:
     assert float(by_hand(terminal=torch.tensor([[False, False]]))[1]) == pytest.approx((0.5 * 4 + 0.5 * 6.25) / 2)
 
 
-def test_what_does_not_count_does_not_count() -> None:
-    near = np.log(1 + np.exp(2.0))
-    conservative, difference = by_hand(valid=torch.tensor([[1.0, 0.0]]))
-    assert float(conservative) == pytest.approx(near) and float(difference) == pytest.approx(2.0)
-    conservative, difference = by_hand(cloned=torch.tensor([[0.5, 0.0]]))
-    assert float(conservative) == pytest.approx(0.5 * near / 2), "an expectation over all the data"
-    assert float(difference) == pytest.approx((2.0 + 1.125) / 2), "learning values from every behaviour"
-    conservative, difference = by_hand(known=torch.tensor([[0.0, 1.0]]))
-    assert float(difference) == pytest.approx(1.125)
-
-
-def test_a_warm_up_is_supervised_learning_alone() -> None:
-    learner = ConservativeQ(network(warm_up=0.5))
-    given = windows()
-    early, late = learner.losses(given, 0.49), learner.losses(given, 0.5)
-    assert set(early) == {"conservative"} and set(late) == {"conservative", "temporal_difference"}
-    torch.testing.assert_close(early["conservative"], late["conservative"])
-
-
 def test_the_end_of_a_take_is_not_bootstrapped_and_a_cut_is() -> None:
     net = network(double=False, gamma=0.5)
     says_always(net, [0.0] * SIZE)
@@ -287,19 +268,6 @@ def test_double_learning_by_hand() -> None:
 
 
 # ---- the target network
-
-
-def test_the_target_has_no_gradient_and_no_dropout() -> None:
-    learner = ConservativeQ(network()).train()
-    assert learner.online.training and not any(module.training for module in learner.target.modules())
-    batch = windows()
-    torch.testing.assert_close(learner.next_values(batch), learner.next_values(batch))
-    assert learner.online.training, "picking the next action does not leave the network in evaluation mode"
-    sum(learner.losses(batch).values(), start=torch.zeros(())).backward()
-    assert all(p.grad is None and not p.requires_grad for p in learner.target.parameters())
-    assert all(p.grad is not None for p in learner.online.parameters())
-    first, second = (float(learner.losses(batch)["conservative"].detach()) for _ in range(2))
-    assert first != second, "the online pass has dropout"
 
 
 def test_the_target_is_copied_when_its_time_has_come() -> None:

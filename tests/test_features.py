@@ -94,17 +94,6 @@ def test_a_window_is_heard_alone() -> None:
     assert whole.high.shape == (400, 30, MEL.width_high)
 
 
-def test_level_is_kept_and_a_reference_takes_gain_off() -> None:
-    windows = noise(2, 0.05)
-    low = MEL.encode(windows).low
-    louder = MEL.encode(2 * windows).low - low
-    assert np.allclose(louder[..., [0, 31, 33]], np.log(4), atol=1e-3)
-    assert np.allclose(louder[..., 32], 0, atol=1e-3)
-    at = np.full(2, TYPICAL_LEVEL)
-    assert np.allclose(MEL.encode(windows, at).low, low, atol=1e-6)
-    assert np.allclose(MEL.encode(2 * windows, at + 20 * np.log10(2)).low, low, atol=1e-3)
-
-
 def hum(count: int) -> Samples:
     """A tone of 200 Hz with overtones up to 6.8 kHz that comes and goes five times a second, at the typical level."""
     time = np.arange(24000 * count) / RATE

@@ -63,16 +63,6 @@ def test_stopped_and_resumed_is_bit_for_bit_unbroken(tmp_path: Path, stops: tupl
     assert (tmp_path / "a/stage.jsonl").read_text() == (tmp_path / "b/stage.jsonl").read_text()
 
 
-def test_a_log_line_cut_short_by_a_kill_is_dropped(tmp_path: Path) -> None:
-    run(tmp_path / "a", (7,))
-    log = tmp_path / "a/stage.jsonl"
-    log.write_text(log.read_text() + '{"step": 7, "lo')
-    run(tmp_path / "a")
-    rows = [json.loads(line) for line in log.read_text().splitlines()]
-    assert [row["step"] for row in rows] == list(range(30))
-    assert {"loss", "error", "ignored", "gradient", "rate"} <= set(rows[0]) and "val_figure" in rows[-1]
-
-
 def test_it_learns_and_unweighted_terms_are_logged_but_not_followed(tmp_path: Path) -> None:
     model = run(tmp_path / "a")
     moved = model.table.weight != Model().table.weight
@@ -165,13 +155,6 @@ def test_stopping_early_is_the_same_when_it_was_resumed(tmp_path: Path, stops: t
     for (name, a), b in zip(whole.state_dict().items(), broken.state_dict().values(), strict=True):
         assert torch.equal(a, b), name
     assert (tmp_path / "a/stage.jsonl").read_text() == (tmp_path / "b/stage.jsonl").read_text()
-
-
-def test_a_checkpoint_without_the_best_weights_begins_anew(tmp_path: Path) -> None:
-    watched(tmp_path / "a", 0, (9,))
-    model, figures = watched(tmp_path / "a", 4)
-    clean, wanted = watched(tmp_path / "b", 4)
-    assert figures == wanted and torch.equal(model.net[0].weight, clean.net[0].weight)
 
 
 @pytest.mark.parametrize(("figures", "gain"), [

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from data_module.motion.movement import MovementBasis, pasts_of
-from generator.flow import CIRCUMSTANCES, FlowGenerator, FlowInputs, FlowTime, _fade, circumstances
+from generator.flow import CIRCUMSTANCES, FlowGenerator, FlowInputs, FlowTime, _fade
 from generator.model import GROUP_WIDTH, GeneratorConfig, GeneratorWidths
 from gesticulator.sampling.noise import Keys
 
@@ -95,15 +95,6 @@ def drawn(generator: FlowGenerator, lexeme: int, side: float, gains: tuple[float
     return found
 
 
-def test_squeezing_is_undone_and_held_within_what_was_done() -> None:
-    motion = swings(50, False)["motion"].flatten(0, 1)
-    generator = made(motion)
-    low, high = generator.basis.limits
-    y = low + (high - low) * torch.rand(40, len(low))
-    torch.testing.assert_close(generator.stretch(generator.squeeze(y)), y, atol=1e-4, rtol=1e-4)
-    assert (generator.stretch(100 * torch.ones(1, len(low))) <= high).all()
-
-
 def test_a_shift_is_taken_back_along_a_quintic() -> None:
     """Of a block of four frames: 1 - (10 x^3 - 15 x^4 + 6 x^5) at its quarters."""
     torch.testing.assert_close(_fade(4, torch.zeros(1)), torch.tensor([0.896484375, 0.5, 0.103515625, 0.0]))
@@ -140,22 +131,6 @@ def test_drawing_follows_the_field_that_was_trained(shared: bool) -> None:
             found = generator.draw(contexts, gains, noise, 3, shared)
         assert wanted.std() > 0.1
         torch.testing.assert_close(found, wanted, atol=1e-4, rtol=1e-3)
-
-
-def test_drawing_is_of_second_order() -> None:
-    """Half the step leaves a quarter of the error, against very many steps."""
-    generator = made(swings(50, False)["motion"].flatten(0, 1)).eval()
-    with torch.no_grad():
-        for weight in generator.head.parameters():
-            weight.copy_(0.05 * torch.randn(weight.shape, generator=torch.manual_seed(2)))
-    contexts = torch.randn(1, CONFIG.context + generator.basis.width, generator=torch.manual_seed(1))
-    noise = torch.randn(8, generator.basis.width, generator=torch.manual_seed(3))
-    one, two, four, many = (generator.squeeze(generator.draw(contexts, torch.zeros(0, noise.shape[1]), noise, steps))
-                            for steps in (20, 40, 80, 1000))
-    errors = [float((each - many).abs().mean()) for each in (one, two, four)]
-    assert errors[0] > 1e-5
-    assert errors[1] / errors[0] == pytest.approx(0.25, abs=0.08)
-    assert errors[2] / errors[1] == pytest.approx(0.25, abs=0.08)
 
 
 def test_it_draws_either_side_and_never_the_mean() -> None:
@@ -208,32 +183,3 @@ def test_what_no_source_has_weighs_nothing() -> None:
     generator = made(batch["motion"].flatten(0, 1))
     batch["mask"] = torch.zeros(8, WIDTH)
     assert float(generator.losses(batch, 0.0, lambda y: torch.zeros(len(y), dtype=torch.long))["flow"]) == 0.0
-
-
-def test_circumstances_tell_tempo_silence_and_how_long() -> None:
-    durations = torch.tensor([0.3, 0.6, 0.15, 0.3], dtype=torch.float64)
-    found = circumstances(durations, torch.tensor([True, True, False, False]))
-    assert found.shape == (4, CIRCUMSTANCES)
-    np.testing.assert_allclose(found[1, :3], np.log([1.0, 2.0, 0.5]), atol=1e-6)
-    assert found[1, 3:6].tolist() == [1, 1, 0]
-    np.testing.assert_allclose(found[:, 6], np.log1p([1, 2, 0, 0]), atol=1e-6)
-    np.testing.assert_allclose(found[:, 7], np.log1p([0, 0, 1, 2]) / 3, atol=1e-6)
-
-
-def test_the_block_after_can_be_left_out_of_training() -> None:
-    """With every window without it, neither its sound nor its length and silence change a loss; else both do."""
-    batch = swings(8, True)
-    other = {key: value.clone() for key, value in batch.items()}
-    other["audio"][:, :, 2 * FRAMES:] += 1.0
-    other["circumstances"][..., [2, 5]] += 1.0
-    generator = made(batch["motion"].flatten(0, 1))
-
-    def loss(of: dict[str, torch.Tensor]) -> float:
-        torch.manual_seed(3)
-        return float(generator.losses(of, 0.5, lambda y: torch.zeros(len(y), dtype=torch.long))["flow"].detach())
-
-    # An untrained head tells nothing of what it hears.
-    torch.nn.init.normal_(generator.head.leave.weight)
-    for share, same in ((1.0, True), (0.0, False)):
-        generator.config = dataclasses.replace(CONFIG, after_dropout=share)
-        assert (loss(batch) == loss(other)) == same

@@ -16,7 +16,6 @@ from interpreters.advantage import AdvantageInterpreter, Critics
 from interpreters.base import (
     EVERY_NEED,
     BlockFeatures,
-    Interpreter,
     InterpreterByEar,
     InterpreterDefaults,
     Scores,
@@ -138,24 +137,6 @@ def test_what_an_interpreter_does_not_need_changes_nothing(name: str) -> None:
     np.testing.assert_array_equal(system.step(system.start(0, 1), bare, 1)[0], scores)
 
 
-@pytest.mark.parametrize("name", PLAYED)
-def test_what_else_is_asked_of_an_interpreter(name: str) -> None:
-    system = as_interpreter(PLAYED[name]())
-    assert system.name and (system.beta is not None) == system.steerable
-    if system.steerable:
-        assert system.steered(0.25, 0.7).beta == 0.25 and system.steered(None, 0.7).beta == system.beta
-    else:
-        assert system.steered(None, 0.7) is system
-        with pytest.raises(InputError, match=r"beta 0\.25"):
-            system.steered(0.25, 0.7)
-    assert isinstance(system.guided(0.5), Interpreter) and isinstance(system.guided(0.0), Interpreter)
-    _, state = system.step(system.start(0, 1), everything(), 1)
-    said = system.explain(state)
-    assert system.explain(system.start(0, 1)) is None
-    assert said is None or said.log_prior.shape == said.advantage.shape == (SIZE,)
-    assert (said is not None) == (name == "advantage")
-
-
 def test_an_object_with_start_and_step_is_enough_and_less_is_refused() -> None:
     class Partly(Outsider):
         gives_values = True
@@ -203,17 +184,6 @@ def test_lstm_streams_as_it_trains(changes: dict[str, object]) -> None:
         heard = BlockFeatures(torch.zeros_like(audio[0, i]), audio[0, i], text=text[0, i], control=control[0, i])
         scores, state = model.step(state, heard, int(previous[0, i]))
         np.testing.assert_allclose(scores, whole[i].detach().numpy(), atol=1e-5)
-
-
-def test_lstm_without_text_is_deaf_to_text_and_control() -> None:
-    model = lstm(use_control=False).eval()
-    assert sum(p.numel() for p in model.parameters()) < sum(
-        p.numel() for p in lstm(text_features=4, use_control=True).parameters())
-    bare, _ = model.step(model.start(0, 1), hear(), 1)
-    for seed in range(3):
-        text, control = windows(seed, 1)[0, 0], torch.full((FRAMES, CONTROL), 9.0 * (seed + 1))
-        told, _ = model.step(model.start(0, 1), hear(text=text, control=control), 1)
-        np.testing.assert_array_equal(bare, told)
 
 
 def test_a_reading_head_adds_to_the_voice_and_nothing_else_learns() -> None:

@@ -32,12 +32,6 @@ def test_the_return_is_the_mean_over_all_windows() -> None:
     assert policy.episode_return(np.full(40, 0.5)) == 7.5, "15 steps"
 
 
-def test_what_is_allowed_is_never_nothing() -> None:
-    silent = np.array([False, True])
-    assert policy.allowed_lexemes(silent, np.array([1, 3]), SIZE).tolist() == [[True] * 4, [False, True, False, True]]
-    assert policy.allowed_lexemes(silent, np.array([], dtype=np.int64), SIZE).all()
-
-
 # --------------------------------------------------------------------------------------------------------- policies
 
 def decisions(lexemes: list[int], silent: list[int] | None = None) -> Decisions:
@@ -74,6 +68,10 @@ def test_a_policy_lives_on_its_own_past_or_on_the_performers() -> None:
 def test_silence_leaves_silent_lexemes() -> None:
     own = decisions([0, 0, 3, 1, 1], silent=[1, 4])
     assert policy.walk(Next(), own, own.takes[0]).tolist() == [0, 2, 3, 0, 2]
+    free = [[True] * SIZE] * 5
+    assert own.allowed(own.takes[0]).tolist() == [*free[:1], [False, False, True, True], *free[:2],
+                                                  [False, False, True, True]]
+    assert dataclasses.replace(own, silent=np.zeros(0, int)).allowed(own.takes[0]).tolist() == free, "never nothing"
     unmasked = dataclasses.replace(own, masked=False)
     assert policy.walk(Next(), unmasked, own.takes[0]).tolist() == [0, 1, 2, 3, 0]
 

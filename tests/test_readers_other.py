@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import ted_values
 from published import TAKE, poses_of, ted_value, write_beat, write_beat2, write_ted
 
 from data_module.build import main
@@ -169,26 +168,6 @@ def test_a_broken_list_of_beat2_is_named(tmp_path: Path, text: str | None, messa
 
 
 # ---------------------------------------------------------------------------------------------------- TED
-
-
-@pytest.mark.parametrize("version", ["014", "100"])
-def test_what_old_pyarrow_wrote_is_read(version: str) -> None:
-    pytest.importorskip("pyarrow", reason="pyarrow is in the extra 'ted'")
-    from data_module.corpora.serialised import deserialise
-
-    video = deserialise(ted_value("VIDEO", version))
-    assert (video["vid"], len(video["clips"])) == ("-aB_1", 2)
-    clip = video["clips"][1]
-    assert clip["words"] == [["and", 9.9, 10.2], ["so", 10.5, 10.75]]
-    assert (clip["start_time"], clip["end_time"], clip["end_frame_no"]) == (10.0, 12.0, 300)
-    expected = np.repeat(np.array(ted_values.MEAN_POSE, np.float32)[None], 50, axis=0)
-    expected[25:, 6, 1] -= np.float32(0.3)
-    np.testing.assert_array_equal(clip["skeletons_3d"], expected)
-    assert clip["audio_raw"].dtype == np.float16 and clip["audio_raw"][[0, 8000]].tolist() == [0.25, -0.25]
-    assert video["clips"][0]["skeletons_3d"].shape == (50, 9, 3)
-    unread = deserialise(ted_value("VIDEO", version), arrays=False)["clips"][1]
-    assert unread["skeletons_3d"] is None and unread["words"] == clip["words"]
-    assert deserialise(ted_value("EMPTY", version)) == {"vid": "empty", "clips": []}
 
 
 def test_nothing_is_unpickled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 from torch.nn import functional
-from torch.utils.flop_counter import FlopCounterMode
 
 from interpreters.reward import (
     LEAST_TEMPERATURE,
@@ -99,29 +98,6 @@ def test_rows_of_a_group_are_not_negatives() -> None:
     assert torch.isneginf(cosines).nonzero().tolist() == [[0, 1], [1, 0]]
 
 
-def test_a_group_of_its_own_has_no_gradient() -> None:
-    motion, audio = (drawn(4, 6, seed=seed).requires_grad_() for seed in (0, 1))
-    value = contrast(functional.normalize(motion, dim=-1), functional.normalize(audio, dim=-1), 0.1,
-                     torch.zeros(4, dtype=torch.int64))
-    value.backward()
-    assert float(value.detach()) == 0
-    assert motion.grad is not None and torch.count_nonzero(motion.grad) == 0
-
-
-def test_what_a_group_hides_does_not_matter() -> None:
-    """Row 0 is compared with row 2 alone, whatever audio row 1 of its group has: its motion's gradient is the same."""
-    group, grads = torch.tensor([0, 0, 1]), []
-    for seed in (5, 6):
-        motion = functional.normalize(drawn(3, 6), dim=-1).requires_grad_()
-        audio = functional.normalize(drawn(3, 6, seed=1), dim=-1)
-        audio[1] = functional.normalize(drawn(6, seed=seed), dim=-1)
-        contrast(motion, audio, 0.1, group).backward()
-        assert motion.grad is not None
-        grads.append(motion.grad)
-    assert torch.equal(grads[0][0], grads[1][0])
-    assert not torch.allclose(grads[0][1], grads[1][1])
-
-
 # The temperature
 
 
@@ -149,13 +125,6 @@ def test_a_temperature_at_its_floor_can_rise_again() -> None:
 
 
 # The encoders
-
-
-def test_the_first_layer_is_a_convolution_over_frames() -> None:
-    net, motion = model(), drawn(2, 6, FRAMES, MOTION)
-    kernel = net.read_motion.weight.unflatten(1, (FRAMES, MOTION)).transpose(1, 2)
-    expected = functional.conv1d(motion.flatten(1, 2).transpose(1, 2), kernel, net.read_motion.bias, stride=FRAMES)
-    assert torch.allclose(net.block_motion(motion), expected.transpose(1, 2), atol=1e-5)
 
 
 @given(st.integers(1, 9), st.integers(0, 5))
@@ -264,13 +233,6 @@ def test_every_equals_one_by_one(way: str, width: int) -> None:
     assert got.std(1).min() > 1e-4  # the last lexeme is heard
 
 
-@pytest.mark.parametrize(("kernel", "dilations"), [(1, (1,)), (2, (1, 3)), (4, (2, 1))])
-def test_every_equals_one_by_one_for_other_layers(kernel: int, dilations: tuple[int, ...]) -> None:
-    asked, (lexemes, blocks, valid) = table(kernel=kernel, dilations=dilations), windows(12, 6)
-    got = asked.every(lexemes[:, :-1], blocks, valid)
-    assert torch.allclose(got.gather(1, lexemes[:, -1:])[:, 0], asked.rewards(lexemes, blocks, valid), atol=1e-5)
-
-
 @pytest.mark.parametrize("way", ["decoded", "together"])
 def test_a_sequence_is_scored_window_by_window(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
     asked, rng = table(way), np.random.default_rng(2)
@@ -287,33 +249,6 @@ def test_a_sequence_is_scored_window_by_window(way: str, monkeypatch: pytest.Mon
         row = asked.every(lexemes[None, first:i], blocks[None, first:i + 1], ones)
         assert torch.allclose(every[i], row[0], atol=1e-5)
     assert torch.allclose(every.gather(1, lexemes[:, None])[:, 0], got, atol=1e-5)
-
-
-def test_a_decoder_is_given_no_padding() -> None:
-    seen: list[tuple[int, ...]] = []
-
-    def decode(lexemes: Tensor) -> Tensor:
-        assert lexemes.min() >= 0
-        seen.append(tuple(lexemes.shape))
-        return alone(lexemes)
-
-    asked = RewardTable(model(), drawn(BLOCKS, FRAMES, AUDIO), decode=(decode, LEXEMES))
-    lexemes, blocks, valid = windows(8, 4)
-    lexemes[~valid] = -1
-    asked.rewards(lexemes, blocks, valid)
-    assert sorted(seen) == [(2, 1), (2, 2), (2, 3), (2, 4)]
-
-
-def test_the_rewards_of_every_lexeme_along_a_recording_are_cheap() -> None:
-    """300 blocks, 100 lexemes, default sizes: 5 times the work of one lexeme a block (about 0.3 s), not 100 times."""
-    net = RewardModel(RewardConfig(), 10, 48, 34).eval()
-    asked = RewardTable(net, drawn(300, 10, 34), drawn(100, 10, 48))
-    lexemes, blocks = torch.as_tensor(np.random.default_rng(0).integers(100, size=300)), torch.arange(300)
-    with FlopCounterMode(display=False) as one:
-        asked.sequence(lexemes, blocks)
-    with FlopCounterMode(display=False) as every:
-        assert asked.sequence_every(lexemes, blocks).shape == (300, 100)
-    assert every.get_total_flops() < 6 * one.get_total_flops()
 
 
 # Learning

@@ -109,32 +109,6 @@ def test_a_row_hears_its_own_samples_and_no_others() -> None:
         assert (heard[0], heard[-1]) == (hop * row, hop * row + reach - 1)
 
 
-@pytest.mark.parametrize(("frames", "per_frame"), [(30, 800), (24, 1067), (36, 800), (20, 100)])
-def test_a_frame_is_the_mean_of_the_rows_whose_middle_it_holds(frames: int, per_frame: int) -> None:
-    torch.manual_seed(0)
-    encoder = SpeechEncoder(6)
-    samples = torch.randn(2, frames * per_frame)
-    with torch.no_grad():
-        levels = encoder(samples)
-        pooled = encoder.levels(samples, frames, (2, 5, 8))
-    for level, found in zip((2, 5, 8), pooled, strict=True):
-        hop, reach = hop_and_reach(level)
-        rows = levels[level - 1].shape[2]
-        assert found.shape == (2, frames, 6)
-        for frame in range(frames):
-            own = [r for r in range(rows) if frame * per_frame <= r * hop + (reach - 1) / 2 < (frame + 1) * per_frame]
-            if not own:
-                own = [min(range(rows), key=lambda r: abs(r * hop + (reach - 1) / 2 - (frame + 0.5) * per_frame))]
-            assert torch.allclose(found[:, frame], levels[level - 1][:, :, own].mean(-1), atol=1e-5)
-
-
-def test_too_short_a_window_is_refused() -> None:
-    with pytest.raises(ValueError, match="465"):
-        SpeechEncoder(6)(torch.zeros(1, 464))
-    with pytest.raises(ValueError, match="too short"):
-        PredictiveCoding(SpeechEncoder(6)).scores(torch.zeros(1, 465))
-
-
 class Numbered(nn.Module):
     """An "encoder" whose row t is the t-th unit vector, so that a score tells which row it is of."""
 
@@ -224,17 +198,6 @@ def test_the_contrast_is_equation_1_word_for_word() -> None:
     scaled = {**batch, "text": 3 * batch["text"]}
     assert float(model.losses(scaled)["contrast"].detach()) == pytest.approx(np.mean(terms), abs=1e-4)
     assert set(model.weights) == {"contrast"}
-
-
-def test_retrieval_is_word_for_word_what_its_docstring_says() -> None:
-    model, batch = contrast(), batch_of(3, blocks=12)
-    similar, word = cosines(model, batch), batch["word"].numpy()
-    hits = []
-    for b, k in np.argwhere(word >= 0):
-        if (word[b] == word[b, k]).all():
-            continue
-        hits.append([word[b, similar[b, k, level].argmax()] == word[b, k] for level in range(8)])
-    assert np.allclose(model.retrieval(batch).numpy(), np.mean(hits, axis=0))
 
 
 def test_silence_gives_no_anchor_and_the_neighbouring_blocks_no_candidates() -> None:

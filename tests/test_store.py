@@ -99,23 +99,6 @@ def test_bytes_and_fingerprint_depend_on_the_content_alone(tmp_path: Path) -> No
     assert one.fingerprint == two.fingerprint != other.fingerprint
 
 
-def test_nothing_is_there_before_the_end_and_finished_work_is_kept(tmp_path: Path) -> None:
-    writer = StoreWriter(tmp_path / "s", "test", SETTINGS, 3, "none")
-    writer.add(_recording("a"))
-    with pytest.raises(InputError, match="half-written"):
-        Store.open(tmp_path / "s")
-    with pytest.raises(InputError, match="half-written"):
-        Store.open(tmp_path / "s.partial")
-    again = StoreWriter(tmp_path / "s", "test", SETTINGS, 3, "none")
-    assert again.has("a") and not again.has("b")
-    # A recording that was interrupted has its files but not its mark.
-    (again.partial / "recordings" / "c.flac").write_bytes(b"half")
-    assert not again.has("c")
-    again.add(_recording("b", seed=1))
-    assert again.finish(["a", "b"]).names == ("a", "b")
-    assert not (tmp_path / "s.partial").exists() and not list((tmp_path / "s").rglob("c.*"))
-
-
 @pytest.mark.parametrize("change", [{"hours": 2.0}, {"seed": 4}, {"corpus": "other"}])
 def test_work_begun_with_other_settings_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
     StoreWriter(tmp_path / "s", "test", SETTINGS, 3, "none").add(_recording("a"))
@@ -181,23 +164,6 @@ def _listing(store: Store, change: Callable[[dict[str, Any]], object]) -> None:
     change(content)
     content["fingerprint"] = stores._fingerprint(content["recordings"])
     file.write_text(json.dumps(content))
-
-
-@pytest.mark.parametrize("change", [
-    {"fps": np.array("fast")}, {"fps": np.array([20.0, 20.0])}, {"fps": np.array(np.nan)}, {"joints": np.array(3)},
-    {"rotations": np.zeros((3, 16))}, {"rotations": np.full((60, 16, 4), np.nan)}, {"absent": np.array([1.0])},
-    {"root_positions": np.array("here")}, {"word_start": np.array(["a", "b"])}, {"word_end": np.array([1.0])},
-    {"strokes_beat": np.array(["soon"] * 9)},
-])
-def test_arrays_that_do_not_belong_are_one_line(change: dict[str, Any], tmp_path: Path) -> None:
-    store = _store(tmp_path / "s", _recording("a"))
-    file = store.path / "recordings" / "a.npz"
-    with np.load(file) as arrays:
-        file_content = dict(arrays) | change
-    np.savez(file, **file_content)
-    _listing(store, lambda c: c["recordings"][0]["sha256"].update(npz=stores._sha256(file)))
-    with pytest.raises(InputError, match=r"a\.npz"):
-        Store.open(store.path).load("a")
 
 
 @pytest.mark.parametrize("suffix", ["npz", "flac"])

@@ -14,7 +14,6 @@ import torch
 from safetensors.torch import load_file
 
 from data_module.errors import InputError
-from data_module.files import lock
 from data_module.motion.bvh import read_bvh
 from data_module.store import Store
 from gesticulator import infer
@@ -24,7 +23,7 @@ from gesticulator.bundle.files import read_index
 from gesticulator.training import command as train
 from gesticulator.training import fit as fitting
 from gesticulator.training import presets
-from gesticulator.training.stages import BLOCKS, LABELS, STAGES, Run, Stage, closure, training
+from gesticulator.training.stages import BLOCKS, LABELS, STAGES, Run, Stage, training
 from gesticulator.training.stages.corpus import prepare
 from gesticulator.training.stages.windows import Windows, sequences, with_silence
 
@@ -178,19 +177,6 @@ def test_a_stage_more_changes_no_seed_of_another(tiny_store: Path, work: Path) -
     assert all(other.seed(stage) != seeds[name] for name, stage in STAGES.items())
 
 
-@pytest.mark.parametrize("name", STAGES)
-def test_every_entry_of_the_table_is_whole(name: str, tiny_store: Path, work: Path) -> None:
-    stage = STAGES[name]
-    preset = presets.preset({"codec": "racer-native", "q_network_literal": "paper"}.get(name, "tiny"))
-    assert stage.name == name and stage.wanted(preset) and stage.build is not None and stage.train is not None
-    run = Run(preset, Store.open(tiny_store), work)
-    assert run.schedule(stage).steps > 0
-    before = [one.name for one in closure([stage], preset)]
-    assert before[-1] == name and len(before) == len(set(before))
-    order = list(STAGES)
-    assert all(order.index(one) <= order.index(name) for one in before), "the table is in the order of the needs"
-
-
 def test_another_store_is_refused_in_a_used_work_folder(tiny_store: Path, work: Path, tmp_path: Path) -> None:
     class Other:
         path, fingerprint = tiny_store, "another"
@@ -227,13 +213,6 @@ def test_text_without_words_is_refused_before_the_work(tiny_store: Path, work: P
     with pytest.raises(InputError, match=r"no recording with words.*text\.encoder"):
         train_short(Store.open(tiny_store), tmp_path / "b", own)
     assert not list(own.glob("speech-*"))
-
-
-def test_a_second_training_in_the_same_folder_is_told(tiny_store: Path, work: Path, tmp_path: Path) -> None:
-    own = with_caches(work, tmp_path / "work")
-    with lock(own, "a training"), pytest.raises(InputError, match="work"):
-        train_short(Store.open(tiny_store), tmp_path / "b", own)
-    assert not (own / "store.json").exists()
 
 
 class Small(torch.nn.Module):
@@ -278,16 +257,6 @@ def test_a_damaged_stage_is_told_from_a_whole_one_and_done_again(name: str, dama
     file = next(tmp_path.glob(f"gate-*/{name}"))
     file.unlink() if damage is None else file.write_bytes(damage)
     assert value() == first and len(times) == 2
-
-
-def test_bytes_that_turned_over_in_a_cache_are_one_line(tiny_store: Path, work: Path, tmp_path: Path) -> None:
-    own = with_caches(work, tmp_path / "work")
-    file = next(iter(sorted(own.glob("blocks-*/*.npz"))))
-    data = bytearray(file.read_bytes())
-    data[4000] ^= 255  # of the motion, which is written first
-    file.write_bytes(bytes(data))
-    with pytest.raises(InputError, match=rf"{file.name}: is damaged"):
-        prepare(Store.open(tiny_store), presets.preset("tiny"), own, progress=False)
 
 
 def test_silent_augmentation_holds_poses_and_keeps_its_budget(tiny_store: Path, work: Path) -> None:

@@ -46,6 +46,7 @@ class ActorCritic(nn.Module, InterpreterDefaults):
         sizes = actor.config
         self.critic = nn.ModuleList(Layer(sizes.width, sizes.heads, DROPOUT) for _ in range(self.config.branch))
         self.value = Head(sizes.width, 1)
+        # Small first weights, as the network's own layers begin.
         self.critic.apply(begin_small)
         self.value.apply(begin_small)
         self.turn = "actor"
@@ -77,6 +78,7 @@ class ActorCritic(nn.Module, InterpreterDefaults):
             critic.load_state_dict(actor.state_dict())
 
     def before_step(self, step: int) -> None:
+        # In turns, as in Bailando: while one learns the other stands still.
         at = step % (self.config.actor_steps + self.config.critic_steps)
         self.turn = "actor" if at < self.config.actor_steps else "critic"
 
@@ -91,6 +93,7 @@ class ActorCritic(nn.Module, InterpreterDefaults):
                          ) -> tuple[Tensor, Tensor]:
         """Logits [B, M, S] of the actor and V(s) [B, M] of the critic; the arguments are those of `QNetwork.values`."""
         tokens = self.actor.tokens(previous, audio, speaker, silent)
+        # One pass for both heads, since they share the trunk.
         both = sliding(tokens, self.actor.config.decisions, self._read)
         return both[..., :-1], both[..., -1]
 
@@ -104,6 +107,7 @@ class ActorCritic(nn.Module, InterpreterDefaults):
         the next state. The actor's policy is over the allowed lexemes only."""
         logits, value = self.logits_and_value(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
         action, reward, terminal, valid = (batch[key][:, :-1] for key in ("action", "reward", "terminal", "valid"))
+        # The critic's own target must not move with the gradient: only its estimate does.
         error = backed_up(reward, terminal, value[:, 1:].detach(), self.config.gamma) - value[:, :-1]
         nll = data_nll(logits[:, :-1], action, self.actor.allowed(batch["silent"][:, :-1]))
         counted = valid * next_known(batch)

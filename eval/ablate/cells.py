@@ -101,6 +101,7 @@ def interval_of(cells: Sequence[Cell], key: str) -> stats.Interval:
 
 def _weights(cell: Cell, key: str) -> list[float] | None:
     """By clip how often it counts; None where all count alike."""
+    # Accuracy is a share of decisions: a clip of twenty must not count like one of two hundred.
     weights = [float(clip["decisions"]) for clip in cell["clips"] if key in clip and "decisions" in clip]
     return weights if key in BY_DECISIONS and weights else None
 
@@ -126,6 +127,7 @@ def difference(cells: Cells, first: str, second: str, key: str) -> stats.Interva
     if first not in cells or second not in cells:
         return stats.Interval.undefined()
     seeds, apart = pairs(cells[first], cells[second], key)
+    # Clips have the same decisions at every seed, so any seed's weights serve all.
     weights = _weights(cells[first][seeds[0]], key) if seeds and seeds[0] in cells[first] else None
     return crossed(apart, weights) if apart.size else stats.Interval.undefined()
 

@@ -11,12 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from data_module.types import Array
 from eval.metrics.accuracy import lexeme_accuracy
@@ -27,6 +25,7 @@ from gesticulator.training.stages.q_network import features_of, takes_of
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.episodes import Demonstration
 from interpreters.lstm import LstmInterpreter
+from interpreters.reward_table import EnsembleReward, RewardTable
 
 Lexemes = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -41,14 +40,6 @@ def episode_return(rewards: Array, steps: int = EPISODE) -> float:
     if len(rewards) < steps:
         return float("nan")
     return float(np.lib.stride_tricks.sliding_window_view(rewards, steps).sum(axis=1).mean())
-
-
-def allowed_lexemes(silent: Mask, silent_lexemes: Lexemes, size: int) -> Mask:
-    """[M, S] True where a lexeme may be chosen: any in speech, a silent one in silence (all, where there is none)."""
-    allowed = np.ones((len(silent), size), dtype=bool)
-    if len(silent_lexemes):
-        allowed[silent] = np.isin(np.arange(size), silent_lexemes)
-    return allowed
 
 
 # --------------------------------------------------------------------------------------------------------- policies
@@ -73,21 +64,17 @@ class Decisions:
         return cls(corpus, takes[:limit], bundle.silent, bundle.config.silence.mask, len(bundle.vectors))
 
     def allowed(self, take: Demonstration) -> Mask:
-        """[M, S] which lexemes may be chosen on each block."""
-        return allowed_lexemes(take.silent & self.masked, self.silent, self.size)
+        """[M, S] True where a lexeme may be chosen: any in speech, a silent one in silence (all, where there is none).
+        """
+        allowed = np.ones((len(take.silent), self.size), dtype=bool)
+        if self.masked and len(self.silent):
+            allowed[take.silent] = np.isin(np.arange(self.size), self.silent)
+        return allowed
 
     def features(self, block: int, text: bool = False) -> BlockFeatures:
         """The input of an interpreter on a block of the corpus (see `features_of`)."""
         words = self.corpus.text(np.array([block]))[0] if text else None
         return replace(features_of(self.corpus)(block), text=words)
-
-
-class Rewards(Protocol):
-    """A reward table (interpreters/reward_table.py), as far as it is used here."""
-
-    def sequence_every(self, lexemes: Tensor, blocks: Tensor) -> Tensor:
-        """[M, S] rewards of each lexeme at each block of a recording, the ones before it as they are."""
-        ...
 
 
 @torch.inference_mode()
@@ -120,7 +107,7 @@ class PolicyJudge:
     """Judges chosen lexemes. tables: reward tables by the prefix of their columns."""
 
     decisions: Decisions
-    tables: Mapping[str, Rewards]
+    tables: Mapping[str, EnsembleReward | RewardTable]
 
     def lexeme_values(self, take: Demonstration, lexemes: Lexemes) -> dict[str, float]:
         """The figures of the lexemes [M] that a policy chose on one take: returns by each reward, accuracy (percent),

@@ -222,6 +222,7 @@ def _episodes(racer: RacerRows, config: Config) -> Episodes:
     plain = replace(config.episodes, reward="contrastive")
     file = racer.context.work / f"racer-{configs.digest(racer.shapes, plain, config.seed)}.npz"
     if not file.exists():
+        # Behaviour beside the recorded one: without it no other lexeme than the person's was ever tried.
         interpreters: dict[str, LexemeInterpreter] = {
             "sampled": racer.bundle.interpreter, "statistical": racer.bundle.statistical()}
         build(racer.takes, plain, racer.taught(config).sequence, silent=racer.silent,
@@ -288,6 +289,7 @@ class Acting(ConservativeQ):
         """The target network, and what it does now and then."""
         super().before_step(step)
         if step % ACT_EVERY == 0:
+            # Exploration falls with the steps, so late episodes are nearly what the policy itself would do.
             rng = np.random.default_rng([self._seed, step, 1])  # not the numbers that the step's batch is drawn with
             epsilon = epsilon_at(step, self._config.schedules.cql.steps)
             with without_dropout(self.online):
@@ -308,6 +310,7 @@ def online(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Le
 
 def actor_critic(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
     """Policy gradients on what the policy has just done, beginning as the supervised network of the seed."""
+    # Of the same seed: the pair differs by what came after, as the paper's rows do.
     supervised = trained(racer, RACER_SUPERVISED, seed)[0]
     model = ActorCritic(network, ActorCriticConfig(gamma=config.cql.gamma))
     assert isinstance(supervised, QNetwork)

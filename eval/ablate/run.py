@@ -246,6 +246,7 @@ class RgRows:
         began, row = time.monotonic(), ROWS[name]
         bundle, run = self.trained(name, seed)
         recordings = [self.recording(clip) for clip in self.names(row.split)]
+        # Codes of the right spread and no meaning: what the interpreter's choice of a code is worth.
         if row.style == "random":
             style = RandomStyle(bundle.config.generator.style_width, seed)
             bundle = bundle.with_parts(style=cast(Any, style), style_text=None)
@@ -292,6 +293,7 @@ class RgRows:
         """The motion of a row's first seed, or of the performer, for the test speech; InputError where it is gone."""
         if name == PERFORMER:
             return [self.recording(clip).motion for clip in self.names("test")]
+        # The figures draw what was measured: motion that is gone is not made again behind a finished cell.
         files = [self.folder(name) / f"{clip}.bvh" for clip in self.names(ROWS[name].split)]
         if not all(file.is_file() for file in files):
             raise InputError(self.folder(name), "does not hold the motion of this row", "remove its cell and run it")
@@ -349,6 +351,7 @@ class RgRows:
         if not there:
             raise InputError(folder, "holds no motion for a test recording",
                              f"name files {self.names('test')[0]}.bvh and so on, one for each")
+        # By content, so that new motion under old names is measured anew.
         sums = [[clip, hashlib.sha256(files[clip].read_bytes()).hexdigest()] for clip in there]
         return configs.digest(self.shared, name, sums), there
 

@@ -61,6 +61,7 @@ class Simulator:
             raise ValueError("an episode must begin before the last block of its recording")
         known, rows = past >= 0, offset + past.clamp_min(0).minimum(last)
         lexemes, blocks = self._lexemes[rows], self._blocks[rows]
+        # Column W is the first decision; the columns before it are what was recorded.
         at = past[:, self.window:]
         valid = at <= last
         terminal = (at == last) & (torch.arange(decisions + 1) < decisions)
@@ -75,6 +76,7 @@ class Simulator:
             action[:, t] = choose({"block": block[:, :t + 1], "previous": previous[:, :t + 1],
                                    "silent": silent[:, :t + 1], "speaker": speaker}).to(torch.int64)
             lexemes[:, self.window + t] = action[:, t]
+            # The window that ends on the lexeme just chosen.
             there = slice(t + 1, t + 1 + self.window)
             reward[:, t] = self.score(lexemes[:, there], blocks[:, there], known[:, there]) * valid[:, t]
             previous[:, t + 1] = torch.where(valid[:, t], action[:, t], previous[:, t])

@@ -60,6 +60,7 @@ def beaten(rows: Rows, key: str, suffix: str = "") -> dict[str, float]:
     def badness(value: float) -> float:
         return -value if good == "high" else abs(value - aim)
 
+    # The floor is a distance between halves and no motion that could be good or bad.
     values = {name: mean_of(rows, name + suffix, key) for name in CONTROLS if name != FLOOR}
     return {name: value for name, value in values.items()
             if np.isfinite(value) and badness(value) <= badness(reference)}
@@ -141,6 +142,7 @@ def training_table(rows: Rows) -> Table:
 
 def difference_table(cells: Cells) -> Table:
     """`ours` less each other row of the papers' tables, beside the papers' own (on Trinity)."""
+    # The tables whose rows are the whole system with one part changed; others compare something else.
     lines = [line for title in ("RG Table 1", "RG Table 2", "RG Table 4", "RG Table 6", "RG Table 7")
              for line in TABLES[title].lines]
     papers: dict[str, dict[str, float]] = {}

@@ -138,6 +138,7 @@ def needed_for(components: Components, margin: float, sign: str = ">") -> tuple[
     As many seeds as `CLIPS` clips need; where no number does, the pair with the smallest product; empty where there is
     none.
     """
+    # All pairs on a grid of geometric steps: the answer is an order of magnitude, not a design.
     seeds, clips = np.meshgrid(_SEEDS, np.append(_CLIPS[_CLIPS != CLIPS], CLIPS), indexing="ij")
     error, freedom = satterthwaite(components.seed, components.clip, components.rest, seeds, clips)
     with np.errstate(divide="ignore"):
@@ -170,6 +171,7 @@ def margin_of(claim: Claim, cells: Cells, column: str, of_the_middle: bool = Fal
     _, first, second = printed[0]
     if COLUMNS[claim.metric].margin != "share":
         return abs(first - second) / 2
+    # Distances of other data are other numbers, so the paper's effect is carried over as a share.
     here = values_of(list(cells[claim.second].values()), column)
     here = here[:, np.isfinite(here).any(axis=0)]
     # A share of the second row's figure, as the paper's effect is a share of its own.

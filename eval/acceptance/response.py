@@ -75,6 +75,7 @@ def effort_figures(values: Array, apart: Sequence[float]) -> Results:
     reading 6 dB quieter."""
     # Logarithms, so that twice as large and half as large cancel.
     logs = np.log(values[:, 0] / values[:, 1])
+    # Effort shows in size with some systems and in speed with others; either will do.
     best = int(np.nanargmax(np.nanmean(logs, axis=1)))
     shown = ", ".join(f"{name} {np.exp(np.nanmean(log)):.2f}, in order in {int((log > 0).sum())} of {len(log)}"
                       for name, log in zip(("size", "speed"), logs, strict=True))
@@ -161,6 +162,7 @@ def _style_controls(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> 
     values = {}
     for column, feature in enumerate(FEATURES):
         for level in LEVELS:
+            # The same seed at every level: only the request differs.
             request: dict[str, Any] = {f"hand_{feature}": level}
             values[feature, level] = np.array([realised(system.render(voice, 0, **request).motion)[column]
                                                for voice in voices])

@@ -251,6 +251,7 @@ def measure(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings:
         sound = derived(voice, name, speech)
         return [Rested.of(system.render(sound, seed).motion, sound.speech) for seed in seeds]
 
+    # Silence and noise do not depend on a voice, so one speaker's renderings are enough.
     first = chosen[0]
     # Digital silence and hiss: the first has no level at all, the second could be taken for breath.
     silence = Speech(np.zeros(round(ALONE * SAMPLE_RATE), np.float32), SAMPLE_RATE)

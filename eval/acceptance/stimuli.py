@@ -107,6 +107,7 @@ def unbroken(speech: Speech) -> Speech:
 
 def _spliced(pieces: Sequence[NDArray[np.float32]], fade: int) -> NDArray[np.float32]:
     """Pieces one after the other, each faded into the next over so many samples."""
+    # A linear fade: a hard cut would be an onset, which the figures count.
     rise, out = np.linspace(0.0, 1.0, fade), pieces[0].astype(np.float64)
     for piece in pieces[1:]:
         out[-fade:] = out[-fade:] * (1.0 - rise) + piece[:fade] * rise
@@ -208,6 +209,7 @@ def _quieter(decibels: float) -> Callable[[Speech], Speech]:
 
 def _resampled(speech: Speech) -> Speech:
     """At 48 kHz and back, by a polyphase filter that the product does not use."""
+    # In double precision there and back, so that what is left is the filter and no rounding.
     up = resample_poly(speech.samples.astype(np.float64), _STUDIO_RATE // SAMPLE_RATE, 1)
     return replace(speech, samples=resample_poly(up, 1, _STUDIO_RATE // SAMPLE_RATE).astype(np.float32))
 

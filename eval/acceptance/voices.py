@@ -64,6 +64,7 @@ def renderings_on(system: RenderedSystem, voices: Sequence[AcceptanceVoice], ren
 def comparison(on: str, figures: Mapping[str, Mapping[str, Interval]]) -> Table:
     """The figures of all systems beside each other, those with a bound first; "!" where a system misses it."""
     bounds = bounds_of("motion")
+    # First what is judged, then what is only shown, each figure once.
     judged = [name for name in bounds if name in EYE_METRICS or name in timing.TITLES]
     rows = [row for row in dict.fromkeys((*judged, *timing.TITLES, *SHOWN))
             if any(row in values and math.isfinite(values[row].mean) for values in figures.values())]

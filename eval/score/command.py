@@ -260,6 +260,7 @@ def floor_figures(truth: ScoreRow, shared: ScoredClips) -> tuple[dict[str, Marke
                       for key in ("speed_distance", *context.networks)}, {}
     halves = [[place[id(motion)] for motion in half] for half in both]
     counts = [np.sum([speed_histogram(hand_speeds(truth.motions[k])) for k in half], axis=0) for half in halves]
+    # Histograms are summed before they are compared: a mean of clips' distances is another figure.
     out["speed_distance"] = Marked(Interval.exact(hellinger(counts[0], counts[1]), min(map(len, halves))))
     distances = {}
     for key, network in context.networks.items():
@@ -413,6 +414,7 @@ def read_all(arguments: argparse.Namespace) -> tuple[dict[str, dict[str, Clip]],
     for name in (TRUTH, FLOOR, STILL, BOBBING, UNITS, *baselines.CONTROLS):
         if name in systems:
             raise InputError(f"--system {name}", "is the name of a row of its own", "choose another")
+    # Files may state no frame rate or a wrong one; a bundle knows its own.
     rates = {name: _positive(f"--fps {name}", value) for name, value in named(arguments.fps, "--fps").items()}
     unknown = sorted(set(rates) - {TRUTH, *systems})
     if unknown:

@@ -91,6 +91,7 @@ def tables(scores: Scores) -> list[Table]:
 def _about(scores: Scores) -> Table:
     """The compared clips, the rows, and how to read the cells."""
     clips, kinds = len(scores.clips), scores.kinds
+    # In the title, so that it goes with every figure that is quoted.
     few = f" Fewer than {FEW} clips: the intervals are too narrow." if clips < FEW else ""
     rows: dict[str, str] = {TRUTH: _ROWS[TRUTH]} | {name: "judged" for name, kind in kinds.items() if kind == "system"}
     rows |= {name: f"{_ROWS[name]} (control, known to be wrong)" for name, kind in kinds.items() if kind == "control"}

@@ -227,6 +227,7 @@ def _t_interval(ratings: Array) -> Interval:
     middle = mean(ratings)
     if len(ratings) < 2:
         return Interval.exact(middle, len(ratings))
+    # Answers of one rater are alike, so this interval is too narrow: the bootstrap stands beside it.
     half = float(stats.t.ppf(0.5 + _SHARE / 2, len(ratings) - 1) * ratings.std(ddof=1) / math.sqrt(len(ratings)))
     return Interval(middle, middle - half, middle + half, len(ratings))
 

@@ -3,8 +3,6 @@ ones."""
 
 from __future__ import annotations
 
-import io
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -16,7 +14,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from data_module.files import write_bytes
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
 from gesticulator.training import fit as fitting
@@ -90,18 +87,6 @@ class CounterfactualRewards:
         return {**out, "return": torch.as_tensor(self.total[at]), "valid": torch.as_tensor(valid.astype(np.float32)),
                 "speaker": torch.as_tensor(self.speaker[places]), "episode": torch.as_tensor(places)}
 
-    def save(self, path: Path) -> None:
-        """Write one file, atomically."""
-        stream = io.BytesIO()
-        np.savez(stream, **{field.name: getattr(self, field.name) for field in fields(self)})
-        write_bytes(path, stream.getvalue())
-
-    @classmethod
-    def load(cls, path: Path) -> CounterfactualRewards:
-        """The inverse of `save`; ValueError or KeyError for anything else."""
-        with np.load(path, allow_pickle=False) as file:
-            return cls(**{field.name: file[field.name] for field in fields(cls)})
-
 
 def discounted(rewards: Array, gamma: float) -> Array:
     """[n] G_i = r_i + gamma G_{i+1}, zero after the last (RACER Eq. 1)."""
@@ -171,16 +156,8 @@ def counterfactual(episodes: Sequence[Episode], table: EnsembleReward | Centred,
 
 
 def _make(run: Run) -> CounterfactualRewards:
-    file = run.work / f"counterfactuals-{run.key(COUNTERFACTUALS)}.npz"
-    if file.exists():
-        try:
-            return CounterfactualRewards.load(file)
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-            pass  # truncated by a crash: compute again
-    rewards = counterfactual(run.get(EPISODES).episodes, run.get(TAUGHT_REWARD), run.get(INTERPRETER), run.get(CORPUS),
+    return counterfactual(run.get(EPISODES).episodes, run.get(TAUGHT_REWARD), run.get(INTERPRETER), run.get(CORPUS),
                           run.config.advantage, run.seed(COUNTERFACTUALS))
-    rewards.save(file)
-    return rewards
 
 
 def _needs(config: Config) -> Sequence[Node[Any]]:
@@ -190,7 +167,7 @@ def _needs(config: Config) -> Sequence[Node[Any]]:
 COUNTERFACTUALS: Node[CounterfactualRewards] = Node(
     "counterfactuals", settings=("episodes.baseline", "reward", "advantage.states", "advantage.swaps"), needs=_needs,
     make=_make)
-"""The rewards of all lexemes on the training split, cached under the hash of their inputs."""
+"""The rewards of all lexemes on the training split."""
 
 
 def critic_batch(corpus: Corpus, data: CounterfactualRewards, windows: dict[str, Tensor], unit: float,

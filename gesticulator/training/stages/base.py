@@ -111,7 +111,8 @@ class Run:
         if node.name not in self._values:
             if isinstance(node, Stage):
                 assert node.build is not None
-                for need in node.needs(self.config):
+                # A finished stage asks for what its shape depends on alone: its data set may take minutes to make.
+                for need in () if distributed.agreed(self.finished(node)) else node.needs(self.config):
                     self.get(need)
                 torch.manual_seed(self.seed(node))  # initial weights
                 model = node.build(self)

@@ -64,6 +64,7 @@ def _train_movements(run: Run, model: MovementVqVae, folder: Path) -> Figures:
     corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)
     known = torch.as_tensor(corpus.some("train"))
     mask = corpus.mask[torch.as_tensor(corpus.recording)[known]]
+    # Closed forms on the CPU in double precision, and the corpus need not fit on a GPU.
     model.cpu()
     model.basis.fit(corpus.motion[known], corpus.pasts[known], mask)
     present = model.basis.known(mask)
@@ -82,6 +83,7 @@ def _train_movements(run: Run, model: MovementVqVae, folder: Path) -> Figures:
             learner.start_codebook(coefficients.to(run.device), run.seed(LEXICON))
 
     run.fit(LEXICON, learner, fitting.Task(make_batch, before_step=before_step), folder)
+    # Back on the CPU, where the coefficients of all blocks are.
     learner.cpu()
     learner.finish(coefficients, corpus.pasts[known], run.seed(LEXICON))
     return _held_figures(run, model)

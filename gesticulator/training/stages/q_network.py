@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from data_module.errors import InputError
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
 from gesticulator.systems import system_of
@@ -66,19 +64,14 @@ def recorded_episodes(run: Run, split: str, reward: Reward) -> Episodes:
 
 
 def _make_episodes(run: Run) -> Episodes:
-    file = run.work / f"{EPISODES.name}-{run.key(EPISODES)}.npz"
-    with contextlib.suppress(InputError):  # missing, truncated by a crash, or changed: compute
-        return Episodes.load(file)
     corpus, config, labelled = run.get(CORPUS), run.config, run.get(LABELS)
     frequencies = np.stack([labelled.inventory.frequencies[name] for name in corpus.statistics.speakers])
     others: dict[str, Any] = {"statistical": StatisticalInterpreter(frequencies, labelled.inventory.transitions)}
     if INTERPRETER.name in system_of(config).STAGES:
         others["sampled"] = run.get(INTERPRETER)
-    episodes = build(takes_of(corpus, labelled.hinted, "train"), config.episodes, step_reward(run),
-                     silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy(),
-                     policies=BehaviourPolicies(others, features_of(corpus)), seed=run.seed(EPISODES))
-    episodes.save(file)
-    return episodes
+    return build(takes_of(corpus, labelled.hinted, "train"), config.episodes, step_reward(run),
+                 silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy(),
+                 policies=BehaviourPolicies(others, features_of(corpus)), seed=run.seed(EPISODES))
 
 
 def _episode_needs(config: Config) -> Sequence[Node[Any]]:
@@ -87,7 +80,7 @@ def _episode_needs(config: Config) -> Sequence[Node[Any]]:
 
 EPISODES: Node[Episodes] = Node("episodes", settings=("episodes", "silence.hint"), needs=_episode_needs,
                                 make=_make_episodes)
-"""The offline data set of the training split, cached under the hash of its inputs (RACER 4.3)."""
+"""The offline data set of the training split (RACER 4.3)."""
 
 
 def literal_reward(run: Run) -> Reward:
