@@ -53,6 +53,7 @@ def tracks_of(gltf: GltfDocument, character: Character, arms: tuple[int, int], f
               ) -> list[FrameTrack]:
     """`character_tracks` of a character by the nodes of its left and right upper arm; name: of the file that was
     given."""
+    # Characters without a mouth still show gaze and blinks, so this is a warning.
     rig = find_face(character)
     if not rig.can_speak:
         warnings.warn(FaceWarning(f"{name}: has neither mouth shapes nor a jaw bone, so its mouth stays as it is"),

@@ -67,6 +67,7 @@ EXPRESSIONS: Mapping[str, str] = {
 
 def mark_of(name: str) -> str:
     """How a gesture is written into a text, such as "[shrug]" or "[count:3]"."""
+    # Families are written with a colon, so that a language model learns the pattern from few examples.
     kind, _, which = name.partition(" ")
     return f"[{kind}:{which}]" if kind in ("count", "size", "point") else f"[{name}]"
 

@@ -233,6 +233,7 @@ class PlanKnobs:
 
     def still_at(self, start: float, end: float) -> tuple[tuple[float, float], ...]:
         """The parts of the range from start to end in which the hands should rest or go to rest."""
+        # Hands need time to come to rest, so the blocks before a range are concerned, too.
         ranges = ((max(begin - SETTLES, start), min(stop, end)) for begin, stop in self.hold_still)
         return tuple((begin, stop) for begin, stop in ranges if begin < stop)
 
@@ -431,6 +432,7 @@ class GesturePlan:
     def manner(self) -> GenerationKnobs:
         """What unlocked blocks are generated with; locked ones are with that of the first generation. Intensity and
         mirroring are applied afterwards, and stillness concerns single blocks (`PlanKnobs.still_at`)."""
+        # A curve that is constant is the same as the knob: it must not count as another manner of generation.
         share, varying = self.knobs.share, []
         for curve in filter(None, (self.curve("activity"), self.curve("energy"))):
             first, *others = [_share_at(curve, time) for time in curve.times]
@@ -509,6 +511,7 @@ def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
     A block is replayed if its beats, lexeme, silence and random keys are those of the first generation, and the knobs
     that influence its generation are too, unless it is locked.
     """
+    # Handedness and activity change every block that is not locked; size and mirroring are applied afterwards.
     edited = edited_themselves(plan)
     if plan.manner == plan.drawn_manner:
         return edited
@@ -535,6 +538,7 @@ def edited_themselves(plan: GesturePlan) -> tuple[bool, ...]:
 
 def shapes(plan: GesturePlan) -> bool:
     """Whether the plan may change the generated poses, by intensity, mirroring or handedness."""
+    # Most plans change no pose: then none of the arms' movements need to be remembered.
     knobs = plan.knobs
     if knobs.size != 1.0 or knobs.handedness is not None or plan.curve("intensity") or plan.curve("energy"):
         return True
