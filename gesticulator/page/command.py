@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
     settings = run_settings_of(args)
     job = _job(args)
-    check_choices(job.options, settings.bundle)
+    check_choices(job.options)
     with PageServer(args.port) as server, our_warnings(), limited_threads(settings.threads):
         _prepare(server, job, settings, args.anew)
         _serve(server, args.no_browser)
