@@ -73,7 +73,7 @@ class WordEncoder:
         if lacks:
             raise InputError("text features", f"the model {name} lacks weights ({lacks[0]} and {len(lacks) - 1} more)",
                              "give a whole BERT")
-# The mean over word pieces needs to know which piece belongs to which word: only fast tokenizers tell.
+        # The mean over word pieces needs to know which piece belongs to which word: only fast tokenizers tell.
         if model.config.is_encoder_decoder or not getattr(tokenizer, "is_fast", False) or tokenizer.pad_token is None:
             raise InputError("text features", f"the model {name} is not a BERT with a fast tokenizer", "take minilm")
         model = model.to(dtype=torch.float32).eval()
@@ -104,7 +104,7 @@ class WordEncoder:
     def _fitting(self, words: Sequence[Word], sentence: Sequence[int]) -> list[_Pieces]:
         """The sentence in word pieces; halved if it is too long for the model, down to a truncated word."""
         parts = [part for number in sentence for part in _parted(words[number].text, number)]
-# Tokenizers without a limit claim 1e30; the positions of the model are the true one.
+        # Tokenizers without a limit claim 1e30; the positions of the model are the true one.
         longest = min(self._tokenizer.model_max_length, getattr(self._model.config, "max_position_embeddings", 512))
         read = self._tokenizer([text for text, _ in parts], is_split_into_words=True, truncation=len(sentence) == 1,
                                max_length=longest if len(sentence) == 1 else None, verbose=False)
@@ -236,7 +236,7 @@ def _fingerprint(where: str) -> str:
     if not folder.is_dir():
         folder = Path(str(cached_file(where, "config.json", local_files_only=True))).parent
     digest = hashlib.sha256()
-# The weights alone: notes and licences beside them may change.
+    # The weights alone: notes and licences beside them may change.
     for file in sorted(folder.glob("*.safetensors")) or sorted(folder.glob("pytorch_model*.bin")):
         with file.open("rb") as stream:
             while piece := stream.read(1 << 20):
