@@ -39,7 +39,7 @@ class Intervals:
         """Share of the intervals between onsets that is at least `low` and less than `high` seconds, to whole bins; 0
         without any.
         """
-# Bounds are rounded to whole bins, in which the counts are.
+        # Bounds are rounded to whole bins, in which the counts are.
         first, last = round(low / STEP), round(high / STEP)
         return sum(self.onsets[first:last]) / max(1, sum(self.onsets))
 

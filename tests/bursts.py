@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.store import Recording, RecordingInfo, Split
-from data_module.types import Motion, Speech
+from data_module.types import Motion, Skeleton, Speech
 
 RATE, FPS = 16000, 60.0
+
+
+def turned(frames: int, fps: float, joints: Mapping[str, ArrayLike], skeleton: Skeleton = CHARACTER,
+           absent: tuple[str, ...] = ()) -> Motion:
+    """A character at rest, but for some joints: their exponential maps, [T, 3] or [3]."""
+    maps = np.zeros((frames, len(skeleton), 3))
+    for name, turns in joints.items():
+        maps[:, skeleton.index(name)] = turns
+    rotations = rotation.continuous(rotation.from_exponential_map(maps))
+    return Motion(skeleton, rotations, np.zeros((frames, 3)), fps, absent)
 
 
 def recording(name: str, seed: int, seconds: float = 20.0, split: Split = "train") -> Recording:
@@ -23,10 +36,9 @@ def recording(name: str, seed: int, seconds: float = 20.0, split: Split = "train
         samples[piece] += 10 ** rng.uniform(-1.6, -0.4) * rng.normal(size=piece.stop - piece.start)
         at += length + rng.choice([0.08, 0.2, 1.6], p=[0.5, 0.4, 0.1])
     time = np.arange(round(seconds * FPS)) / FPS
-    maps = np.zeros((len(time), len(CHARACTER), 3))
+    maps = {}
     for joint in ("LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "Head"):
         speed, phase, size = rng.uniform(0.3, 2.0, (3, 3)), rng.uniform(0, 6, (3, 3)), rng.normal(0, 0.3, (3, 3))
-        maps[:, CHARACTER.index(joint)] = (size * np.sin(speed * time[:, None, None] + phase)).sum(axis=1)
-    motion = Motion(CHARACTER, rotation.continuous(rotation.from_exponential_map(maps)), np.zeros((len(time), 3)), FPS)
+        maps[joint] = (size * np.sin(speed * time[:, None, None] + phase)).sum(axis=1)
     info = RecordingInfo(name, split, "anna", "voice", "en")
-    return Recording(info, Speech(samples.clip(-1, 1).astype(np.float32), RATE), motion)
+    return Recording(info, Speech(samples.clip(-1, 1).astype(np.float32), RATE), turned(len(time), FPS, maps))

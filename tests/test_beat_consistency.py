@@ -7,11 +7,10 @@ import warnings
 import mir_eval
 import numpy as np
 import pytest
+from bursts import turned
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_module.motion import rotation
-from data_module.motion.skeletons import CHARACTER
 from data_module.types import Motion
 from eval.baselines.controls import jittered
 from eval.metrics.beat_consistency import consistency, joint_beats, mean_score, motion_joint_beats, onset_score
@@ -49,12 +48,9 @@ def test_minima_of_a_known_speed() -> None:
 
 def waving(fps: float = 30.0, seconds: float = 20.0) -> Motion:
     """The arms turn back every 0.8 s, never quite still."""
-    time = np.arange(round(fps * seconds)) / fps
-    maps = np.zeros((len(time), len(CHARACTER), 3))
-    for name in ("RightArm", "LeftArm"):
-        maps[:, CHARACTER.index(name), 2] = 0.6 * np.sin(2 * np.pi * time / 1.6)
-        maps[:, CHARACTER.index(name), 1] = 0.15 * np.cos(2 * np.pi * time / 1.6)
-    return Motion(CHARACTER, rotation.from_exponential_map(maps), np.zeros((len(time), 3)), fps)
+    phase = 2 * np.pi * np.arange(round(fps * seconds)) / fps / 1.6
+    swing = np.outer(np.sin(phase), [0, 0, 0.6]) + np.outer(np.cos(phase), [0, 0.15, 0])
+    return turned(len(phase), fps, {"RightArm": swing, "LeftArm": swing})
 
 
 def test_only_joints_that_move_count_at_any_frame_rate() -> None:

@@ -11,6 +11,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from bursts import turned
 
 from data_module.errors import InputError
 from data_module.motion import bvh, rotation
@@ -39,12 +40,8 @@ JUDGE_SOUND = {"eye_speech_speed": "v_speech", "eye_silence_speed": "v_silence",
 def posed(seconds: float, move: Callable[[Array], dict[str, Array]], fps: float = 60.0) -> Motion:
     """A character whose arms hang; `move` gives the exponential maps [T, 3] of some joints for times [T]."""
     time = np.arange(round(seconds * fps)) / fps
-    maps = np.zeros((len(time), len(CHARACTER), 3))
-    for side, sign in SIGNS.items():
-        maps[:, CHARACTER.index(side + "Arm"), 2] = sign * 1.3
-    for joint, values in move(time).items():
-        maps[:, CHARACTER.index(joint)] = values
-    return Motion(CHARACTER, rotation.continuous(rotation.from_exponential_map(maps)), np.zeros((len(time), 3)), fps)
+    hanging = {side + "Arm": np.array([0.0, 0.0, 1.3 * sign]) for side, sign in SIGNS.items()}
+    return turned(len(time), fps, {**hanging, **move(time)})
 
 
 def elbow(side: str, angle: Array) -> Array:

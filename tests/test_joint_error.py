@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bursts import turned
 from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import mean_absolute_error
@@ -21,9 +22,8 @@ from eval.metrics.joint_error import joint_error, motion_error
 
 def waving(frames: int, phase: float = 0.0, fps: float = 20.0, joint: str = "LeftArm", size: float = 0.6) -> Motion:
     """The character with one joint that swings about the forward axis once a second."""
-    angles = np.zeros((frames, len(CHARACTER), 3))
-    angles[:, CHARACTER.index(joint), 2] = size * np.sin(2 * np.pi * (np.arange(frames) / fps + phase))
-    return Motion(CHARACTER, rotation.from_exponential_map(angles), np.zeros((frames, 3)), fps)
+    angle = size * np.sin(2 * np.pi * (np.arange(frames) / fps + phase))
+    return turned(frames, fps, {joint: np.outer(angle, [0, 0, 1])})
 
 
 def test_maje_by_hand() -> None:

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import csv
 import math
-import re
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bursts import turned
 from performances import perform
 
 from data_module.blocks import cut
 from data_module.errors import InputError
-from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter
 from data_module.types import Blocks, Motion, Speech
@@ -33,9 +32,7 @@ def still(seconds: float, fps: float = 20.0) -> Motion:
 
 def turning(seconds: float, fps: float, turn: np.ndarray) -> Motion:
     """The right arm turned at the shoulder about the axis that points forward, by turn [T] radians."""
-    pose = np.zeros((round(seconds * fps), len(CHARACTER), 3))
-    pose[:, CHARACTER.index("RightArm"), 2] = turn
-    return Motion(CHARACTER, rotation.from_exponential_map(pose), np.zeros((len(pose), 3)), fps)
+    return turned(round(seconds * fps), fps, {"RightArm": np.outer(turn, [0, 0, 1])})
 
 
 def test_survey_counts_and_measures() -> None:
@@ -94,11 +91,6 @@ def test_neighbours_and_embedding_of_two_heaps() -> None:
     flat = embedding.embed(heaps)
     assert flat.shape == (80, 2) and embedding.neighbours_agree(flat, labels) == 1.0
     np.testing.assert_array_equal(flat, embedding.embed(heaps))
-
-
-def test_colours_differ() -> None:
-    made = embedding.colours(100)
-    assert len(set(made)) == 100 and all(re.fullmatch("#[0-9a-f]{6}", own) for own in made)
 
 
 # ----------------------------------------------------------------------------------------------------- the whole

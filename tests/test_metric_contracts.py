@@ -10,10 +10,10 @@ from typing import get_args
 import numpy as np
 import pytest
 import torch
+from bursts import turned
 from scipy.spatial.distance import cdist
 
 from data_module.blocks import Blocks
-from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import WHOLE_BODY, to_character
 from data_module.types import Array, Motion, Speech
@@ -44,12 +44,8 @@ SILENCES = ((3.0, 3.8), (8.0, 8.9), (14.0, 20.0), (25.0, 25.7), (30.0, 30.8))
 
 def posed(**joints: Array) -> Motion:
     """A character whose arms hang; joints: exponential maps [T, 3] or [3]."""
-    maps = np.zeros((len(TIME), len(WHOLE_BODY), 3))
-    for side, sign in (("Left", -1.0), ("Right", 1.0)):
-        maps[:, WHOLE_BODY.index(f"{side}Arm"), 2] = sign * 1.3
-    for joint, values in joints.items():
-        maps[:, WHOLE_BODY.index(joint)] = values
-    return Motion(WHOLE_BODY, rotation.continuous(rotation.from_exponential_map(maps)), np.zeros((len(TIME), 3)), FPS)
+    hanging = {"LeftArm": np.array([0.0, 0.0, -1.3]), "RightArm": np.array([0.0, 0.0, 1.3])}
+    return turned(len(TIME), FPS, {**hanging, **joints}, WHOLE_BODY)
 
 
 def turn(axis: int, angle: Array | float) -> Array:

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from bursts import turned
 
-from data_module.motion import rotation
-from data_module.motion.skeletons import CHARACTER
-from data_module.types import Motion, Speech
+from data_module.types import Speech
 from eval.clip.clip_set import common_clips
 from eval.clip.foreign import Clip
 from eval.context import EvalContext
@@ -38,15 +37,12 @@ def clip(seed: int) -> Clip:
     done = (time - edges[stroke]) / np.diff(edges)[stroke]
     speed = np.resize([1.0, -1.0], len(edges))[stroke] * rng.uniform(2.0, 5.0, len(edges))[stroke] * done
     angle = np.cumsum(speed) / FPS
-    maps = np.zeros((len(time), len(CHARACTER), 3))
-    for name, sign in (("RightArm", 1.0), ("LeftArm", -0.9)):
-        maps[:, CHARACTER.index(name), 2] = sign * angle
-    maps[:, CHARACTER.index("Spine"), 0] = 0.05 * np.sin(time)
+    maps = {"RightArm": np.outer(angle, [0, 0, 1.0]), "LeftArm": np.outer(angle, [0, 0, -0.9]),
+            "Spine": np.outer(np.sin(time), [0.05, 0, 0])}
     samples = np.zeros(round(SECONDS * RATE), np.float32)
     for beat in beats:
         samples[int(beat * RATE):int(beat * RATE) + 800] = 0.4 * rng.normal(size=800).clip(-2, 2)
-    motion = Motion(CHARACTER, rotation.from_exponential_map(maps), np.zeros((len(time), 3)), FPS)
-    return Clip(f"clip{seed}", motion, Speech(samples, RATE), f"clip{seed}")
+    return Clip(f"clip{seed}", turned(len(time), FPS, maps), Speech(samples, RATE), f"clip{seed}")
 
 
 def with_a_judge(bundle: bundles.Bundle) -> bundles.Bundle:

