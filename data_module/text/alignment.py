@@ -143,7 +143,8 @@ def written_words(transcript: str) -> list[str]:
     out: list[str] = []
     for token in re.sub("[-–—]", " ", transcript).split():
         if len(_UNSPACED.findall(token)) > _LONGEST_UNSPACED:
-            # A stretch of such a script is a phrase; a shorter one is a word, as a name in another script is.
+            # A stretch of such a script is a phrase; shorter ones are words, as a name within a text in another script
+            # is.
             token = _UNSPACED.sub(r" \g<0> ", token)
         stripped = (re.sub(r"^[\W_]+|[\W_]+$", "", part) for part in token.split())
         out += [part for part in stripped if part]
