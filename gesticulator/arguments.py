@@ -4,7 +4,6 @@ them no argparse namespace is read."""
 from __future__ import annotations
 
 import argparse
-import difflib
 import re
 import warnings
 from collections.abc import Callable, Mapping
@@ -191,9 +190,8 @@ def _clip_arguments(p: argparse.ArgumentParser) -> None:
                       "named after them")
 
 
-def check_choices(options: InferenceOptions, bundle: str | None) -> None:
-    """`InputError` for a recogniser that is missing, a speaker that is not in the bundle or a --beta that would have no
-    effect, before models load. bundle: its name or folder."""
+def check_choices(options: InferenceOptions) -> None:
+    """`InputError` for a recogniser that is missing or a --beta that would have no effect, before models load."""
     if options.transcribe is not None:
         from data_module.text.transcription import find_model
 
@@ -204,20 +202,12 @@ def check_choices(options: InferenceOptions, bundle: str | None) -> None:
         steered = ", ".join(name for name, entry in INTERPRETERS.items() if entry.prior)
         raise InputError(f"--beta {options.beta:g}", f"is read by the interpreter {steered} alone",
                          f"add --interpreter {steered}, or leave it out")
-    if options.speaker is not None:
-        from gesticulator.bundle.files import bundle_folder, read_index
-
-        speakers = read_index(bundle_folder(bundle))["speakers"]
-        if options.speaker not in speakers:
-            # A misspelt name is the commonest cause.
-            near = difflib.get_close_matches(options.speaker, speakers, 1)
-            raise InputError(f"--speaker {shown(options.speaker)}", "is not in the bundle",
-                             (f"did you mean {near[0]}? " if near else "") + f"choose among {', '.join(speakers)}")
 
 
 def check_options(gesticulator: Gesticulator, options: InferenceOptions) -> None:
-    """`InputError` for a hand control that the bundle cannot follow, or a cue that names an unknown gesture, before any
-    recording is processed."""
+    """`InputError` for a speaker that the bundle lacks, a hand control that it cannot follow, or a cue that names an
+    unknown gesture, before any recording is processed."""
+    gesticulator.resolver.speaker(options.speaker)
     levels = gesticulator.bundle.levels
     if any(hand is not None for hand in options.hands):
         if levels is None:

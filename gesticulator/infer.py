@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     """Process all recordings; exit code 0, 1 if some failed, 2 if none succeeded."""
     settings = run_settings_of(args)
     jobs, batch = jobs_of(args), batch_of(args)
-    check_choices(jobs[0].options, settings.bundle)
+    check_choices(jobs[0].options)
     if batch is not None:
         return _run_batch(jobs, settings, batch)
     retargeter = retargeter_for(jobs[0].character, settings.quiet)

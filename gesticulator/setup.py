@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import warnings
 from dataclasses import replace
@@ -40,7 +41,9 @@ class SetupResolver:
             preferred = self._bundle.config.default_speaker
             return speakers.index(preferred) if preferred in speakers else 0
         if name not in speakers:
-            raise InputError(f"speaker {name}", "is not in the bundle", f"choose among {', '.join(speakers)}")
+            near = difflib.get_close_matches(name, speakers, 1)
+            raise InputError(f"speaker {shown(name)}", "is not in the bundle",
+                             (f"did you mean {near[0]}? " if near else "") + f"choose among {', '.join(speakers)}")
         return speakers.index(name)
 
     def setup(self, options: InferenceOptions, text: bool) -> Setup:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from data_module.speech.audio import load_speech
 from data_module.types import Motion, Samples, Speech
 from gesticulator.face.motion import FaceMotion, at_rest
 from gesticulator.face.track import face_of
-from gesticulator.face.visemes import VISEMES, VisemeSpan, of_ipa, spans
+from gesticulator.face.visemes import VISEMES
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
 
@@ -22,6 +22,20 @@ FPS, RATE = 30.0, 16000
 WORDS = ("mama", "oh no", "fish")
 PAUSE = 0.7
 STORED = Path(__file__).with_name("spoken_words.flac")
+
+
+_SHAPES = {"m": ("PP",), "ɑː": ("aa",), "ɐ": ("aa",), "oʊ": ("oh", "ou"), "n": ("nn",), "f": ("FF",), "ɪ": ("ih",),
+           "ʃ": ("CH",)}
+"""Phone of `WORDS` -> its visemes."""
+
+
+@dataclass(frozen=True)
+class VisemeSpan:
+    """A viseme (an index in `VISEMES`) from `start` to `end` seconds."""
+
+    viseme: int
+    start: float
+    end: float
 
 
 def still(seconds: float, fps: float = FPS) -> Motion:
@@ -76,7 +90,9 @@ def spoken() -> tuple[Performance, list[VisemeSpan]]:
     for word in WORDS:
         samples, phones = _word(word)
         pieces += [np.zeros(round(PAUSE * RATE), np.float32), samples]
-        track += [VisemeSpan(one.viseme, at + one.start, at + one.end)
-                  for name, start, end in phones for one in spans(of_ipa(name), start, end)]
+        for name, start, end in phones:
+            shapes = _SHAPES.get(name, ())
+            edges = at + np.linspace(start, end, len(shapes) + 1)
+            track += [VisemeSpan(VISEMES.index(shape), *edges[k:k + 2]) for k, shape in enumerate(shapes)]
         at += len(samples) / RATE + PAUSE
     return _performed(pieces, FPS), track

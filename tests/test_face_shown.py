@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import OpenedPage, chromium
-from face_samples import FPS, PAUSE, posed, spoken, still, syllables
+from face_samples import FPS, PAUSE, VisemeSpan, posed, spoken, still, syllables
 from javascript import printed_by
 from performances import write
 
@@ -23,7 +23,7 @@ from gesticulator.export.figure import MOUTH, face_points, figure_points
 from gesticulator.face.motion import FaceMotion
 from gesticulator.face.mouth import lip_curves
 from gesticulator.face.shapes import vrm
-from gesticulator.face.visemes import OPENINGS, VISEMES, VisemeSpan
+from gesticulator.face.visemes import OPENINGS, VISEMES
 from gesticulator.performance import Performance
 
 ROOT = Path(__file__).resolve().parents[1]

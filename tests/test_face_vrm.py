@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import package_page
-from face_samples import spoken
+from face_samples import VisemeSpan, spoken
 from performances import write
 from small_characters import write_character
 from test_face_files import add_shapes
 
 from gesticulator.face.motion import FaceMotion
 from gesticulator.face.shapes import vrm
-from gesticulator.face.visemes import VisemeSpan
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE, JS = ROOT / "integrations" / "gesticulator-client" / "src", Path(__file__).resolve().parent / "js"

@@ -58,12 +58,13 @@ def test_a_misspelt_option_suggests_the_right_one_and_names_the_help_of_the_verb
 
 def test_choices_are_checked_before_models_load(capsys: pytest.CaptureFixture[str], tmp_path: Path,
                                                 monkeypatch: pytest.MonkeyPatch) -> None:
+    out = str(tmp_path / "x.bvh")
+    assert "did you mean connor?" in refused(capsys, "--speaker", "connr", "-o", out)
+
     def loaded(*_: object, **__: object) -> None:
         raise AssertionError("models were loaded")
 
     monkeypatch.setattr(Gesticulator, "from_pretrained", loaded)
-    out = str(tmp_path / "x.bvh")
-    assert "did you mean connor?" in refused(capsys, "--speaker", "connr", "-o", out)
     assert "--interpreter advantage" in refused(capsys, "--beta", "2", "-o", out)
     assert "--interpreter advantage" in refused(capsys, "--beta", "2", "--interpreter", "cql", "-o", out)
     (tmp_path / "file").write_text("no folder")

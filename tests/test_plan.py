@@ -108,13 +108,14 @@ def test_what_the_schema_refuses_is_refused_with_its_place(place: tuple[str | in
 
 @pytest.mark.parametrize(("old", "new", "message"), [
     ('"seed": 7,', '"seed": 7,,', "line 6: is not valid JSON"), ('"seed": 7,', '"seed": NaN,', "not valid JSON"),
-    ('"seed": 7,', '"seed": 1e999,', "too large"), ('"seed": 7,', f'"seed": {2**64},', "seed is 18446744073709551616"),
+    ('"seed": 7,', '"seed": 1e999,', "is not valid JSON"),
+    ('"seed": 7,', f'"seed": {2**64},', "seed is 18446744073709551616"),
     ('"version": 2', '"version": 3', "this version reads 2"), (FORMAT, "other", "--plan-out"),
     ('"wave"', '"wavy"', "did you mean wave"), ('"word": "Hello"', '"word": null', "a word or a time"),
     ('"time": 0.5', '"time": 99', "0 to "),
     ('"word": "Hello"', '"word": "Hullo"', "spoken 0 times"),
     ('"lexeme": 1, "silent": true', '"lexeme": 9, "silent": true', "0 to 2"),
-    ('"intensity": 1.0', '"size": 1.0', "size is unknown; allowed here: "), ("Hello", "\\ud800", "half a character"),
+    ('"intensity": 1.0', '"size": 1.0', "size is unknown; allowed here: "), ("Hello", "\\ud800", "is not valid JSON"),
 ])
 def test_mistakes_are_reported_with_what_is_allowed(old: str, new: str, message: str) -> None:
     text = replace(a_plan(), blocks=(replace(a_plan().blocks[0], lexeme=1), *a_plan().blocks[1:])).to_json()

@@ -19,6 +19,7 @@ def _plan_arguments(p: argparse.ArgumentParser) -> None:
 
 
 def _run_plan(parsed: argparse.Namespace) -> int:
+    # Imported here: listing the verbs of the program must not load the plan, and names alone need torch.
     from gesticulator.plan.plan_file import schema
 
     if parsed.what == "schema":

@@ -78,6 +78,7 @@ def _spoken(words: Sequence[Word]) -> Mapping[str, Sequence[Word]]:
 
 def _time_of(cue: GestureCue, spoken: Mapping[str, Sequence[Word]], duration: float) -> float:
     if cue.time is not None:
+        # In a stream the duration is infinite, so that any time may come.
         if not 0 <= cue.time <= duration:
             raise InputError(f"cue at {cue.time:g} s", f"is not within the {duration:.2f} s of the sound",
                              "choose an earlier time")
@@ -85,6 +86,7 @@ def _time_of(cue: GestureCue, spoken: Mapping[str, Sequence[Word]], duration: fl
     if not spoken:
         raise InputError(f"cue at the word {shown(cue.word)}", "needs the words of the recording",
                          "give them with --text, or a time instead of the word")
+    # Without case and punctuation, as people do not type them in a cue.
     matches = spoken.get(plain_word(cue.word or ""), ())
     if len(matches) < cue.occurrence:
         near = [word for word in spoken if word]
@@ -107,6 +109,7 @@ def without_mismatches(options: InferenceOptions, words: Sequence[Word], duratio
     spoken = _spoken([word for word in words if word.text.strip()])
     if not spoken:
         return options
+    # A folder of recordings gets the same cues: one that a recording cannot satisfy must not stop the others.
     counts = [cue.occurrence if cue.word is None else len(spoken.get(plain_word(cue.word), ())) for cue in options.cues]
     for cue, count in zip(options.cues, counts, strict=True):
         if count < cue.occurrence:

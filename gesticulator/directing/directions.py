@@ -51,6 +51,7 @@ class Director:
 
     def request(self, speech: SpeechBlock, times: Array, control: ControlRows | None) -> Request:
         """The request for a block with frames at `times` [K], seconds; control: rows [K, 2 F], or None."""
+        # A cue at a beat belongs to the block that ends there, as a stroke does; one at 0 has only the first block.
         start, end = speech.start, float(times[-1])
         lexeme = next((cue.lexeme for cue in self._cues if start < cue.time <= end or cue.time == start == 0.0), None)
         return Request(speech, control, lexeme, still=still_frames(self._knobs, times, start), bias=self._bias)
@@ -80,6 +81,7 @@ def planned(options: InferenceOptions) -> InferenceOptions:
     if not isinstance(settings, dict) or not isinstance(settings.get("temperature"), int | float):
         raise plan.error(("made_by",), "lacks the settings of its generation", "leave it as --plan-out wrote it")
     knobs = plan.knobs
+    # An option that is given overrides the plan's knob; one at its default leaves it alone.
     combined: dict[str, Any] = {
         "intensity": float(options.intensity) if options.intensity != 1.0 else knobs.intensity,
         "mirror": options.mirror or knobs.mirror,
@@ -129,6 +131,7 @@ def _words(plan: GesturePlan) -> tuple[Word, ...]:
 
 def _cued(plan: GesturePlan) -> GesturePlan:
     """The plan with the lexemes of its cues in their blocks."""
+    # Cues of lexemes are choices of blocks; those of named gestures are blended over the motion later.
     blocks = list(plan.blocks)
     for cue in cues_at(plan.cues, _words(plan), plan.duration, lambda: plan.lexicon):
         if cue.lexeme is not None:

@@ -93,6 +93,7 @@ def hand(place: Vector, fingers: Vector, palm: Vector, shape: str = "open", star
          then: tuple[HandKey, ...] = (), **more: Any) -> HandPart:
     """A hand that comes to one pose. start: where its stroke begins, metres from `place`; then: poses after it; more:
     `before`, the fields of the pose at the start that differ, and fields of `HandPart`."""
+    # Most strokes keep the hand's direction and shape and only move it, so the start is the apex but for its place.
     apex = HandKey(place, fingers, palm, shape)
     (x, y, z), (aside, up, ahead) = place, start
     begin = replace(apex, place=(x + aside, y + up, z + ahead), time=-1.0)
@@ -113,6 +114,7 @@ def one_or_both(part: HandPart, **more: Any) -> tuple[GestureScript, GestureScri
 def in_turn(part: HandPart, **more: Any) -> GestureScript:
     """A gesture in which both hands repeat the same movement, the other one half a cycle later. more: fields of
     `GestureScript`."""
+    # Half a cycle apart: one hand is up where the other is down.
     assert part.repeat is not None
     later = replace(part, repeat=replace(part.repeat, phase=part.repeat.phase + 0.5))
     return GestureScript(part, later, **more)

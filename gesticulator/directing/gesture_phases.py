@@ -157,6 +157,7 @@ def hand_turns(draw: GestureDraw, which: int, seconds: Array) -> tuple[Array, Ar
     which: 0 for the main hand, 1 for the other; seconds: [M] from the apex."""
     part = draw.script.main if which == 0 else draw.script.other
     assert part is not None
+    # Keys before the apex are shares of the stroke; those after it run at the pace of repeated movements.
     times = [key.time * (draw.phases.stroke if key.time < 0 else 1.0 / draw.pace) for key in part.keys]
     swings = np.array([_swing_of(part, number) for number in range(len(part.keys))])
     share, begin = _between(np.array(times), seconds)
@@ -168,6 +169,7 @@ def hand_turns(draw: GestureDraw, which: int, seconds: Array) -> tuple[Array, Ar
     places = _mixed(keys, begin, end, share)
     shapes = np.array([finger_turns(key.shape) for key in part.keys])
     fingers = _mixed(shapes, begin, end, share)
+    # A key fixes the point of the hand that the script names (palm, tips); the arm is solved for the wrist.
     if part.repeat is not None:
         places, turned, fingers = _repeated(part.repeat, draw, seconds, (places, turned, fingers))
     if not part.touches:
@@ -218,6 +220,7 @@ def _repeated(repeat: Repeat, draw: GestureDraw, seconds: Array,
     places, turned, fingers = pose
     rate = repeat.rate * draw.pace
     end = repeat.count / rate
+    # Both ends fade, and the circle starts at the apex: there is no step in place or speed.
     level = smooth(seconds / _FADE) * smooth((end - seconds) / _FADE)
     angle = 2.0 * np.pi * (rate * seconds + repeat.phase)
     size = level * (0.4 + 0.6 * draw.size)

@@ -96,6 +96,7 @@ def _wrist(forearm: Rotation, hand: Rotation) -> tuple[Array, Rotation]:
     """[M] twist of a hand about its forearm, radians from -pi to pi, and the bend that is left after it."""
     wrist = forearm.inv() * hand
     twist = rotation.to_exponential_map(rotation.yaw_of(wrist.as_quat(scalar_first=True), axis=0))[:, 0]
+    # The exponential map of a yaw may be the long way round.
     twist = (twist + np.pi) % (2.0 * np.pi) - np.pi
     return _eased(twist, MOST_TWIST), Rotation.from_rotvec(twist[:, None] * _BONE).inv() * wrist
 
@@ -108,6 +109,7 @@ def _limited(bend: Rotation) -> Rotation:
 
 def _eased(angles: Array, most: float) -> Array:
     """Angles that approach a limit smoothly from four fifths of it on: a hard limit would jerk."""
+    # The slope is 1 where the limit begins to be felt, so the angle's speed has no step.
     free = 0.8 * most
     over = np.maximum(np.abs(angles) - free, 0.0)
     eased: Array = np.sign(angles) * (np.minimum(np.abs(angles), free) + (most - free) * np.tanh(over / (most - free)))
@@ -197,6 +199,7 @@ def finger_turns(shape: str) -> Array:
         thumb = finger == "Thumb"
         curl = hand.thumb[0] if thumb else hand.curls[FINGERS.index(finger) - 1]
         for place, degrees in enumerate(_FULL[finger]):
+            # Joints bend about the finger's axis; the knuckle also spreads, and the thumb's root turns twice.
             share = curl * (hand.knuckles if place == 0 else 1.0)
             turn = share * degrees * _axes()[finger]
             if place == 0:

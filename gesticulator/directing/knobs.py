@@ -85,6 +85,7 @@ class Shaping:
         """The gestures that may be made within `times`, by the times of their strokes."""
         if not len(times):
             return []
+        # A stroke outside of these times may still reach into them with its preparation or its hold.
         begin, end = float(times[0]) - LONGEST_GESTURE, float(times[-1]) + LONGEST_GESTURE
         cues = self._cues[bisect_left(self._cues, begin, key=_TIME):bisect_right(self._cues, end, key=_TIME)]
         called = self._meant(float(times[-1])) if self._meant else ()
@@ -133,6 +134,7 @@ def _with_gestures(poses: Array, times: Array, cues: Sequence[TimedCue], seed: i
 def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Of N blocks: [N, 2] intensities of the left and the right hand; [N] 1.0 where each hand joins in the other's
     strokes; [N] 1.0 where the block is mirrored; [N] whether it is locked."""
+    # Without a plan all blocks are alike, and a stream has no blocks yet.
     if options.plan is None:
         both = np.full(count, float(options.handedness == "both"))
         return np.array([_hands(options.knobs)] * count), both, np.zeros(count), np.zeros(count, bool)

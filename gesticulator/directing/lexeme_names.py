@@ -83,6 +83,7 @@ def hand_ways(bundle: Bundle) -> HandWays | None:
 def lexeme_names(bundle: Bundle) -> tuple[LexemeName, ...]:
     """A name for each lexeme of a bundle, all different."""
     silent, hands = set(bundle.silent.tolist()), hand_ways(bundle)
+    # Numbered in the order of the codebook, so that a bundle gives the same names everywhere.
     count: Counter[str] = Counter()
     out = []
     for number in range(len(bundle.vectors)):
@@ -109,6 +110,7 @@ def _way(way: Array, path: float) -> str:
     if path > BEATS * max(length, 1e-6):
         return "beat"
     names = (("in", "out"), ("down", "up"), ("back", "forward"))
+    # The largest direction first; a second one is named where it is nearly as large.
     order = [int(axis) for axis in np.argsort(-np.abs(way), kind="stable")]
     directions = [names[axis][int(way[axis] > 0)] for axis in order if abs(way[axis]) >= _LEANS * abs(way[order[0]])]
     return ("far " if length > FAR else "") + " and ".join(directions[:2])
@@ -120,6 +122,7 @@ def handed_bias(bundle: Bundle, hand: str) -> NDArray[np.float64] | None:
     hands = hand_ways(bundle)
     if hands is None:
         return None
+    # From -1, the left hand alone moves, to 1, the right one alone.
     total = hands.paths.sum(axis=1)
     right = (hands.paths[:, 0] - hands.paths[:, 1]) / np.maximum(total, 1e-9)
     sided = {"right": right, "left": -right, "both": 1.0 - 2.0 * np.abs(right)}[hand]

@@ -43,6 +43,7 @@ def span_of_gesture(name: str) -> tuple[float, float]:
 def laid_over(poses: Array, times: Array, cues: Sequence[tuple[GestureCue, float]], seed: int = 0) -> Array:
     """Poses [M, 3 J] (exponential maps, radians) at seconds [M], with each gesture blended in at its time; all other
     poses stay the same bit for bit. seed: with another one, each gesture varies in another way."""
+    # One after the other: a gesture that begins while another ends is blended over what that one left.
     out = poses.copy()
     for cue, at in cues:
         before, after = span_of_gesture(cue.gesture)
@@ -114,6 +115,7 @@ def _blended(now: Array, target: Array, share: Array) -> Array:
     """[M, 3] rotations a share [M] of the way from `now` to `target`, along the shortest turn, as the exponential maps
     nearest to `now`."""
     begin = Rotation.from_rotvec(now)
+    # The shortest turn from where the joint is: blending exponential maps would bend the way.
     turn = (begin.inv() * Rotation.from_rotvec(target)).as_rotvec()
     return nearest_turn((begin * Rotation.from_rotvec(share[:, None] * turn)).as_rotvec(), now)
 

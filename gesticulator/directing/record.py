@@ -55,6 +55,7 @@ def plan_of(speech: Speech, cut: Blocks, blocks: Sequence[BlockMotion], origin: 
     drawn = DrawnBlocks(tuple(cut.edges.tolist()), tuple(block.flag for block in decisions),
                         tuple(block.silent for block in decisions), tuple(block.lexeme for block in blocks),
                         origin.options.knobs)
+    # What the plan states in fields of its own is not repeated in the settings, where an edit would contradict it.
     made_by = {**origin.program, "settings": {key: value for key, value in settings.items() if key not in _ABOVE}}
     return GesturePlan(
         FORMAT, VERSION, made_by, PlanSound("", speech.duration, speech.sample_rate, sound_hash(speech)),
@@ -130,6 +131,7 @@ def _unit(blocks: Sequence[BlockMotion]) -> GestureUnit:
             kind = "post-stroke hold" if struck else "pre-stroke hold"
         start = phases.pop().start if phases and phases[-1].kind == kind else block.block.start
         phases.append(GesturePhase(cast(PhaseKind, kind), start, block.block.end))
+    # A unit may change hands: the one that makes most of its blocks names it.
     hands = [decision.hand for decision in decisions if decision.hand]
     hand = cast(Hand, HANDS[max(set(hands), key=hands.count)]) if hands else None
     sizes = [_SIZES[decision.size] for decision in decisions if decision.size]

@@ -72,6 +72,7 @@ def levels_at(edges: Array, levels: NDArray[np.floating], times: Array, fade: fl
     """
     block = np.clip(np.searchsorted(edges, times, side="left") - 1, 0, len(levels) - 1)
     out = np.asarray(levels, dtype=np.float64)[block]
+    # Runs of equal blocks: a change may use half of the run on either side, so that two changes never overlap.
     changes = np.flatnonzero(np.diff(levels)) + 1
     bounds = edges[[0, *changes, len(levels)]]
     for at, before, begins, after in zip(changes, bounds[:-2], bounds[1:-1], bounds[2:], strict=True):
@@ -175,6 +176,7 @@ class Shaper:
         at = scales.changed
         if not len(at):
             return poses
+        # Only the poses that change are computed; the others keep their bits, which edits of a plan rely on.
         before, out = poses[at], poses[at].copy()
         intensity, both = scales.intensity[at], scales.both[at, None]
         strokes = [arm.large.at(times[at]) for arm in self._arms]
@@ -184,6 +186,7 @@ class Shaper:
                       for stroke, other in zip(strokes, self._arms[::-1], strict=True)]
         for side, (arm, stroke, echo) in enumerate(zip(self._arms, strokes, echoes, strict=True)):
             pose, share = before[:, arm.columns], scales.share[at, side, None]
+            # Below `RESTING` strokes shrink no further: the share below leads the arm to rest instead.
             step = np.maximum(intensity[:, side, None], RESTING) - 1.0
             large = (stroke + echo) * step * np.where(step > 0.0, STRONGER, WEAKER)
             lifted = arm.lifted(pose)[:, None]
@@ -193,6 +196,7 @@ class Shaper:
             changed = self._within(pose, echo + lifted * large, arm.columns)
             out[:, arm.columns] = _towards(arm.rest, changed, share)
             out[:, arm.fingers] = _towards(arm.resting_fingers, before[:, arm.fingers], share)
+        # The trunk belongs to both arms and follows the larger gesture.
         most = intensity.max(axis=1, keepdims=True)
         gain = np.where(most > 1.0, np.maximum(most, 1.0) ** TRUNK, TRUNK_LEAST + (1.0 - TRUNK_LEAST) * most)
         trunk = before[:, self._trunk]
@@ -203,6 +207,7 @@ class Shaper:
 
     def _within(self, poses: Array, added: Array, columns: NDArray[np.int64]) -> Array:
         """Poses [M, D] with a displacement added, limited smoothly at the bounds of the training data."""
+        # Towards the mean there is always room; away from it the rest of the range is used up asymptotically.
         outwards = added * (poses - self._mean[columns]) > 0
         room = np.maximum(np.where(added > 0, self._high[columns] - poses, poses - self._low[columns]), 1e-9)
         return poses + np.where(outwards, room * np.tanh(added / room), added)

@@ -70,6 +70,7 @@ class StrokeMemory:
     def push(self, times: Array, poses: Array) -> None:
         """Add poses [K, 3 J] at rising seconds [K]. Knots in memory that are not earlier than these are replaced."""
         rows, arm = self._rows, poses[:, self._columns]
+        # A stream goes back when it is interrupted: what was generated after that moment is replaced.
         known = int(np.searchsorted(rows.times, times[0]))
         old = int(np.searchsorted(rows.times[:known], times[-1] - _STORED))
         before, since, path = (rows.poses[known - 1], rows.times[known - 1], rows.paths[known - 1]) if known \
@@ -90,6 +91,7 @@ class StrokeMemory:
         left = np.maximum(right - 1, 0)
         width = np.maximum(rows.times[right] - rows.times[left], 1e-9)
         share = np.clip((times - rows.times[left]) / width, 0.0, 1.0)
+        # S changes at knots alone, so it is computed there and interpolated.
         knots = np.unique(np.concatenate([left[share < 1.0], right]))
         sums = np.concatenate([self._sums(knots[at:at + _TOGETHER]) for at in range(0, len(knots), _TOGETHER)])
         # Where `left` is not among the knots, its weight is zero.
@@ -106,6 +108,7 @@ class StrokeMemory:
         widths = np.diff(knots, prepend=knots[:1])
         out = np.empty(len(times))
         for at, now in enumerate(times):
+            # A window without corners: with a box, a stroke would leave the mean with a jump of its speed.
             inside = slice(int(np.searchsorted(knots, now - span)), int(np.searchsorted(knots, now, side="right")))
             weights = widths[inside] * np.sin(np.pi * (now - knots[inside]) / span) ** 2
             total = float(weights.sum())

@@ -106,6 +106,7 @@ class WordSounds:
     def _frames(self, word: Word) -> tuple[Array, Array, Array]:
         """Of a word every `_HOP` seconds: [T] level of the band of vowels, decibels; whether it is voiced; its pitch,
         semitones."""
+        # Frames are centred on their moment, and one more period of the lowest pitch follows for the lags.
         hop, length = round(_HOP * self._rate), round(_FRAME * self._rate)
         longest = round(self._rate / _PITCHES[0])
         count = max(round((word.end - word.start) / _HOP), 1)

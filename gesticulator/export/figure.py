@@ -192,6 +192,7 @@ def _trunk(now: Mapping[str, Array], share: float) -> list[BodyPart]:
 
 
 def _arm(now: Mapping[str, Array], side: str) -> list[BodyPart]:
+    # Lifted towards the viewer, so that an arm at the side is not hidden by the trunk's width.
     shoulder, elbow, wrist, tip = (now[side + name] for name in ("Arm", "ForeArm", "Hand", "HandTip"))
     return [BodyPart((Limb(shoulder, elbow, 0.118, 0.09, SHIRT),), 0.04),
             BodyPart((Limb(elbow, wrist, 0.084, 0.054, SKIN), *(_hand(now, side) or (

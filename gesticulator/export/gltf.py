@@ -172,6 +172,7 @@ def open_gltf(path: Path) -> GltfDocument:
 
     `InputError` for an invalid file or a missing separate file.
     """
+    # One buffer, as a GLB has: new data is appended behind it, and no offset of the file changes.
     file = read_gltf(path)
     gltf = GltfDocument(file.document, file.one_buffer())
     views: dict[Path, int] = {}

@@ -146,6 +146,7 @@ def page_fps(duration: float, fps: float) -> float:
 
 def root_path(motion: Motion) -> bytes:
     """float32 [T, 3] positions of the root, or [1, 3] for a still one."""
+    # Most performers stand still: one row instead of one per frame.
     root = motion.root_positions
     if np.ptp(root, axis=0).max() < 1e-6:
         root = root[:1]
@@ -163,6 +164,7 @@ def character_data(rig: Character, joints: Mapping[str, int], face: FaceMotion |
     """The page's data of a character: its file as GLB, our joint -> its node in the file and, if faces are shown like
     `face`, `gesticulator.face.page`. A file of more than `LARGEST_CHARACTER` bytes is omitted, and the page says
     so."""
+    # A .gltf keeps its buffers beside it; the page needs one file.
     path = rig.path
     name = title_of(path) + path.suffix
     file = open_gltf(path).to_bytes() if path.suffix.lower() == ".gltf" else path.read_bytes()

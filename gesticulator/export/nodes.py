@@ -88,6 +88,7 @@ class NodeMotion:
 def of_motion(motion: Motion) -> NodeMotion:
     """A motion as nodes. The rest pose is a T-pose standing on the floor, even for a seated motion: players of VRM
     animations scale the root path by the height of the hips at rest."""
+    # Seated motion starts lower, which must not become the height that players scale by.
     skeleton = motion.skeleton
     rest = skeleton.offsets.copy()
     rest[0] = [0.0, skeletons.HIP_HEIGHT, 0.0]

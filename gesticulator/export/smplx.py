@@ -18,6 +18,7 @@ FPS = 30.0
 
 def write_smplx(path: Path, scene: Scene) -> Path:
     """Write the motion as an SMPL-X file (`data_module.motion.smplx.smplx_arrays`), atomically."""
+    # In memory first: the file appears whole or not at all.
     out = io.BytesIO()
     arrays = smplx_arrays(resample(scene.standing, FPS))
     if scene.face is not None:

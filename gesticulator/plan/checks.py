@@ -89,6 +89,7 @@ def _check_blocks(plan: GesturePlan) -> None:
 
 def _check_cues(plan: GesturePlan) -> None:
     _check_count(plan, "cues")
+    # The words of the plan decide: a transcript that was corrected by hand is the one that cues refer to.
     spoken = Counter(plain_word(word.text) for word in plan.words)
     lexemes = [entry.name for entry in plan.lexicon]
     for at, cue in enumerate(plan.cues):
@@ -118,6 +119,7 @@ def _check_time(plan: GesturePlan, place: Place, time: float | None) -> None:
 
 def _check_units(plan: GesturePlan) -> None:
     """Units and their phases follow each other without overlap, phases within their unit."""
+    # One cursor for both levels: phases fill their unit, and the next unit begins after it.
     end = 0.0
     for at, unit in enumerate(plan.units):
         if not end <= unit.start < unit.end:
@@ -151,6 +153,7 @@ def _check_pins(plan: GesturePlan) -> None:
         if pin.position is not None and pin.joint not in _PLACED:
             raise plan.error(("pins", at, "joint"), f"is {shown(pin.joint)}, which cannot be pinned to a place",
                              f"give one of {', '.join(_PLACED)}, or a rotation instead of the position")
+        # Without either, the pin would only hold still what the motion does anyway.
         if pin.rotation is None and pin.position is None:
             raise plan.error(("pins", at), "has neither a rotation nor a position", "give one of them, or both")
         if pin.rotation is not None and abs(sum(part * part for part in pin.rotation) - 1.0) > _UNIT:
@@ -163,6 +166,7 @@ def _check_curves(plan: GesturePlan) -> None:
         if not start < end:
             raise plan.error(("knobs", "hold_still", at), f"is {start:g} to {end:g}",
                              "give from and to, the smaller first")
+    # Of two curves of one knob only the first would count.
     knobs = [curve.knob for curve in plan.curves]
     for at, curve in enumerate(plan.curves):
         _check_points(plan, ("curves", at), times=curve.times, values=curve.values)

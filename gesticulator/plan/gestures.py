@@ -17,6 +17,7 @@ from data_module.files import read_table
 __all__ = ["ALIASES", "EXPRESSIONS", "GESTURES", "REPERTOIRE", "NamedGesture", "mark_of", "near_gestures"]
 
 _TABLE = Path(__file__).with_name("gestures.csv")
+# Marks in texts are typed by people: the shortest word that is understood has to work.
 ALIASES: Mapping[str, str] = {
     "wave": "wave hello", "me": "point self", "stop": "stop palm", "open palms": "palms question",
     "shake head": "head shake", "size big": "big spread", "size small": "small pinch",
@@ -67,6 +68,7 @@ EXPRESSIONS: Mapping[str, str] = {
 
 def mark_of(name: str) -> str:
     """How a gesture is written into a text, such as "[shrug]" or "[count:3]"."""
+    # Families are written with a colon, so that a language model learns the pattern from few examples.
     kind, _, which = name.partition(" ")
     return f"[{kind}:{which}]" if kind in ("count", "size", "point") else f"[{name}]"
 

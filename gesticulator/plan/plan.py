@@ -35,6 +35,7 @@ VERSION: Final = 2
 Place: TypeAlias = tuple[str | int, ...]
 """The path to a value of a plan: names of members and indices in lists."""
 
+# Literals, so that msgspec checks the words and the schema lists them.
 Energy = Literal["calm", "neutral", "lively"]
 ENERGIES: Mapping[str, tuple[float, float]] = {"calm": (0.6, 0.6), "neutral": (1.0, 1.0), "lively": (1.5, 1.0)}
 """Energy -> factors on intensity and activity. Calm: smaller gestures, in six tenths of the phrases."""
@@ -233,6 +234,7 @@ class PlanKnobs:
 
     def still_at(self, start: float, end: float) -> tuple[tuple[float, float], ...]:
         """The parts of the range from start to end in which the hands should rest or go to rest."""
+        # Hands need time to come to rest, so the blocks before a range are concerned, too.
         ranges = ((max(begin - SETTLES, start), min(stop, end)) for begin, stop in self.hold_still)
         return tuple((begin, stop) for begin, stop in ranges if begin < stop)
 
@@ -431,6 +433,7 @@ class GesturePlan:
     def manner(self) -> GenerationKnobs:
         """What unlocked blocks are generated with; locked ones are with that of the first generation. Intensity and
         mirroring are applied afterwards, and stillness concerns single blocks (`PlanKnobs.still_at`)."""
+        # A curve that is constant is the same as the knob: it must not count as another manner of generation.
         share, varying = self.knobs.share, []
         for curve in filter(None, (self.curve("activity"), self.curve("energy"))):
             first, *others = [_share_at(curve, time) for time in curve.times]
@@ -445,6 +448,7 @@ class GesturePlan:
         """What the blocks of the first generation were generated with."""
         return GenerationKnobs(self.drawn.knobs.share, self.drawn.knobs.handedness)
 
+    # Every error about a plan names its file first, then the path, so that an editor can jump there.
     def error(self, place: Place, wrong: str, advice: str) -> InputError:
         """An error about a part of the plan, which names the file and the path of the part."""
         return InputError(self.source, f"{place_of(place)} {wrong}", advice)
@@ -500,6 +504,7 @@ def place_of(path: Place) -> str:
 
 def sound_hash(speech: Speech) -> str:
     """SHA-256 of the samples, little-endian float32."""
+    # The samples as they are heard, not the file: the same sound in another container is the same recording.
     return hashlib.sha256(speech.samples.astype("<f4").tobytes()).hexdigest()
 
 
@@ -509,6 +514,7 @@ def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
     A block is replayed if its beats, lexeme, silence and random keys are those of the first generation, and the knobs
     that influence its generation are too, unless it is locked.
     """
+    # Handedness and activity change every block that is not locked; size and mirroring are applied afterwards.
     edited = edited_themselves(plan)
     if plan.manner == plan.drawn_manner:
         return edited
@@ -535,6 +541,7 @@ def edited_themselves(plan: GesturePlan) -> tuple[bool, ...]:
 
 def shapes(plan: GesturePlan) -> bool:
     """Whether the plan may change the generated poses, by intensity, mirroring or handedness."""
+    # Most plans change no pose: then none of the arms' movements need to be remembered.
     knobs = plan.knobs
     if knobs.size != 1.0 or knobs.handedness is not None or plan.curve("intensity") or plan.curve("energy"):
         return True

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
+from gesticulator_performer.face.known_phones import VisemeSpan, labels, of_ipa, spans
 from gesticulator_performer.face.training import FaceTraining, LabelledRows, fit, with_long_pause
 from gesticulator_performer.face.viseme_net import VisemeNet, rows_of, stacked
+from hypothesis import given
+from hypothesis import strategies as st
 
 from gesticulator.face.lips import SAMPLE_RATE, STACKED, LipFeatures, VisemeStepper
-from gesticulator.face.visemes import SILENT
+from gesticulator.face.visemes import SILENT, of_arpabet
 
 
 def test_a_small_network_learns_which_band_is_loud() -> None:
@@ -54,3 +58,22 @@ def test_the_stepper_computes_what_the_network_was_trained_as() -> None:
         expected = torch.softmax(net(frames[None])[0], -1).numpy()
     step = VisemeStepper({name: value.numpy() for name, value in net.state_dict().items()})
     np.testing.assert_allclose(np.array([step(frame) for frame in frames.numpy()]), expected, atol=2e-5)
+
+
+@pytest.mark.parametrize(("ipa", "arpabet"), [("m", "M"), ("θ", "TH"), ("tʃ", "CH"), ("aɪ", "AY1"), ("ŋ", "NG"),
+                                              ("uː", "UW0"), ("ɡ", "g"), ("ɹ", "R"), ("", "SIL")])
+def test_both_alphabets_name_the_same_shapes(ipa: str, arpabet: str) -> None:
+    assert of_ipa(ipa) == of_arpabet(arpabet)
+
+
+@given(st.lists(st.sampled_from(range(1, 15)), min_size=1, max_size=3), st.floats(0, 5), st.floats(0.02, 1))
+def test_a_phones_shapes_tile_its_time(visemes: list[int], start: float, length: float) -> None:
+    parts = spans(visemes, start, start + length)
+    assert [part.viseme for part in parts] == visemes
+    assert parts[0].start == start and parts[-1].end == pytest.approx(start + length)
+    assert all(a.end == b.start for a, b in zip(parts, parts[1:], strict=False))
+
+
+def test_a_frame_has_the_shape_at_its_middle() -> None:
+    found = labels([VisemeSpan(3, 0.04, 0.1), VisemeSpan(5, 0.1, 0.12)], 8, 50.0)
+    assert found.tolist() == [0, 0, 3, 3, 3, 5, 0, 0]

@@ -7,15 +7,18 @@ level and noise, all drawn from the generator.
 
 from __future__ import annotations
 
+import itertools
+import unicodedata
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
 from data_module.types import Samples
-from gesticulator.face.visemes import VisemeSpan, labels, of_arpabet, of_ipa, spans
+from gesticulator.face.visemes import SILENT, VISEMES, of_arpabet
 from gesticulator_performer import espeak, flite
 from gesticulator_performer.sound import RATE, Phone, read_at, recorded
 from gesticulator_performer.text import compose
@@ -42,6 +45,51 @@ _LONG_PAUSE = 3.0
 _BREATH = (0.15, 0.5)
 # Playing speeds: they change pitch, formants and tempo together.
 _SPEEDS = (0.88, 1.14)
+
+
+_IPA = {
+    "PP": "p b m ɓ", "FF": "f v ɱ ʋ ɸ β", "TH": "θ ð", "DD": "t d ʈ ɖ ɗ ɾ r", "kk": "k ɡ g q ɢ x ɣ χ ʁ h ɦ ħ ʕ ʔ c ɟ ɰ",
+    "CH": "ʃ ʒ ɕ ʑ ʂ ʐ ɧ", "SS": "s z ɬ ɮ", "nn": "n ŋ ɲ ɳ ɴ l ɫ ɭ ʎ ʟ ɽ", "RR": "ɹ ɻ ʀ",
+    "aa": "a ɑ ɐ ʌ ɒ æ ɶ", "E": "e ɛ ə ɜ ɚ ɝ ɘ ɞ ɤ œ", "ih": "i ɪ ɨ j ʝ ç ʲ", "oh": "o ɔ ɵ",
+    "ou": "u ʊ y ʏ ø ʉ ɯ w ɥ ʍ",
+}
+_OF_IPA = {letter: name for name, letters in _IPA.items() for letter in letters.split()}
+_VOWELS = tuple(VISEMES.index(name) for name in ("aa", "E", "ih", "oh", "ou"))
+
+
+@dataclass(frozen=True)
+class VisemeSpan:
+    """One viseme (an index in `VISEMES`) from `start` to `end` seconds."""
+
+    viseme: int
+    start: float
+    end: float
+
+
+@lru_cache(maxsize=4096)
+def of_ipa(phone: str) -> tuple[int, ...]:
+    """The visemes of an IPA symbol, such as ("aa", "ih") as indices for "aɪ"; marks of length, stress and tone are
+    ignored, and () means that the symbol has no sound."""
+    letters = [letter for letter in unicodedata.normalize("NFD", phone) if letter in _OF_IPA]
+    return tuple(viseme for viseme, _ in itertools.groupby(VISEMES.index(_OF_IPA[letter]) for letter in letters))
+
+
+def spans(visemes: Sequence[int], start: float, end: float) -> list[VisemeSpan]:
+    """A phone's visemes in equal shares of its time; the first of a diphthong takes 0.6 of it."""
+    if not visemes:
+        return []
+    shares = [0.6, 0.4] if len(visemes) == 2 and visemes[0] in _VOWELS else [1 / len(visemes)] * len(visemes)
+    edges = start + (end - start) * np.concatenate([[0.0], np.cumsum(shares)])
+    return [VisemeSpan(viseme, float(a), float(b)) for viseme, a, b in zip(visemes, edges, edges[1:], strict=False)]
+
+
+def labels(track: Sequence[VisemeSpan], count: int, rate: float) -> NDArray[np.int64]:
+    """[count] the viseme at the middle of each frame of 1 / `rate` seconds; silence where there is none."""
+    out = np.full(count, SILENT, np.int64)
+    for span in track:
+        first, last = round(span.start * rate), round(span.end * rate)
+        out[max(first, 0):max(min(max(last, first + 1), count), 0)] = span.viseme
+    return out
 
 
 @dataclass(frozen=True)
