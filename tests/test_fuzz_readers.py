@@ -40,13 +40,12 @@ NO_CASE = {
         data_module/build*.py:* data_module/store.py:StoreWriter.*""",
     "a training's own work folder": "gesticulator/training/* interpreters/episodes.py:Episodes.load",
     "an evaluation's own work folder": """
-        eval/acceptance/*:* eval/baselines/unit_selection.py:_read
+        eval/acceptance/*:* eval/baselines/unit_selection.py:UnitDatabase.of
         eval/ablate/*:* eval/context.py:* eval/renderings.py:*""",
     "calls a reader that has a case": """
         data_module/corpora/base.py:load
         data_module/corpora/ted.py:Ted.read gesticulator/page/session.py:* gesticulator/live/*:*
-        gesticulator/bundle/models.py:_opened interpreters/base.py:opened
-        eval/probes/stability.py:_words_changed""",
+        gesticulator/bundle/models.py:_opened interpreters/base.py:opened""",
     "the bytes are hashed, copied or thrown away, not parsed": """
         data_module/text/word_vectors.py:_fingerprint
         gesticulator/jobs.py:file_hash gesticulator/export/html.py:character_data""",
@@ -54,8 +53,7 @@ NO_CASE = {
         data_module/files.py:lock
         gesticulator/characters/fbx_rig.py:read_fbx_character
         gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:* gesticulator/export/fbx.py:write_animated
-        gesticulator/export/usd.py:write_usd gesticulator/serve/metrics.py:read_figures
-        eval/probes/stability.py:_as_mp3""",
+        gesticulator/export/usd.py:write_usd gesticulator/serve/metrics.py:read_figures""",
     "messages of another process of the same server": """
         gesticulator/serve/output_process.py:_play gesticulator/serve/relay.py:*""",
     "runs in a child process, whose parent has a case": """
