@@ -139,7 +139,7 @@ def _array(stream: IO[bytes], size: int) -> NDArray[Any]:
 
 
 def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
-# The format: magic, two bytes of version, the length of the header, the header as a Python literal.
+    # The format: magic, two bytes of version, the length of the header, the header as a Python literal.
     start = stream.read(8)
     if start[:6] != _MAGIC or len(start) < 8:
         raise ValueError("it has no numpy header")

@@ -163,7 +163,7 @@ def denormalise(knots: Array, first: Array, blocks: Blocks, fps: float, smooth_o
     if np.size(knots) != len(blocks) * blocks.frames * len(first):
         raise ValueError(f"{np.size(knots) // len(first)} knots for {len(blocks)} blocks of {blocks.frames} frames")
     # By block, as in a stream, so that a file and a stream give the same bits.
-# Knots are [N, K, D] from models and [N * K, D] from files.
+    # Knots are [N, K, D] from models and [N * K, D] from files.
     values = np.asarray(knots).reshape(len(blocks), blocks.frames, -1)
     path = KnotPath(first, fps, smooth_over)
     times = blocks.knot_times.reshape(len(blocks), -1) - blocks.edges[0]

@@ -261,7 +261,7 @@ def _warn_if_far(what: str, values: ArrayLike, feature: str, levels: Levels) -> 
     index = FEATURES.index(feature)
     mean, spread = float(levels.mean[index]), float(levels.spread[index])
     numbers = np.asarray(values, dtype=np.float64)
-# One warning for a curve, with its value that lies farthest out.
+    # One warning for a curve, with its value that lies farthest out.
     furthest = float(numbers[np.argmax(np.abs(numbers - mean))])
     if abs(furthest - mean) > _FAR * spread:
         # Attributed to this module, because commands show only the warnings of our packages.

@@ -45,7 +45,7 @@ def printable(text: str) -> str:
 
 def shown(value: object, width: int = 40) -> str:
     """A value from a file in at most `width` characters, for a message; fast for long and deep values."""
-# Plain values as they are; reprlib bounds the time that long and deep ones take.
+    # Plain values as they are; reprlib bounds the time that long and deep ones take.
     text = value if isinstance(value, str) else str(value) if isinstance(value, float | bool) or value is None \
         else reprlib.repr(value)
     return printable(text[:width])[:width]

@@ -122,7 +122,7 @@ def new_folder(target: Path) -> Iterator[Path]:
     raised. InputError if `target` exists and is not empty."""
     if not is_free(target):
         raise InputError(target, "is already there", "delete it or choose another folder")
-# Beside the target, as a rename is atomic within one file system only.
+    # Beside the target, as a rename is atomic within one file system only.
     partial = target.with_name(target.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
     try:

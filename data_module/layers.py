@@ -119,7 +119,7 @@ def run_lstm(lstm: nn.LSTM, rows: Tensor, hidden: tuple[Tensor, Tensor] | None =
             and not _has_narrow_lstm(torch.get_autocast_dtype("cpu")):
         with torch.autocast("cpu", enabled=False):
             return run_lstm(lstm, rows.float(), None if hidden is None else (hidden[0].float(), hidden[1].float()))
-# In training the module itself runs: it has dropout, and kernels for gradients.
+    # In training the module itself runs: it has dropout, and kernels for gradients.
     live = rows.shape[0] * rows.shape[1] <= _FEW_ROWS and rows.device.type == "cpu"
     if not live or torch.is_grad_enabled() or lstm.training:
         out, hidden = lstm(rows, hidden)

@@ -199,6 +199,6 @@ class Blocks:
         """[N * K] seconds of the normalised frames 1..K of every block, in the recording's own time."""
         share = np.arange(1, self.frames + 1) / self.frames
         times = self.edges[:-1, None] + self.durations[:, None] * share
-# Exactly, not by rounding: the last frame of a block lies on its beat.
+        # Exactly, not by rounding: the last frame of a block lies on its beat.
         times[:, -1] = self.edges[1:]
         return times.ravel()

@@ -11,7 +11,7 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.types import BeatFlag, Blocks, Motion, Skeleton, Speech, Word
 from gesticulator.directing.record import Origin, plan_of
 from gesticulator.export import writers
-from gesticulator.export.clip import EVERY_FRAME
+from gesticulator.export.clip import ClipLayout
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
 from gesticulator.plan.plan import Block, BlockDraw, LexemeChoice
@@ -45,7 +45,8 @@ def perform(seconds: float = 2.5, fps: float = 25.0, seed: int = 3, root_height:
                           NONE[0]) for i in range(n)]
     settings = {"seed": 0, "variation": 0, "speaker": "", "interpreter": ""}
     plan = plan_of(speech, cut, blocks, Origin(InferenceOptions(), {}, settings, "log-probability"))
-    return Performance(motion, speech, cut, best[:, 0].copy(), np.empty((n, 0), np.float32), plan, clip=EVERY_FRAME)
+    return Performance(motion, speech, cut, best[:, 0].copy(), np.empty((n, 0), np.float32), plan,
+                       clip=ClipLayout(keys=0.0))
 
 
 def _block(cut: Blocks, i: int, best: list[int], scores: list[float]) -> Block:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import struct
-import subprocess
 import sys
 import warnings
 from fractions import Fraction
@@ -259,16 +258,6 @@ def test_a_stream_is_read_as_a_file_is(tmp_path: Path, suffix: str, kind: str, s
     with path.open("rb") as file:
         for stream in (io.BytesIO(data), io.BufferedReader(Pipe()), file):
             assert np.array_equal(load_speech(stream).samples, expected)
-
-
-def test_faults_of_a_stream_name_it(tmp_path: Path) -> None:
-    for data, says in ((b"", "empty"), (b"no sound", "decoded"), (encoded(tone(16000), 16000)[:9000], "cut short")):
-        with pytest.raises(InputError, match=f"^standard input: .*{says}"):
-            load_speech(io.BytesIO(data))
-    code = "import sys\nfrom data_module.speech.audio import load_speech\nprint(load_speech(sys.stdin.buffer).duration)"
-    done = subprocess.run([sys.executable, "-c", code], input=encoded(tone(16000), 16000), capture_output=True,
-                          check=True)
-    assert done.stdout == b"2.0\n"
 
 
 # ---------------------------------------------------------------------------------------------------- containers

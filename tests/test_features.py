@@ -220,7 +220,7 @@ def test_a_front_end_that_is_not_to_be_had_is_refused_by_name(models: Path, tmp_
             ("mfcc", None, "no 'mfcc'; choose from mel, vqwav2vec, fairseq:PATH, hf:"),
             ("hf:", None, "no 'hf:'"), ("ftp:model", None, "no 'ftp:model'"),
             ("vqwav2vec", None, "needs a trained speech encoder"),
-            (f"fairseq:{tmp_path / 'none.pt'}", None, "none.pt: is not there"),
+            (f"fairseq:{tmp_path / 'none.pt'}", None, "none.pt: cannot be loaded"),
             (f"hf:{tmp_path / 'none'}", None, "is not on this machine"),
             ("hf:nobody/there-is-no-such-model", None, "is not on this machine"),
             (f"hf:{tmp_path / 'empty'}", None, "is not a model that transformers can load"),

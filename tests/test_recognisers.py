@@ -168,19 +168,10 @@ def test_what_cannot_be_used_is_refused(content: Any, said: str, tmp_path: Path)
     assert said in str(caught.value)
 
 
-def test_subtitles_that_repeat_their_lines_are_refused(tmp_path: Path) -> None:
-    """Word by word, with nothing highlighted: nobody can tell which word is meant."""
-    line = " ".join("abcdefgh")
-    cues = [f"{n}\n00:00:0{n // 5},{n % 5 * 200:03d} --> 00:00:0{(n + 1) // 5},{(n + 1) % 5 * 200:03d}\n{line}\n"
-            for n in range(20)]
-    with pytest.raises(InputError, match=r"160 words in 4\.00 s are more than anybody speaks"):
-        _read(tmp_path, ".srt", "\n".join(cues))
-
-
 @pytest.mark.parametrize(("content", "said"), [
     ("begin\tend\ttext\n", "line 1: does not name"), ("start\tend\ttext\n1\t2\n", "line 2: is not a start"),
     ("start\tend\ttext\n1\tx\ta\n", "line 2: is not a start"), ("start\tend\ttext\n", "has no words"),
-    ("start\tend\ttext\n1\t1" + "0" * 400 + "\ta\n", "line 2: 1000"),
+    ("start\tend\ttext\n1\t1" + "0" * 400 + "\ta\n", "line 2: inf s is no time"),
 ])
 def test_broken_tables_are_named_by_line(content: str, said: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:

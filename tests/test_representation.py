@@ -181,16 +181,6 @@ def test_any_pose_of_the_character_keeps_all_directions(seed: int) -> None:
     assert np.abs(found - wanted).max() < 1e-6
 
 
-@given(st.integers(0, 99), arrays(np.float64, 9, elements=st.floats(0.1, 50)))
-def test_lengths_unit_and_origin_do_not_count(seed: int, lengths: Array) -> None:
-    motion = swaying(20, seed=seed)
-    directions = bone_directions(ted_positions(motion))
-    origin = np.random.default_rng(seed).normal(size=(20, 1, 3))
-    plain = rotations_from_positions(ted_positions(motion), 20.0)
-    other = rotations_from_positions(1000 * chained(directions, lengths) + origin, 20.0)
-    assert apart(plain, other).max() < 1e-3
-
-
 # Rotations
 
 
@@ -275,20 +265,6 @@ def regular(motion: Motion, seed: int = 0) -> Blocks:
     edges = np.append(edges[edges < last - 0.2], last)
     count = len(edges) - 1
     return Blocks(edges, np.ones(count, np.int8), np.zeros(count, bool), 10, 20.0)
-
-
-@given(st.integers(0, 20))
-def test_a_motion_goes_through_blocks_of_positions_and_back(seed: int) -> None:
-    motion = swaying(180, 60.0, seed)
-    blocks = regular(motion, seed)
-    knots = normalise_motion(motion, blocks, POSITIONS)
-    assert knots.shape == (len(blocks), 10, 30)
-    assert np.allclose(knots[:, -1], POSITIONS.vectors(motion, blocks.edges[1:]))
-    frames = denormalise(knots, first_pose(motion, POSITIONS), blocks, 60.0, smooth_over=0)
-    back = POSITIONS.motion(frames, 60.0)
-    wanted = bone_directions(ted_positions(motion))[:len(back)]
-    found = bone_directions(ted_positions(back))
-    assert np.degrees(np.linalg.norm(found - wanted, axis=-1)).max() < 1.0
 
 
 @pytest.mark.parametrize("clip", ["brad/brad_Idle01_IndicateLeftBt01.bvh", "garza/garza_IdleStand01_ChopRt01.bvh"])

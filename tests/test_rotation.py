@@ -94,17 +94,6 @@ def test_unrolling_follows_a_joint_through_any_number_of_turns(axis: Array, reac
     assert apart(rotation.from_exponential_map(smooth), rotation.from_exponential_map(truth)) < 1e-6
 
 
-def test_unrolling_turns_nothing_otherwise_however_far_frames_lie_apart() -> None:
-    """Frames that know nothing of each other stay the same rotations, each within half a turn along its axis."""
-    wild = rotation.to_exponential_map(rotation.from_exponential_map(
-        np.random.default_rng(1).normal(scale=2.0, size=(200, 2, 3))))
-    rolled = rotation.unroll(wild)
-    assert apart(rotation.from_exponential_map(rolled), rotation.from_exponential_map(wild)) < 1e-6
-    axes = rolled / np.linalg.norm(rolled, axis=-1, keepdims=True)
-    along = np.sum((rolled[1:] - rolled[:-1]) * axes[1:], axis=-1)
-    assert np.abs(along).max() <= np.pi + 1e-9
-
-
 def test_neighbours_lie_on_one_half_sphere() -> None:
     q = rotation.from_exponential_map(np.linspace(0, 20, 200)[:, None] * np.array([0.6, 0.0, 0.8]))
     q[::3] *= -1

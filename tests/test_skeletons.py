@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,12 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError
 from data_module.motion import kinematics, rotation, skeletons
-from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import CHARACTER, JOINTS, NAME_TABLES, REQUIRED, find_table, to_character
 from data_module.types import Array, Motion, Skeleton
-
-ARM_BONES = [(f"{side}{bone}", f"{side}{tip}") for side in ("Left", "Right")
-             for bone, tip in (("Arm", "ForeArm"), ("ForeArm", "Hand"))]
 
 
 def calm(frames: int = 40, seed: int = 0) -> Motion:
@@ -48,13 +42,6 @@ def re_rested(motion: Motion, by: Mapping[str, Array]) -> Motion:
     # The bone in space is world * old offset = (world * turn^-1) * new offset.
     local = kinematics.local_rotations(old, rotation.multiply(world, rotation.conjugate(turn)))
     return Motion(Skeleton(old.names, old.parents, offsets), local, motion.root_positions, motion.fps)
-
-
-def directions(motion: Motion, names: Mapping[str, int], bones: list[tuple[str, str]]) -> Array:
-    """[T, bones, 3] unit vectors."""
-    positions = kinematics.positions_of(motion)
-    ways = np.stack([positions[:, names[tip]] - positions[:, names[bone]] for bone, tip in bones], axis=1)
-    return ways / np.linalg.norm(ways, axis=-1, keepdims=True)
 
 
 def own_table() -> dict[str, int]:
@@ -164,41 +151,3 @@ def test_vectors_and_motion_go_there_and_back(seed: int) -> None:
     back = skeletons.from_vector(vectors, faced.fps)
     assert rotation.angle_between(back.rotations, faced.rotations).max() < 1e-6
     assert np.allclose(skeletons.to_vector(back), vectors, atol=1e-6)
-
-
-def stroke_files(folder: Path, every: int) -> list[Path]:
-    with (folder / "strokes" / "manifest.csv").open(encoding="utf-8") as rows:
-        return [folder / "strokes" / row["file"] for row in csv.DictReader(rows)][::every]
-
-
-def hands_seen_from_the_shoulders(motion: Motion, names: Mapping[str, int]) -> Array:
-    """[T, 2, 3] metres in our axes, right and left hand, each from its own shoulder, on arms of the source's length."""
-    positions = kinematics.positions_of(motion)
-    return np.stack([positions[:, names[side + "Hand"]] - positions[:, names[side + "Arm"]]
-                     for side in ("Right", "Left")], axis=1)
-
-
-def reach(motion: Motion, names: Mapping[str, int]) -> float:
-    offsets = motion.skeleton.offsets
-    return float(sum(np.linalg.norm(offsets[names[name]]) for name in ("LeftForeArm", "LeftHand")))
-
-
-def assert_lands(motion: Motion) -> None:
-    """Each arm bone points where it points in the source, and the hands are where longer or shorter arms put them."""
-    names, there = find_table(motion.skeleton.names), to_character(motion)
-    theirs, ours = directions(motion, names, ARM_BONES), directions(there, own_table(), ARM_BONES)
-    assert np.degrees(np.arccos(np.clip(np.sum(theirs * ours, axis=-1), -1, 1))).max() < 1.0
-    size = reach(there, own_table()) / reach(motion, names)
-    apart = hands_seen_from_the_shoulders(there, own_table()) - size * hands_seen_from_the_shoulders(motion, names)
-    # The upper arm's share of the arm differs from person to person, which shows most when the elbow is folded.
-    assert np.linalg.norm(apart, axis=-1).max() < 0.08
-    assert np.allclose(there.root_positions, motion.root_positions, atol=1e-6)
-
-
-def test_real_strokes_of_every_speaker_land_on_the_character(outside_data: Path) -> None:
-    paths = stroke_files(outside_data, 25)
-    assert len({path.parent.name for path in paths}) == 4
-    for path in paths:
-        motion = read_bvh(path)
-        assert_lands(motion)
-        assert to_character(motion).absent == ("Spine3",)

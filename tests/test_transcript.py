@@ -140,19 +140,6 @@ def test_broken_subtitles_are_named_by_line(tmp_path: Path) -> None:
     assert "has no words" in _refusal(tmp_path, "a.srt", good.replace("hello", "[Music]"))
 
 
-def test_segments_in_json(tmp_path: Path) -> None:
-    segments = [{"start": 0, "end": 1.1, "text": "well then"}, {"start": 2, "end": 3, "text": "so"}]
-    for content in (json.dumps(segments), json.dumps({"segments": segments})):
-        found = _read(tmp_path, "a.json", content)
-        assert found.timing == "cues" and found.words == (
-            Word("well", 0.0, 0.55), Word("then", 0.55, 1.1), Word("so", 2.0, 3.0))
-    words = [{"word": "so", "start": 2.2, "end": 2.6}]
-    found = _read(tmp_path, "a.json", json.dumps({"segments": [segments[0], {**segments[1], "words": words}]}))
-    assert found.timing == "words" and found.guessed == 2 and found.words is not None
-    assert [w.start for w in found.words] == [0.0, 0.55, 2.2]
-    assert _read(tmp_path, "a.json", '{"text": "hello there"}').timing == "none"
-
-
 def test_words_without_times_lie_between_their_neighbours(tmp_path: Path) -> None:
     """Recognisers leave out the times of what they could not place, such as "2014"."""
     told = [{"word": "in", "start": 0.5, "end": 0.7}, {"word": "2014"}, {"word": "or"},

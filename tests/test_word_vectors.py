@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data_module.errors import InputError
-from data_module.text import word_vectors
 from data_module.text.word_vectors import WordEncoder, sentences, word_frames
 from data_module.types import Blocks, Word
 
@@ -93,22 +91,6 @@ def test_a_folder_is_a_model_and_a_crippled_one_is_refused(encoder: WordEncoder,
     (copy / "model.safetensors").unlink()
     with pytest.raises(InputError, match="cannot be loaded"):
         WordEncoder.open(str(copy))
-
-
-def test_a_model_that_is_not_there_is_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    load, local = word_vectors._load, []
-
-    def noted(where: str, *, local_files_only: bool) -> Any:
-        local.append(local_files_only)
-        return load(where, local_files_only=local_files_only)
-
-    monkeypatch.setattr(word_vectors, "_load", noted)
-    with pytest.raises(InputError, match="not on this machine"):
-        WordEncoder.open("nobody/has-this-model")
-    assert local == [True], "it is looked for on this machine alone, and once"
-    for name in (str(tmp_path / "none"), "./none", ""):
-        with pytest.raises(InputError, match="not the folder"):
-            WordEncoder.open(name)
 
 
 def test_sentences_end_at_pauses_marks_and_forty_words() -> None:

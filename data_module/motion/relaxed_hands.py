@@ -17,8 +17,8 @@ from data_module.motion.hand_shapes import HandMotion
 from data_module.motion.skeletons import FINGER_JOINTS, FINGERS
 from data_module.types import Array, Motion, Skeleton
 
-# Shares by which the bend is reduced in a raised hand and in a fast hand.
-_LIFT_OPENS, _SPEED_OPENS = 0.45, 0.22
+# Share by which the bend is reduced in a fast hand.
+_SPEED_OPENS = 0.22
 # Height over the hips at which a hand counts as half raised, and the scale of the transition, metres; a hanging hand is
 # 4 cm below them.
 _LIFTED, _LIFT_WIDTH = 0.12, 0.05
@@ -59,12 +59,6 @@ def with_relaxed_hands(motion: Motion) -> Motion:
     every = {*motion.filled, *filled}
     return replace(motion, rotations=out, absent=absent,
                    filled=tuple(name for name in motion.skeleton.names if name in every))
-
-
-def openness(motion: Motion, side: str) -> Array:
-    """[T] from 0 (a hanging hand) to `_LIFT_OPENS` + `_SPEED_OPENS` (a raised, fast hand)."""
-    hand = hand_motion(motion, side)
-    return _LIFT_OPENS * hand.lifted + _SPEED_OPENS * np.tanh(hand.speed / _FAST)
 
 
 def hand_motion(motion: Motion, side: str) -> HandMotion:

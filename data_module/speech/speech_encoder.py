@@ -199,71 +199,54 @@ def load_fairseq(path: str | os.PathLike[str]) -> SpeechEncoder:
     """The feature extractor of a vq-wav2vec (or wav2vec) checkpoint as fairseq writes it, ready to use (frozen). Only
     tensors and plain settings are read from the file, nothing in it is run. Width comes from the shapes. InputError
     where the file is not such a checkpoint."""
-    stored = _read_checkpoint(path)
-    weights = {str(key): value for key, value in stored["model"].items() if isinstance(value, Tensor)}
+    advice = "give fairseq's vq-wav2vec.pt; where you trust it, load it there and save {'model': checkpoint['model']}"
+    try:
+        # Older files keep their settings as a Namespace, which holds plain values alone.
+        with torch.serialization.safe_globals([argparse.Namespace]):
+            stored = torch.load(path, weights_only=True, map_location="cpu")
+    except (pickle.UnpicklingError, OSError, RuntimeError, EOFError, ValueError, KeyError, IndexError,
+            AttributeError) as error:
+        raise InputError(path, f"cannot be loaded as tensors and plain settings ({type(error).__name__})",
+                         advice) from None
+    if not isinstance(stored, dict) or not isinstance(stored.get("model"), Mapping):
+        raise InputError(path, "is not a checkpoint of fairseq: it holds no 'model'", advice)
     settings = _settings_of(stored)
-    first = weights.get("feature_extractor.conv_layers.0.0.weight")
-    if first is None or first.ndim != 3:
-        raise InputError(path, "holds no feature extractor of vq-wav2vec", "give fairseq's vq-wav2vec.pt")
     if settings.get("skip_connections_feat") or not settings.get("log_compression", True) \
             or settings.get("activation", "gelu") != "gelu":
         raise InputError(path, "was trained with other settings than vq-wav2vec (skip connections in the feature "
-                         "extractor, no log compression, or another activation)", "give fairseq's vq-wav2vec.pt")
-    encoder = SpeechEncoder(len(first))
+                         "extractor, no log compression, or another activation)", advice)
     try:
-        encoder.load_state_dict(_renamed(weights, len(first)))
-    except (KeyError, RuntimeError) as error:
+        weights = _renamed(stored["model"])
+        encoder = SpeechEncoder(len(weights["convolutions.0.weight"]))
+        encoder.load_state_dict(weights)
+    except (KeyError, TypeError, RuntimeError, AttributeError) as error:
         raise InputError(path, f"has not vq-wav2vec's eight convolutions ({str(error).splitlines()[-1].strip()})",
-                         "give fairseq's vq-wav2vec.pt") from None
+                         advice) from None
     if not all(bool(torch.isfinite(value).all()) for value in encoder.state_dict().values()):
         raise InputError(path, "holds weights that are not numbers", "fetch it again")
     return encoder.eval().requires_grad_(False)
 
 
-def _read_checkpoint(path: str | os.PathLike[str]) -> dict[str, Any]:
-    try:
-        # Older files keep their settings as a Namespace, which holds plain values alone.
-        with torch.serialization.safe_globals([argparse.Namespace]):
-            stored = torch.load(path, weights_only=True, map_location="cpu")
-    except FileNotFoundError:
-        raise InputError(path, "is not there", "check the path") from None
-    except pickle.UnpicklingError as error:
-        if "Unsupported" in str(error) or "GLOBAL" in str(error):
-            raise InputError(path, "holds objects besides tensors and plain settings, which are not loaded",
-                             "where you trust it, load it with fairseq and save {'model': checkpoint['model']} alone"
-                             ) from None
-        raise InputError(path, "is not a checkpoint of PyTorch", "give fairseq's vq-wav2vec.pt") from None
-    except (OSError, RuntimeError, EOFError, ValueError, KeyError, IndexError, AttributeError) as error:
-        raise InputError(path, f"cannot be read as a checkpoint of PyTorch ({type(error).__name__})",
-                         "fetch it again") from None
-    if not isinstance(stored, dict) or not isinstance(stored.get("model"), Mapping):
-        raise InputError(path, "is not a checkpoint of fairseq: it holds no 'model'", "give fairseq's vq-wav2vec.pt")
-    return stored
-
-
-def _settings_of(stored: Mapping[str, Any]) -> dict[str, Any]:
+def _settings_of(stored: Mapping[str, Any]) -> Mapping[str, Any]:
     """The model's settings, from "args" (a Namespace) or from "cfg" (plain values) with or without its "model"."""
-    for name in ("args", "cfg"):
-        group = stored.get(name)
+    group = stored.get("args") or stored.get("cfg")
+    for _ in range(2):
         plain = vars(group) if isinstance(group, argparse.Namespace) else group
-        if isinstance(plain, Mapping):
-            inner = plain.get("model", plain)
-            inner = vars(inner) if isinstance(inner, argparse.Namespace) else inner
-            return dict(inner) if isinstance(inner, Mapping) else {}
-    return {}
+        group = plain.get("model", plain) if isinstance(plain, Mapping) else {}
+    return group if isinstance(group, Mapping) else {}
 
 
-def _renamed(weights: Mapping[str, Tensor], width: int) -> dict[str, Tensor]:
+def _renamed(stored: Mapping[str, Any]) -> dict[str, Tensor]:
     """fairseq's names to ours; KeyError where a convolution lacks. A normalisation without weights scales by 1."""
     prefix = "feature_extractor.conv_layers"
-    layers = {key.split(".")[2] for key in weights if key.startswith(prefix + ".")}
+    layers = {key.split(".")[2] for key in map(str, stored) if key.startswith(prefix + ".")}
     if layers != {str(layer) for layer in range(LEVELS)}:
         raise KeyError(f"{len(layers)} layers for {LEVELS}")
     out: dict[str, Tensor] = {}
     for layer in range(LEVELS):
-        out[f"convolutions.{layer}.weight"] = weights[f"{prefix}.{layer}.0.weight"].float()
-        for name, default in (("weight", torch.ones(width)), ("bias", torch.zeros(width))):
+        out[f"convolutions.{layer}.weight"] = kernel = stored[f"{prefix}.{layer}.0.weight"].float()
+        for name, default in (("weight", torch.ones(len(kernel))), ("bias", torch.zeros(len(kernel)))):
             # Dropout stands between convolution and normalisation, in some versions not.
-            stored = (weights.get(f"{prefix}.{layer}.{place}.{name}") for place in (2, 1))
-            out[f"norms.{layer}.{name}"] = next((value.float() for value in stored if value is not None), default)
+            values = (stored.get(f"{prefix}.{layer}.{place}.{name}") for place in (2, 1))
+            out[f"norms.{layer}.{name}"] = next((value.float() for value in values if value is not None), default)
     return out

@@ -124,7 +124,7 @@ def alignment(speech: Speech, transcript: str) -> Alignment:
         end = speech.duration
         timed = tuple(Word(written, min(a, end), min(b, end))
                       for (written, _), (a, b) in zip(words, spans, strict=True))
-# A text that is too short for its sound is squeezed in somewhere, with times that mean nothing.
+        # A text that is too short for its sound is squeezed in somewhere, with times that mean nothing.
         covered = _covered(samples, spans)
         doubt = "" if covered >= LEAST_COVERED else f"the transcript covers only {covered:.0%} of the speech"
     return Alignment(timed, not doubt, doubt)
@@ -143,7 +143,8 @@ def written_words(transcript: str) -> list[str]:
     out: list[str] = []
     for token in re.sub("[-–—]", " ", transcript).split():
         if len(_UNSPACED.findall(token)) > _LONGEST_UNSPACED:
-# A stretch of such a script is a phrase; shorter ones are words, as a name within a text in another script is.
+            # A stretch of such a script is a phrase; shorter ones are words, as a name within a text in another script
+            # is.
             token = _UNSPACED.sub(r" \g<0> ", token)
         stripped = (re.sub(r"^[\W_]+|[\W_]+$", "", part) for part in token.split())
         out += [part for part in stripped if part]
@@ -154,7 +155,7 @@ def can_follow(transcript: str) -> bool:
     """Whether the aligner supports a transcript: it has words, and few have letters that English lacks."""
     words = [word.lower() for word in written_words(transcript) if any(letter.isalpha() for letter in word)]
     strange = sum(any(letter.isalpha() and letter not in _KNOWN_LETTERS for letter in word) for word in words)
-# A few foreign names are no reason to give up on an English text.
+    # A few foreign names are no reason to give up on an English text.
     return bool(spoken_words(transcript)) and strange <= _STRANGE_WORDS * len(words)
 
 
@@ -169,7 +170,7 @@ def _aligner_samples(speech: Speech) -> NDArray[np.int16]:
 
         common = int(np.gcd(speech.sample_rate, ALIGNER_RATE))
         samples = resample_poly(samples, ALIGNER_RATE // common, speech.sample_rate // common)
-# The acoustic model takes 16-bit samples.
+    # The acoustic model takes 16-bit samples.
     return np.round(np.clip(samples, -1, 1) * 32767).astype(np.int16)
 
 
@@ -299,10 +300,10 @@ def _shared_out(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[
     loud = np.flatnonzero(_loud(samples))
     if len(loud) == 0:
         loud = np.arange(max(1, len(samples) // int(FRAME * ALIGNER_RATE)))
-# One more than its letters for the pause after each word.
+    # One more than its letters for the pause after each word.
     share = np.concatenate([[0], np.cumsum([len(word) + 1 for word in words])])
     edges = np.floor(share / share[-1] * len(loud)).astype(int)
     last = len(loud) - 1
-# A word ends with its last loud frame, not where the next one begins: pauses lie between words.
+    # A word ends with its last loud frame, not where the next one begins: pauses lie between words.
     return [(float(loud[min(a, last)] * FRAME), float((loud[min(max(a, b - 1), last)] + 1) * FRAME))
             for a, b in itertools.pairwise(edges)]

@@ -116,7 +116,7 @@ def marked_words(texts: Sequence[str]) -> tuple[list[WordMarks], tuple[str, ...]
 def _pieces(texts: Sequence[str]) -> Iterator[list[tuple[str, list[str] | None]]]:
     """The pieces of each text: (words, None), or ("", names) for a mark or a part of one. The names are where a mark
     ends."""
-# A mark may begin in one text and end in another, so all are searched at once.
+    # A mark may begin in one text and end in another, so all are searched at once.
     joined = " ".join(texts)
     marks = [(match.start(), match.end(), list(_names(match))) for match in _MARK.finditer(joined)]
     begin = first = 0

@@ -97,7 +97,7 @@ def _clock(parts: Sequence[str | None]) -> float:
 
 
 def _content(cues: Sequence[_Cue]) -> Content:
-# One time inside a line is enough: the first word of each line has the time of its cue.
+    # One time inside a line is enough: the first word of each line has the time of its cue.
     if any(_INNER.search(line) for cue in cues for line in cue.lines):
         return Content(words=tuple(_timed_inside(cues)))
     lines = _highlighted_lines(cues)
@@ -130,7 +130,7 @@ def _highlighted_lines(cues: Sequence[_Cue]) -> list[list[_Cue]] | None:
     repeated = False
     for cue in cues:
         span = _highlight(cue)
-# The highlight only moves forward in a line; a step back means that the line is spoken again.
+        # The highlight only moves forward in a line; a step back means that the line is spoken again.
         again = bool(lines) and lines[-1][-1].text == cue.text and (span is None or span[0] >= place)
         if again:
             lines[-1].append(cue)
@@ -152,7 +152,7 @@ def _words_of_line(cues: Sequence[_Cue]) -> list[Entry]:
         span = _highlight(cue)
         if span is None or span[0] < at:
             continue
-# Words that were never highlighted are filled in between later.
+        # Words that were never highlighted are filled in between later.
         words += [Entry(token, None, None, cue.where) for token in tokens[at:span[0]]]
         words.append(Entry(" ".join(tokens[span[0]:span[1]]), cue.start, cue.end, cue.where))
         at = span[1]
@@ -169,7 +169,7 @@ def _timed_inside(cues: Sequence[_Cue]) -> Iterator[Entry]:
     for cue in cues:
         lines = tuple(_plain(line) for line in cue.lines)
         for line, plain in zip(cue.lines, lines, strict=True):
-# A rolling caption shows the line before once more, without times.
+            # A rolling caption shows the line before once more, without times.
             if plain and (plain not in before or _INNER.search(line)):
                 yield from _pieces(line, cue)
         before = lines

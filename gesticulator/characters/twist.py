@@ -8,7 +8,7 @@ forearm. A twist bone at share s of the distance from elbow to wrist turns by s 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -30,77 +30,56 @@ _ASIDE = 0.1
 """Largest distance of a twist bone from the line between elbow and wrist, as a share of the forearm's length."""
 
 
-@dataclass(frozen=True)
-class TwistBone:
-    """A node that takes `share` of the hand's roll about the forearm; base: [3, 3] its axes to the forearm's."""
-
-    node: int
-    share: float
-    base: Array
-
-
-@dataclass(frozen=True)
-class Forearm:
-    """Nodes of a forearm and its hand. axis: [3] from elbow to wrist, in the forearm's axes; base: [3, 3] the hand's
-    axes to the forearm's, in the bind pose of the mesh."""
-
-    node: int
-    hand: int
-    axis: Array
-    base: Array
-    bones: tuple[TwistBone, ...]
-
-
-def forearms(body: Body) -> list[Forearm]:
-    """The forearms with twist bones, identified by name or by lying between elbow and wrist."""
-    character, joints = body.character, body.mapping.joints
-    bind = bind_matrices(character)
-    turns, places = turns_of(bind), bind[:, :3, 3]
-    out = []
+def share_roll(turns: dict[int, Array], body: Body) -> None:
+    """Add the twist bones' world rotations to `turns` (node -> [T, 3, 3]); the hands are unchanged."""
+    bind = bind_matrices(body.character)
+    bound, places = turns_of(bind), bind[:, :3, 3]
     for side in SIDES:
-        node, hand = joints[side + "ForeArm"], joints[side + "Hand"]
-        way = turns[node].T @ (places[hand] - places[node])
-        length = float(np.linalg.norm(way))
-        # The nodes strictly between forearm and hand.
-        line = ancestors(character.parents, hand)
-        line = line[:line.index(node)]
-        twists = []
-        for candidate in range(len(character)):
-            above = ancestors(character.parents, candidate)
-            if node not in above or candidate == hand or hand in above or candidate in joints.values():
-                continue
-            offset = turns[node].T @ (places[candidate] - places[node])
-            place = float(offset @ way) / length ** 2
-            aside = float(np.linalg.norm(offset - place * way)) / length
-            if (candidate in line or NAMED & set(words(character.names[candidate]))) and aside < _ASIDE:
-                twists.append((place, candidate))
-        twists.sort()
-        bones = tuple(TwistBone(
-            candidate, place if _ENDS[0] < place < _ENDS[1] else (rank + 1) / (len(twists) + 1),
-            turns[node].T @ turns[candidate]) for rank, (place, candidate) in enumerate(twists))
-        if bones:
-            out.append(Forearm(node, hand, way / length, turns[node].T @ turns[hand], bones))
-    return out
+        forearm, hand = body.mapping.joints[side + "ForeArm"], body.mapping.joints[side + "Hand"]
+        # Places from elbow to wrist in the axes of the forearm, in the bind pose of the mesh.
+        offsets = {node: bound[forearm].T @ (places[node] - places[forearm]) for node in range(len(body.character))}
+        bones = _twist_bones(body, forearm, hand, offsets)
+        if not bones:
+            continue
+        axis = offsets[hand] / float(np.linalg.norm(offsets[hand]))
+        apart = np.swapaxes(turns[forearm], -1, -2) @ turns[hand] @ (bound[forearm].T @ bound[hand]).T
+        angle = _roll(apart, axis)
+        for node, share in bones:
+            turn = Rotation.from_rotvec(share * angle[:, None] * axis).as_matrix()
+            turns[node] = turns[forearm] @ turn @ (bound[forearm].T @ bound[node])
 
 
-def roll(turns: dict[int, Array], forearm: Forearm) -> Array:
-    """[T] roll of the hand about its forearm relative to the bind pose, radians; each frame independently.
+def _twist_bones(body: Body, forearm: int, hand: int, offsets: Mapping[int, Array]) -> list[tuple[int, float]]:
+    """The nodes that take a share of the hand's roll, and their shares: identified by name or by lying between elbow
+    and wrist. offsets: node -> [3] from the elbow, in the forearm's axes."""
+    character, way = body.character, offsets[hand]
+    length = float(np.linalg.norm(way))
+    # The nodes strictly between forearm and hand.
+    line = ancestors(character.parents, hand)
+    line = line[:line.index(forearm)]
+    twists = []
+    for node, offset in offsets.items():
+        above = ancestors(character.parents, node)
+        if forearm not in above or node == hand or hand in above or node in body.mapping.joints.values():
+            continue
+        place = float(offset @ way) / length ** 2
+        aside = float(np.linalg.norm(offset - place * way)) / length
+        if (node in line or NAMED & set(words(character.names[node]))) and aside < _ASIDE:
+            twists.append((place, node))
+    twists.sort()
+    # Several bones at one end are taken to be evenly along the forearm.
+    return [(node, place if _ENDS[0] < place < _ENDS[1] else (rank + 1) / (len(twists) + 1))
+            for rank, (place, node) in enumerate(twists)]
+
+
+def _roll(apart: Array, axis: Array) -> Array:
+    """[T] the part of rotations [T, 3, 3] that turns about an axis [3], radians; each frame independently.
 
     Half a turn to either side is the same pose: the roll fades towards it, so that it is continuous there.
     """
-    apart = np.swapaxes(turns[forearm.node], -1, -2) @ turns[forearm.hand] @ forearm.base.T
     q = Rotation.from_matrix(apart).as_quat(scalar_first=True)
     # The twist of a swing-twist decomposition: the part of the quaternion along the axis.
-    angle = 2.0 * np.arctan2(q[:, 1:] @ forearm.axis, q[:, 0])
+    angle = 2.0 * np.arctan2(q[:, 1:] @ axis, q[:, 0])
     angle = np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
     left = np.clip((np.pi - np.abs(angle)) / (np.pi - _FARTHEST), 0.0, 1.0)
     return np.where(np.abs(angle) > _FARTHEST, np.sign(angle) * left * _FARTHEST, angle)
-
-
-def share_roll(turns: dict[int, Array], body: Body) -> None:
-    """Add the twist bones' world rotations to `turns` (node -> [T, 3, 3]); the hands are unchanged."""
-    for forearm in forearms(body):
-        angle = roll(turns, forearm)
-        for bone in forearm.bones:
-            turn = Rotation.from_rotvec(bone.share * angle[:, None] * forearm.axis).as_matrix()
-            turns[bone.node] = turns[forearm.node] @ turn @ bone.base

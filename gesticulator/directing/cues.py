@@ -86,6 +86,7 @@ def _time_of(cue: GestureCue, spoken: Mapping[str, Sequence[Word]], duration: fl
     if not spoken:
         raise InputError(f"cue at the word {shown(cue.word)}", "needs the words of the recording",
                          "give them with --text, or a time instead of the word")
+    # Without case and punctuation, as people do not type them in a cue.
     matches = spoken.get(plain_word(cue.word or ""), ())
     if len(matches) < cue.occurrence:
         near = [word for word in spoken if word]

@@ -109,6 +109,7 @@ def _limited(bend: Rotation) -> Rotation:
 
 def _eased(angles: Array, most: float) -> Array:
     """Angles that approach a limit smoothly from four fifths of it on: a hard limit would jerk."""
+    # The slope is 1 where the limit begins to be felt, so the angle's speed has no step.
     free = 0.8 * most
     over = np.maximum(np.abs(angles) - free, 0.0)
     eased: Array = np.sign(angles) * (np.minimum(np.abs(angles), free) + (most - free) * np.tanh(over / (most - free)))

@@ -83,6 +83,7 @@ def hand_ways(bundle: Bundle) -> HandWays | None:
 def lexeme_names(bundle: Bundle) -> tuple[LexemeName, ...]:
     """A name for each lexeme of a bundle, all different."""
     silent, hands = set(bundle.silent.tolist()), hand_ways(bundle)
+    # Numbered in the order of the codebook, so that a bundle gives the same names everywhere.
     count: Counter[str] = Counter()
     out = []
     for number in range(len(bundle.vectors)):

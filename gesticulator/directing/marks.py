@@ -85,6 +85,7 @@ def warn_of_unknown(names: Iterable[str], known: set[str] | None = None) -> None
     if not unknown:
         return
     known.update(unknown)
+    # One warning for all: a text in which another program's marks stand may have hundreds.
     near = difflib.get_close_matches(unknown[0], (*GESTURES, *EXPRESSIONS), 1)
     listed = ", ".join(f"[{name[:40]}]" for name in unknown[:8]) + (" ..." if len(unknown) > 8 else "")
     warnings.warn(MarkWarning(f"no gesture is named {listed}, so nothing is shown for it"
@@ -164,6 +165,7 @@ class StreamMarks:
     def interrupt(self, at: float) -> None:
         """Forget what begins after `at` seconds, and break off what is being made."""
         self._late = ()
+        # A gesture whose preparation has begun cannot be taken back at once; it ends as the hands come to rest.
         begun = [marked for marked in self._marked if marked.span[0] < at]
         self._marked = [marked if marked.span[1] <= at else replace(marked, cue=replace(
             marked.cue, broken_off=min(marked.cue.broken_off or at, at))) for marked in begun]

@@ -66,6 +66,7 @@ def chosen(calls: Sequence[Called], level: Level, begun: Sequence[Called] = (), 
     of cues, which outrank it); a meaning that was shown within `AGAIN` seconds; one with a better one within that
     distance after it; and one whose preparation would begin before `begin`. begun: those shown before.
     """
+    # Cues of the user, marks and stillness come first; words fill what is left.
     good = [call for call in sorted(calls, key=lambda call: call.time)
             if call.gesture.score >= level.score and call.span[0] >= begin
             and all(abs(call.time - other) >= level.apart for other in taken)]
@@ -114,6 +115,7 @@ class MeaningTrack:
         self._words = [word for word in self._words if word.start < time]
         self._begun = [replace(call, broken_off=min(call.broken_off or time, time)) if call.span[1] > time else call
                        for call in self._begun if call.span[0] < time]
+        # What was shown up to then stays, so that a stream never contradicts frames that were sent.
         self._until, self._next = min(self._until, time), None
 
     def cues(self, until: float) -> list[TimedCue]:

@@ -16,6 +16,7 @@ from gesticulator.directing.gesture_parts import (
     hand,
 )
 
+# Parts that several gestures share, or that both of their takes do.
 _SHRUGGED = hand((0.24, -0.24, 0.22), (0.8, 0.15, 0.6), (0.05, 1.0, 0.15), start=(-0.08, -0.05, 0.0))
 _OPEN = hand((0.12, -0.24, 0.33), (0.45, 0.1, 0.9), (0.1, 1.0, -0.1), start=(-0.08, -0.05, -0.06))
 _ASIDE = hand((0.36, 0.0, 0.28), (0.86, 0.05, 0.5), (-0.1, -1.0, 0.1), "point", (-0.1, -0.08, 0.0))

@@ -71,10 +71,6 @@ def check_clip_outputs(clip: ClipLayout, suffixes: Sequence[str], together: bool
         raise InputError("--one-file", f"is not for {unfit[0]}", f"write {' or '.join(TOGETHER)}")
 
 
-EVERY_FRAME = ClipLayout(keys=0.0)
-"""A clip with a key at every frame."""
-
-
 def parse_keys(text: str) -> float:
     """The value of --keys: degrees, or 0 for "all". `InputError` for anything else."""
     if text == "all":

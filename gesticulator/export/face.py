@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from data_module.files import write_text
 from data_module.motion import rotation
 from data_module.types import Array
-from gesticulator.characters.rig import Character, CharacterMotion
+from gesticulator.characters.rig import Character
 from gesticulator.export.gltf import (
     ROTATION,
     TRANSLATION,
@@ -42,17 +42,10 @@ class FaceWarning(UserWarning):
 
 # ------------------------------------------------------------------------------------------------------- characters
 
-def character_tracks(gltf: GltfDocument, moved: CharacterMotion, face: FaceMotion) -> list[FrameTrack]:
-    """Tracks of the morph weights, eyes and jaw of a character (node of the file, property, values). A `FaceWarning`
-    says if it has no mouth to move."""
-    return tracks_of(gltf, moved.character, (moved.joints["LeftArm"], moved.joints["RightArm"]), face,
-                     moved.character.path.name)
-
-
 def tracks_of(gltf: GltfDocument, character: Character, arms: tuple[int, int], face: FaceMotion, name: str
               ) -> list[FrameTrack]:
-    """`character_tracks` of a character by the nodes of its left and right upper arm; name: of the file that was
-    given."""
+    """Tracks of the morph weights, eyes and jaw of a character (node of the file, property, values). A `FaceWarning`
+    says if it has no mouth to move. arms: nodes of its left and right upper arm; name: of the file that was given."""
     # Characters without a mouth still show gaze and blinks, so this is a warning.
     rig = find_face(character)
     if not rig.can_speak:

@@ -82,9 +82,10 @@ def _add_character_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLa
                         character.scales, moved.rotations, shifts, {}, moved.fps)
     more: list[FrameTrack] = []
     if face is not None:
-        from gesticulator.export.face import character_tracks
+        from gesticulator.export.face import tracks_of
 
-        more = character_tracks(gltf, moved, face)
+        arms = moved.joints["LeftArm"], moved.joints["RightArm"]
+        more = tracks_of(gltf, character, arms, face, character.path.name)
     gltf.animate(clip, motion, {node: character.node_ids[node] for node in sorted({*moved.moved, *shifts})},
                  frozenset(node for joint, node in moved.joints.items() if joint in STEADY), more)
 

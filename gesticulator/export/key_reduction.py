@@ -80,6 +80,7 @@ def _kept_in_span(values: Array, bounds: Array, errors: Error) -> NDArray[np.boo
     while len(todo):  # each round adds a key to every track that is left, of which there are finitely many
         off, before = _off(values[:, todo], has_key[:, todo], errors)
         bad = off > bounds[todo]
+        # Of each segment between two keys the worst frame becomes a key, in all tracks at once.
         worst = np.zeros_like(off)
         tracks = np.broadcast_to(np.arange(len(todo)), before.shape)
         np.maximum.at(worst, (before, tracks), off)

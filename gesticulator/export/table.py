@@ -59,6 +59,7 @@ def write_parquet(path: Path, scene: Scene) -> Path:
 
 def _cells(motion: NodeMotion) -> tuple[np.ndarray, list[str], list[str], np.ndarray]:
     """Times [T], names of joints and parents (N each), and positions with rotations [T, N, 7]."""
+    # World places and local rotations: the first are what people plot, the second what they animate with.
     above = ["" if parent < 0 else motion.names[parent] for parent in motion.parents]
     return motion.times, list(motion.names), above, np.concatenate([motion.positions(), motion.turns], axis=-1)
 

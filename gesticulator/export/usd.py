@@ -94,6 +94,7 @@ def _refer_to_sound(stage: Any, name: str) -> None:
     from pxr import Sdf, UsdMedia
 
     sound = UsdMedia.SpatialAudio.Define(stage, f"{ROOT}/Speech")
+    # Relative, so that the two files can be moved together.
     sound.CreateFilePathAttr(Sdf.AssetPath(f"./{name}"))
     sound.CreateAuralModeAttr(UsdMedia.Tokens.nonSpatial)
     sound.CreatePlaybackModeAttr(UsdMedia.Tokens.onceFromStart)

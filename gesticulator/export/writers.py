@@ -129,6 +129,7 @@ def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
     if suffix not in WRITERS:
         wrong = f"'{target.suffix}' is not a format that can be written" if target.suffix else "has no suffix"
         raise InputError(target, wrong, f"use one of {', '.join(sorted(WRITERS))}")
+    # Only BVH has no unit of its own: its readers guess.
     if unit not in UNITS:
         raise InputError(f"unit {unit}", "is unknown", f"use one of {', '.join(UNITS)}")
     if unit != "cm" and suffix != ".bvh":

@@ -125,6 +125,7 @@ def _character(job: Job) -> tuple[tuple[Character, dict[str, int]] | None, bool]
     from gesticulator.characters.frames import measure
     from gesticulator.characters.reading import choose
 
+    # The mapping may be saved before anything else: it is what a user corrects when joints are wrong.
     character, mapping = choose(job.character.file, job.character.mapping, job.character.save_mapping)
     joints = {joint: character.node_ids[node] for joint, node in mapping.named().items()}
     sits = job.options.seated or (not job.options.legs and measure(character, mapping).sits)
@@ -159,6 +160,7 @@ def _with_saved_edits(gesticulator: Gesticulator, job: Job) -> Job:
 
 def _serve(server: PageServer, no_browser: bool) -> None:
     """Serve until Ctrl C."""
+    # At once, though the output is a pipe: who starts the program reads the address from it.
     print(f"{server.url}  (Ctrl C ends it)", flush=True)
     with tempfile.TemporaryDirectory(prefix="gesticulator-") as folder:
         if not no_browser:

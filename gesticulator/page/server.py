@@ -204,6 +204,7 @@ class _PageHandler(BaseHTTPRequestHandler):
 
     def _part(self, part: bytes) -> None:
         """Send a part of an answer, which ends with the connection."""
+        # Without a length, since the parts come while they are made: the connection ends the answer.
         if not self._begun:
             self._head(HTTPStatus.OK, "application/octet-stream")
             self._begun = True

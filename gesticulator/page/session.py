@@ -175,6 +175,7 @@ class EditSession:
         # A page plays fewer frames of a long recording, to be loaded in time.
         whole = standing(motion)
         page = kinematics.resample(whole, page_fps(self._speech.duration, whole.fps))
+        # Numbers are never used twice: a page that was left open may send one of a rendering that is forgotten.
         self._count += 1
         rendering = Rendering(self._count, sent, plan, describe_shape(page, self._speech.duration),
                               np.round(page.rotations * QUATERNION_STEPS).astype("<i2"), root_path(page))
@@ -195,6 +196,7 @@ class EditSession:
         """The renderer of the first generation of the options' plan."""
         plan = options.plan
         assert plan is not None
+        # Edits share a renderer, and with it all blocks that were sampled before.
         key = _identity(plan)
         if key in self._renderers:
             self._renderers.move_to_end(key)
@@ -217,6 +219,7 @@ def _answer(rendering: Rendering, have: Rendering | None) -> bytes:
     """The message with a rendering for a page that has another one, or none: the header `rendering` (its number),
     `shape` (null for the same one), `plan`, `range` of the frames (first, last + 1) and `root`, the bytes of the root's
     path after those of the frames."""
+    # Another number of frames or joints is another motion, which is sent as a whole.
     alike = have is not None and have.shape == rendering.shape
     first, last = 0, len(rendering.frames)
     if alike and have is not None:

@@ -119,6 +119,7 @@ def _check_time(plan: GesturePlan, place: Place, time: float | None) -> None:
 
 def _check_units(plan: GesturePlan) -> None:
     """Units and their phases follow each other without overlap, phases within their unit."""
+    # One cursor for both levels: phases fill their unit, and the next unit begins after it.
     end = 0.0
     for at, unit in enumerate(plan.units):
         if not end <= unit.start < unit.end:
@@ -165,6 +166,7 @@ def _check_curves(plan: GesturePlan) -> None:
         if not start < end:
             raise plan.error(("knobs", "hold_still", at), f"is {start:g} to {end:g}",
                              "give from and to, the smaller first")
+    # Of two curves of one knob only the first would count.
     knobs = [curve.knob for curve in plan.curves]
     for at, curve in enumerate(plan.curves):
         _check_points(plan, ("curves", at), times=curve.times, values=curve.values)

@@ -17,6 +17,7 @@ from data_module.files import read_table
 __all__ = ["ALIASES", "EXPRESSIONS", "GESTURES", "REPERTOIRE", "NamedGesture", "mark_of", "near_gestures"]
 
 _TABLE = Path(__file__).with_name("gestures.csv")
+# Marks in texts are typed by people: the shortest word that is understood has to work.
 ALIASES: Mapping[str, str] = {
     "wave": "wave hello", "me": "point self", "stop": "stop palm", "open palms": "palms question",
     "shake head": "head shake", "size big": "big spread", "size small": "small pinch",

@@ -35,6 +35,7 @@ VERSION: Final = 2
 Place: TypeAlias = tuple[str | int, ...]
 """The path to a value of a plan: names of members and indices in lists."""
 
+# Literals, so that msgspec checks the words and the schema lists them.
 Energy = Literal["calm", "neutral", "lively"]
 ENERGIES: Mapping[str, tuple[float, float]] = {"calm": (0.6, 0.6), "neutral": (1.0, 1.0), "lively": (1.5, 1.0)}
 """Energy -> factors on intensity and activity. Calm: smaller gestures, in six tenths of the phrases."""
@@ -447,6 +448,7 @@ class GesturePlan:
         """What the blocks of the first generation were generated with."""
         return GenerationKnobs(self.drawn.knobs.share, self.drawn.knobs.handedness)
 
+    # Every error about a plan names its file first, then the path, so that an editor can jump there.
     def error(self, place: Place, wrong: str, advice: str) -> InputError:
         """An error about a part of the plan, which names the file and the path of the part."""
         return InputError(self.source, f"{place_of(place)} {wrong}", advice)
@@ -502,6 +504,7 @@ def place_of(path: Place) -> str:
 
 def sound_hash(speech: Speech) -> str:
     """SHA-256 of the samples, little-endian float32."""
+    # The samples as they are heard, not the file: the same sound in another container is the same recording.
     return hashlib.sha256(speech.samples.astype("<f4").tobytes()).hexdigest()
 
 

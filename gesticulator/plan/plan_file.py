@@ -43,6 +43,7 @@ def plan_from(plain: Any, source: str = "plan") -> GesturePlan:
     """The plan of plain values, as JSON gives them; errors as `read_plan`."""
     if not isinstance(plain, dict):
         raise InputError(source, f"is {shown(plain)}", "give an object in braces")
+    # Before anything else: a file of another kind would be refused for its first unknown member.
     if plain.get("format") != FORMAT:
         raise InputError(source, f"format is {shown(plain.get('format'))}",
                          f'give a plan that --plan-out wrote ("format": "{FORMAT}")')
