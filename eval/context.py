@@ -209,14 +209,9 @@ def _reward_model(bundle: Bundle, folder: Path, name: str) -> RewardEnsemble:
 def without_work(words: Sequence[str]) -> list[str]:
     """The words of a command without `--work DIR`: where what is between is kept is of this machine alone, and changes
     no figure."""
-    left, words = list[str](), list(words)
-    while words:
-        word = words.pop(0)
-        if word == "--work":
-            words = words[1:]
-        elif not word.startswith("--work="):
-            left.append(word)
-    return left
+    named = {place for place, word in enumerate(words) if word == "--work"}
+    return [word for place, word in enumerate(words)
+            if not {place, place - 1} & named and not word.startswith("--work=")]
 
 
 def provenance(arguments: argparse.Namespace) -> Provenance:

@@ -229,11 +229,11 @@ def load_fairseq(path: str | os.PathLike[str]) -> SpeechEncoder:
 
 def _settings_of(stored: Mapping[str, Any]) -> Mapping[str, Any]:
     """The model's settings, from "args" (a Namespace) or from "cfg" (plain values) with or without its "model"."""
-    found = stored.get("args") or stored.get("cfg")
+    group = stored.get("args") or stored.get("cfg")
     for _ in range(2):
-        plain = vars(found) if isinstance(found, argparse.Namespace) else found
-        found = plain.get("model", plain) if isinstance(plain, Mapping) else {}
-    return found if isinstance(found, Mapping) else {}
+        plain = vars(group) if isinstance(group, argparse.Namespace) else group
+        group = plain.get("model", plain) if isinstance(plain, Mapping) else {}
+    return group if isinstance(group, Mapping) else {}
 
 
 def _renamed(stored: Mapping[str, Any]) -> dict[str, Tensor]:

@@ -57,19 +57,12 @@ def plain(source: str, text: str, speaker: str | None = None) -> Content:
 
 def textgrid(source: str, text: str, speaker: str | None = None) -> Content:
     """A Praat TextGrid in its long or its short form, as the Montreal Forced Aligner and others write it."""
-    intervals = {name: entries for name, (kind, entries) in textgrid_tiers(source, text).items()
-                 if kind == "IntervalTier"}
-    return Content(words=spoken_tier(source, intervals, speaker))
-
-
-def textgrid_tiers(source: str, text: str) -> dict[str, tuple[str, list[Entry]]]:
-    """By name each tier's kind and entries; a point has one time twice. Of tiers of one name the first counts."""
     tokens = _Tokens(source, text)
     if not tokens.text().startswith("ooTextFile") or tokens.text() != "TextGrid":
         raise InputError(source, "is not a TextGrid", "save it from Praat as a text file or a short text file")
     tokens.number(), tokens.number()
     tokens.flag()
-    tiers: dict[str, tuple[str, list[Entry]]] = {}
+    tiers: dict[str, list[Entry]] = {}
     for _ in range(tokens.count()):
         kind, name = tokens.text(), tokens.text()
         if kind not in ("IntervalTier", "TextTier"):
@@ -81,9 +74,10 @@ def textgrid_tiers(source: str, text: str) -> dict[str, tuple[str, list[Entry]]]
             end = tokens.number() if kind == "IntervalTier" else start
             where = f"line {tokens.line}"
             entries.append(Entry(" ".join(tokens.text().split()), start, end, where))
-        if tiers.get(name, ("",))[0] != "IntervalTier":
-            tiers[name] = kind, entries
-    return tiers
+        # Points hold tones and comments; of intervals with one name the first count.
+        if kind == "IntervalTier":
+            tiers.setdefault(name, entries)
+    return Content(words=spoken_tier(source, tiers, speaker))
 
 
 class _Tokens:
@@ -157,16 +151,9 @@ def tsv(source: str, text: str, speaker: str | None = None) -> Content:
                              "write it again")
     whole = all(value.strip().lstrip("+-").isdigit() for _, row in lines[1:] for value in row[:2])
     unit = 1e-3 if whole else 1.0
-    entries = [Entry(" ".join(" ".join(row[2:]).split()), _finite(source, row[0], number) * unit,
-                     _finite(source, row[1], number) * unit, f"line {number}") for number, row in lines[1:]]
+    entries = [Entry(" ".join(" ".join(row[2:]).split()), float(row[0]) * unit, float(row[1]) * unit,
+                     f"line {number}") for number, row in lines[1:]]
     return Content(cues=tuple(entries))
-
-
-def _finite(source: str, value: str, line: int) -> float:
-    number = float(value)
-    if not np.isfinite(number):
-        raise InputError(source, f"line {line}: {value[:30]} is too large", "write it again")
-    return number
 
 
 def shared_in_cue(cue: Entry) -> list[Entry]:

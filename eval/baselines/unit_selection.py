@@ -145,13 +145,11 @@ class UnitDatabase:
 
 @dataclass(frozen=True)
 class UnitPerformance:
-    """motion: of the 16-joint character; blocks: of the recording; units: [N] which unit each block plays; joins: how
-    many times a unit does not follow the one before."""
+    """motion: of the 16-joint character; blocks: of the recording; units: [N] which unit each block plays."""
 
     motion: Motion
     blocks: Blocks
     units: Indices
-    joins: int
 
 
 class UnitSelection:
@@ -179,7 +177,7 @@ class UnitSelection:
         jumps = self.database.follower[units[:-1]] != units[1:]
         vectors = joined(self.database.poses[units], jumps)
         frames = denormalise(vectors, vectors[0, 0], blocks, fps, SMOOTHING)
-        return UnitPerformance(from_vector(frames, fps), blocks, units, int(jumps.sum()))
+        return UnitPerformance(from_vector(frames, fps), blocks, units)
 
     def select(self, sounds: Sounds, seed: int = 0) -> Indices:
         """[N] the units of the cheapest sequence."""

@@ -153,17 +153,17 @@ def synchrony(name: str, beats: MotionBeats, track: OnsetTrack) -> float:
     return pmb.pmb(beats.modes[name.removeprefix("pmb_")], onsets)
 
 
-def lexeme_values(own: EncodedMotion | None, truth: EncodedMotion | None, reward: float, judged: bool) -> Values:
+def lexeme_values(encoded: EncodedMotion | None, truth: EncodedMotion | None, reward: float, judged: bool) -> Values:
     """Both of `LEXEME_METRICS` of a motion beside the speaker's own; None where there is no speech.
 
     reward: of `eval.metrics.encode.judged_reward`. judged: whether the bundle has a model that judges.
     """
     out = Values()
-    if own is None or truth is None:
+    if encoded is None or truth is None:
         for name in LEXEME_METRICS:
             out.put(name, float("nan"), NO_SPEECH)
         return out
     out.put("reward", reward, "nothing is said" if judged
             else "no judging reward model of the bundle's training was found in the work folder (--work)")
-    out.put("lexeme_accuracy", lexeme_accuracy(own.labels, truth.labels), "")
+    out.put("lexeme_accuracy", lexeme_accuracy(encoded.labels, truth.labels), "")
     return out

@@ -41,7 +41,7 @@ from gesticulator.bundle.features import representation_of
 from gesticulator.bundle.files import bundle_folder
 from lexicon.movement import MovementLexicon
 
-Table = list[dict[str, str]]
+LexemeRows = list[dict[str, str]]
 """A row for each lexeme, by column: what `lexicon.csv` holds."""
 
 
@@ -69,7 +69,7 @@ class Survey:
         """[S] blocks of each lexeme."""
         return sum(self.blocks.values(), np.zeros(self.size))
 
-    def table(self, silent: Sequence[int], does: Sequence[str]) -> Table:
+    def table(self, silent: Sequence[int], does: Sequence[str]) -> LexemeRows:
         """The lexicon, lexeme by lexeme. does: [S] what the hands do in each; speeds in m/s, shares from 0 to 1."""
         total = self.total
         # A lexeme without a block has no speed, and no share of it lies in pauses.
@@ -112,7 +112,7 @@ def survey(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo]) -> tupl
     return counts, np.concatenate(latents), np.concatenate(labels)
 
 
-def as_csv(table: Table) -> str:
+def as_csv(table: LexemeRows) -> str:
     """With a head."""
     text = io.StringIO()
     rows = csv.DictWriter(text, list(table[0]), lineterminator="\n")

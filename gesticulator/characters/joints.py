@@ -20,12 +20,26 @@ from gesticulator.characters.mapping import ARM_PARTS, LACKS, LEG_PARTS, NEEDED,
 from gesticulator.characters.names import Label, character_labels
 from gesticulator.characters.rig import UPS, Character, chosen, skeletons_of
 
-_VRM_PARTS = {"Shoulder": "Shoulder", "Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "UpLeg": "UpperLeg",
-              "Leg": "LowerLeg", "Foot": "Foot", "ToeBase": "Toes"}
-_VRM_FINGERS = {"Thumb": "Thumb", "Index": "Index", "Middle": "Middle", "Ring": "Ring", "Pinky": "Little"}
-# VRM 1.0 calls the thumb's three joints metacarpal, proximal and distal; 0.x proximal, intermediate and distal.
-_VRM_PLACES = {"0.x": ("Proximal", "Intermediate", "Distal"), "1.0": ("Metacarpal", "Proximal", "Distal")}
+_VRM_LIMBS = ("Shoulder", "UpperArm", "LowerArm", "Hand", "UpperLeg", "LowerLeg", "Foot", "Toes")
 
+
+def _vrm_bones() -> dict[str, str]:
+    out = {"Hips": "hips", "Head": "head"}
+    for side in SIDES:
+        parts = zip((*ARM_PARTS, *LEG_PARTS), _VRM_LIMBS, strict=True)
+        out |= {side + part: side.lower() + bone for part, bone in parts}
+        for finger in FINGERS:
+            places = ("Metacarpal", "Proximal") if finger == "Thumb" else ("Proximal", "Intermediate")
+            name = side.lower() + ("Little" if finger == "Pinky" else finger)
+            out |= {f"{side}Hand{finger}{number}": name + place
+                    for number, place in enumerate((*places, "Distal"), start=1)}
+    return out
+
+
+VRM_BONES = _vrm_bones()
+"""Our joint of one node -> bone of the humanoid of VRM 1.0."""
+_OLDER_THUMBS = {"Metacarpal": "Proximal", "Proximal": "Intermediate", "Distal": "Distal"}
+"""Joint of a thumb in VRM 1.0 -> its name in 0.x."""
 _LONGEST_PATH = 14
 """Most nodes of a limb among which joints are chosen; of longer limbs the nodes nearest to the end."""
 _METACARPAL = 0.45
@@ -117,16 +131,13 @@ def _skeletons_mixed(character: Character, mapping: RigMapping) -> list[str]:
 def _from_vrm(character: Character) -> RigMapping:
     """The mapping given by the file's VRM table."""
     table = character.humanoid
-    joints = {name: table[bone] for name, bone in (("Hips", "hips"), ("Head", "head")) if bone in table}
-    for side in SIDES:
-        for part, bone in _VRM_PARTS.items():
-            if side.lower() + bone in table:
-                joints[side + part] = table[side.lower() + bone]
-        for finger, vrm_finger in _VRM_FINGERS.items():
-            for place in range(3):
-                kind = _VRM_PLACES["1.0" if finger == "Thumb" and character.vrm == "1.0" else "0.x"][place]
-                if f"{side.lower()}{vrm_finger}{kind}" in table:
-                    joints[f"{side}Hand{finger}{place + 1}"] = table[f"{side.lower()}{vrm_finger}{kind}"]
+    joints = {}
+    for joint, bone in VRM_BONES.items():
+        stem, thumb, place = bone.partition("Thumb")
+        if thumb and character.vrm != "1.0":
+            bone = stem + thumb + _OLDER_THUMBS[place]
+        if bone in table:
+            joints[joint] = table[bone]
     spine = tuple(table[bone] for bone in ("spine", "chest", "upperChest") if bone in table)
     neck = (table["neck"],) if "neck" in table else ()
     exchanged: list[str] = []

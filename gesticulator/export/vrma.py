@@ -14,8 +14,9 @@ import numpy as np
 
 from data_module.files import write_bytes
 from data_module.motion.kinematics import copied_rotations
-from data_module.motion.skeletons import FINGERS, LEG_JOINTS
+from data_module.motion.skeletons import LEG_JOINTS, WHOLE_BODY
 from data_module.types import Array, Motion
+from gesticulator.characters.joints import VRM_BONES
 from gesticulator.export.clip import ClipLayout
 from gesticulator.export.gltf import FrameTrack, GltfDocument, node_tree
 from gesticulator.export.nodes import NodeMotion, of_motion
@@ -33,27 +34,14 @@ _TRUNK: dict[str, tuple[str | None, tuple[str, ...], str]] = {
     "neck": ("chest", ("Neck",), "Neck"),
     "head": ("neck", ("Head",), "Head"),
 }
-_ARM = (("Shoulder", "Shoulder", "chest"), ("UpperArm", "Arm", "Shoulder"), ("LowerArm", "ForeArm", "UpperArm"),
-        ("Hand", "Hand", "LowerArm"))
-_LEG = (("UpperLeg", "UpLeg", "hips"), ("LowerLeg", "Leg", "UpperLeg"), ("Foot", "Foot", "LowerLeg"),
-        ("Toes", "ToeBase", "Foot"))
-_THUMB = ("Metacarpal", "Proximal", "Distal")
-_FINGER = ("Proximal", "Intermediate", "Distal")
 
 
 def _bones() -> dict[str, tuple[str | None, tuple[str, ...], str]]:
     table = dict(_TRUNK)
-    for side in ("Left", "Right"):
-        low = side.lower()
-        for part, joint, above in (*_ARM, *_LEG):
-            table[low + part] = (above if above in _TRUNK else low + above, (side + joint,), side + joint)
-        for finger in FINGERS:
-            before = low + "Hand"
-            for place, name in enumerate(_THUMB if finger == "Thumb" else _FINGER, start=1):
-                joint = f"{side}Hand{finger}{place}"
-                bone = low + ("Little" if finger == "Pinky" else finger) + name
-                table[bone] = (before, (joint,), joint)
-                before = bone
+    for joint, bone in VRM_BONES.items():
+        if bone not in table:
+            above = WHOLE_BODY.names[WHOLE_BODY.parents[WHOLE_BODY.index(joint)]]
+            table[bone] = VRM_BONES.get(above, "chest"), (joint,), joint
     return table
 
 

@@ -45,6 +45,7 @@ def rate_factor(settings: FitSettings, step: int) -> float:
     """The learning rate at `step` as a share of `settings.rate`."""
     if settings.schedule == "constant":
         return 1.0
+    # Adam's first moments are estimates from few batches, so the first steps are short.
     warm = max(1, round(_WARM_UP * settings.steps))
     if step < warm:
         return (step + 1) / warm
@@ -96,6 +97,7 @@ def load_checkpoint(path: Path, parts: Sequence[Any]) -> int:
         saved = list(zip(parts, state["parts"], strict=True))
     except (RuntimeError, ValueError, KeyError, TypeError, EOFError, OSError, pickle.UnpicklingError):
         return 0
+    # After all of the file was read: a damaged one must not leave half of the parts restored.
     for part, values in saved:
         part.load_state_dict(values)
     return int(state["step"])
@@ -200,6 +202,7 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
         for step in range(first, settings.steps):
             if options.stop_after is not None and step >= options.stop_after:
                 return figures
+            # Also right after resuming, if the run had stopped for this reason.
             if best is not None and best.stale >= settings.patience:
                 break
             row, done = learner.step(step), step + 1
@@ -259,6 +262,7 @@ class _Objective(nn.Module):
         """The sum [] and, for the log, its terms."""
         device = next(self.model.parameters()).device
         with torch.autocast(device.type, torch.bfloat16, enabled=self.narrow):
+            # Terms of narrow numbers are added in single precision.
             terms = {key: term.float() for key, term in self.losses(batch, progress).items()}
         total = sum((self.weights[key] * term for key, term in terms.items() if self.weights[key]),
                     start=torch.zeros((), device=device))

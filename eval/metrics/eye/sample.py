@@ -45,14 +45,14 @@ class EyeSample:
     groups: list[str] = field(default_factory=list)
     seconds: float = 0.0
 
-    def add(self, motion: Motion, heard: VoiceActivity | None = None, edges: Array | None = None,
+    def add(self, motion: Motion, voice: VoiceActivity | None = None, edges: Array | None = None,
             space: ReferenceSpace | None = None, *, group: str = "", rolled: Motion | None = None) -> None:
-        """Measure a clip. heard: of its own speech; edges: of its own blocks; rolled: what the system makes of the same
+        """Measure a clip. voice: of its own speech; edges: of its own blocks; rolled: what the system makes of the same
         sound rolled."""
         body = eye.common_body(motion)
-        figures = eye.of_body(body, heard, edges, space)
-        if rolled is not None and heard is not None:
-            late = eye.figures(rolled, heard)
+        figures = eye.of_body(body, voice, edges, space)
+        if rolled is not None and voice is not None:
+            late = eye.figures(rolled, voice)
             figures |= {name: late[figure] for figure, name in ROLLED.items()}
         for name, values in self.values.items():
             values.append(figures.get(name, math.nan))

@@ -5,8 +5,9 @@ motions on the common body, over the frames that both have, with d_j the distanc
 
 - distance of the joints (head, shoulders, elbows, wrists), and of the hands alone, cm, mean over frames.
 - hands apart: percentage of frames in which a wrist is more than 2 cm from its twin.
-- apart from: seconds at which they part for the first time, and for good (never again together for 0.25 s).
-- healed: of the times at which they part, the percentage after which they are together again within so many seconds.
+- apart from: seconds at which they part for the first time.
+- healed: of the times at which they part, the percentage after which they are together again (for 0.25 s) within so
+  many seconds.
 - correlation of the hands' mean speeds.
 
 And of two plans: percentage of the time they have in common with another lexeme. Comparing the k-th blocks would call
@@ -48,15 +49,13 @@ Blocks = tuple[Array, NDArray[np.int64]]
 
 @dataclass(frozen=True)
 class Difference:
-    """How far two takes are apart; see the chapter. joints, hands: mean cm; apart: % of time; first, for_good: seconds,
-    NaN for never; healed: %, NaN where they never part; speed: correlation; length: seconds in common."""
+    """How far two takes are apart; see the chapter. joints, hands: mean cm; apart: % of time; first: seconds, NaN for
+    never; healed: %, NaN where they never part; speed: correlation."""
 
-    length: float
     joints: float
     hands: float
     apart: float
     first: float
-    for_good: float
     healed: float
     speed: float
 
@@ -84,13 +83,10 @@ def difference(first: CommonBody, second: CommonBody, within: float = UNIT) -> D
     away = np.stack([np.linalg.norm(first.points[joint] - second.points[joint], axis=1) for joint in _JOINTS], axis=1)
     # The last two of `_JOINTS` are the wrists.
     apart = away[:, -2:].max(axis=1) > ALIKE
-    # They part for good after the last time that they were together for long enough.
-    near = [stop for begin, stop in runs(~apart).tolist() if stop - begin >= round(TOGETHER * HZ)]
     parting = float(np.argmax(apart)) / HZ if apart.any() else math.nan
-    for_good = math.nan if not apart.any() or (near and near[-1] == frames) else near[-1] / HZ if near else 0.0
     speeds = np.stack([hand_speeds(body).mean(axis=1) for body in (first, second)], axis=1)
-    return Difference(frames / HZ, 100.0 * float(away.mean()), 100.0 * float(away[:, -2:].mean()),
-                      100.0 * float(apart.mean()), parting, for_good, healed(apart, within), correlation(speeds))
+    return Difference(100.0 * float(away.mean()), 100.0 * float(away[:, -2:].mean()), 100.0 * float(apart.mean()),
+                      parting, healed(apart, within), correlation(speeds))
 
 
 def other_lexemes(first: Blocks, second: Blocks) -> float:

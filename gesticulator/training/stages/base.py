@@ -115,6 +115,7 @@ class Run:
                 for need in () if distributed.agreed(self.finished(node)) else node.needs(self.config):
                     self.get(need)
                 torch.manual_seed(self.seed(node))  # initial weights
+                # Built whether finished or not: the shapes of the weights follow from the settings alone.
                 model = node.build(self)
                 self.figures[node.name] = self.train_stage(node, model)
                 self._values[node.name] = node.finish(freeze(model))
@@ -131,6 +132,7 @@ class Run:
         """Use `value` for a node instead of computing it; key: replaces its key in those of dependent nodes (omit it if
         the value is the same)."""
         self._values[node.name] = value
+        # Without its own key, models trained on another corpus would pass for those of this one.
         if key is not None:
             self._keys[node.name] = key
 
@@ -178,6 +180,7 @@ class Run:
             with distributed.first():
                 if not distributed.rank():
                     keep(folder, model, figures)
+                    # Only now: a kill in between finds the finished stage or the checkpoint.
                     (folder / f"{stage.name}.ckpt").unlink(missing_ok=True)
         # Read back also after training, so that a first run uses exactly what a resumed one would.
         model.cpu().load_state_dict(load_file(folder / WEIGHTS))
@@ -211,14 +214,15 @@ def keep(folder: Path, model: nn.Module, figures: Figures) -> None:
 def finished(folder: Path, model: nn.Module | None = None) -> bool:
     """Whether a stage's folder holds valid weights and figures, matching `model` if given."""
     try:
-        figures = read_object(folder / FIGURES, "delete it, and train again", python=True)
+        read_object(folder / FIGURES, "delete it, and train again", python=True)
         weights = load_file(folder / WEIGHTS)
     except (InputError, OSError, ValueError, SafetensorError):
         return False
     if model is not None and {key: value.shape for key, value in weights.items()} != {
             key: value.shape for key, value in model.state_dict().items()}:
         return False
-    return len(figures) >= 0 and len(weights) > 0 and all(
+    # A run that diverged leaves whole files of numbers that are none.
+    return len(weights) > 0 and all(
         bool(torch.isfinite(value).all()) for value in weights.values())
 
 

@@ -41,6 +41,7 @@ def _train_flow(run: Run, model: FlowGenerator, folder: Path) -> Figures:
         tables["unit"] = one_hot(torch.as_tensor(run.get(UNITS)))
     if config.generator.styled:
         tables["code"] = torch.as_tensor(run.get(UNIT_CODES))
+    # A copy: the lexicon of the run stays on the CPU, where other stages use it.
     lexicon = copy.deepcopy(_movements(run)).to(run.device)
 
     def validate(batches: list[fitting.Batch]) -> Figures:
@@ -87,6 +88,7 @@ def _train_regression(run: Run, model: Generator, folder: Path) -> Figures:
     def validate(batches: list[fitting.Batch]) -> Figures:
         totals = []
         for b in batches:
+            # With the zero code, since validation blocks have none of their own.
             zero = torch.zeros(*b["style"][:, 1:].shape, config.generator.style_width, device=run.device)
             generated, _ = model.roll_out(b["motion"][:, 0], BlockInputs(b["audio"][:, 1:], vectors(b)[:, 1:], zero))
             true = b["motion"][:, 1:]

@@ -95,6 +95,7 @@ def teacher_logits(model: LstmInterpreter, corpus: Corpus, blocks: NDArray[np.in
     rows, previous = torch.as_tensor(blocks[1:]), torch.as_tensor(lexemes[:-1])[None]
     # Other words than those of the blocks measure how much the words matter.
     text = corpus.text((blocks if words is None else words)[1:])[None] if model.config.reads else None
+    # The first block is the seed: it is given, and has no score.
     pose = pose_of(*corpus.before(blocks[1:]))[None] if model.config.pose_features else None
     who = torch.tensor([int(corpus.speaker_of[corpus.recording[blocks[0]]])])
     speaker = functional.one_hot(who, model.speakers).float()

@@ -49,22 +49,22 @@ def recordings(folder: Path, only: Path | None) -> dict[str, Path]:
     """Sounds by name, in order; InputError where there is none, where two have one name, or where one is missing."""
     if not folder.is_dir():
         raise InputError(folder, "is not a folder", "name the folder of the recordings")
-    found: dict[str, Path] = {}
+    sounds: dict[str, Path] = {}
     for file in sorted(folder.iterdir()):
         if file.suffix.lower() in SOUNDS:
-            if file.stem in found:
-                raise InputError(file, f"has the name of {found[file.stem].name}", "keep one of them")
-            found[file.stem] = file
+            if file.stem in sounds:
+                raise InputError(file, f"has the name of {sounds[file.stem].name}", "keep one of them")
+            sounds[file.stem] = file
     if only is not None:
         wanted = _names(only)
-        missing = [name for name in wanted if name not in found]
+        missing = [name for name in wanted if name not in sounds]
         if missing:
             raise InputError(folder, f"lacks {len(missing)} of the recordings in {only.name}, such as {missing[0]}",
                              "complete it")
-        found = {name: found[name] for name in wanted}
-    if not found:
+        sounds = {name: sounds[name] for name in wanted}
+    if not sounds:
         raise InputError(folder, "holds no recordings", f"it should hold {', '.join(SOUNDS)} files")
-    return found
+    return sounds
 
 
 def _names(path: Path) -> list[str]:
@@ -149,13 +149,13 @@ def make(args: argparse.Namespace, sounds: dict[str, Path], like: Path | None) -
     out = Path(args.out)
     out.mkdir(parents=True, exist_ok=True)
     system = Gesticulator.from_pretrained(args.bundle)
-    asked = {name: getattr(args, name) for name in ("speaker", "interpreter") if getattr(args, name) is not None}
+    chosen = {name: getattr(args, name) for name in ("speaker", "interpreter") if getattr(args, name) is not None}
     for name, sound in tqdm(sounds.items(), disable=args.quiet):
         path = out / f"{name}{FORMS[args.form]}"
         if path.exists():
             continue
         texts = sorted(Path(args.text).glob(f"{name}.*")) if args.text else []
-        performance = system(sound, text=texts[0] if texts else None, seed=args.seed, **asked)
+        performance = system(sound, text=texts[0] if texts else None, seed=args.seed, **chosen)
         if args.form == "beat2":
             write_beat2(performance, path, like)
         elif like is not None:
