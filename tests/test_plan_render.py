@@ -361,7 +361,7 @@ def test_a_plan_is_written_edited_and_rendered_on_the_command_line(
         infer.main([str(sound), "-o", str(out), "--plan", str(told), "--quiet"])
     assert left.value.code == 2 and not out.exists()
     said = capsys.readouterr().err
-    assert "plan.json: blocks[0].silent: expected true or false, got integer" in said
+    assert "plan.json: blocks[0].silent: Expected `bool`, got `int`" in said
 
 
 class Steady:

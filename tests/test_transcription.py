@@ -74,15 +74,6 @@ def test_a_missing_recogniser_and_model_are_one_line(monkeypatch: pytest.MonkeyP
         find_model("tiny.en")
 
 
-@pytest.fixture
-def recogniser(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A recogniser that is there, as far as can be told without opening it."""
-    found = importlib.util.find_spec
-    monkeypatch.setattr(transcription.importlib.util, "find_spec",
-                        lambda name: object() if name == "faster_whisper" else found(name))
-    transcription._packaged.cache_clear()
-
-
 def test_words_are_heard_or_given_and_not_in_streams(tmp_path: Path, capsys: Any) -> None:
     with pytest.raises(SystemExit) as left:
         main([str(SPEECH), "-o", str(tmp_path / "a.bvh"), "--transcribe", "tiny.en", "--text", str(TEXT)])
