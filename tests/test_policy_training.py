@@ -30,7 +30,7 @@ def test_another_reward_is_brought_to_the_scale_of_the_data() -> None:
     count, size = 40, 5
     actions = rng.integers(size, size=count)
     silent, terminal = np.zeros(count, bool), np.zeros(count, bool)
-    one = Episode(0, 0, np.arange(count), actions, np.zeros(count, np.int8), np.zeros(count, np.float32),
+    one = Episode(0, 0, np.arange(count), actions, np.zeros(count, np.int8),
                   rng.normal(0.6, 0.1, count).astype(np.float32), silent, terminal)
     table = torch.as_tensor(-rng.random((count, size)) * 30, dtype=torch.float32)
     scaled = training.rescaled(table, Episodes([one]))
