@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -183,7 +184,7 @@ def test_another_systems_motion_is_a_row(ablation: Ablation, tmp_path: Path) -> 
 def test_racers_rows_stand_on_what_is_trained_here(ablation: Ablation, tmp_path: Path,
                                                    monkeypatch: pytest.MonkeyPatch) -> None:
     short = ("schedules.reward.steps=4", "schedules.cql.steps=4", "cql.width=16", "cql.heads=2", "cql.layers=1")
-    monkeypatch.setitem(ROWS, "q-network", dataclasses.replace(ROWS["q-network"], set=short))
+    monkeypatch.setitem(ROWS, "q-network", msgspec.structs.replace(ROWS["q-network"], set=short))
     here = into(ablation, tmp_path / "ablation")
     facts = ablate(here, "racer-supervised", "racer-cql")
     assert set(facts["rows"]) == {"racer-supervised", "racer-cql"}

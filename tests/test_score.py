@@ -265,7 +265,7 @@ def test_the_command_writes_both_files(truth: dict[str, Clip], tmp_path: Path) -
     (["--truth", ".", "--system", "truth=."], "is the name of a row of its own"),
     (["--truth", ".", "--system", "still=."], "is the name of a row of its own"),
     (["--truth", ".", "--system", "a=.", "--fps", "b=15"], "names no system"),
-    (["--truth", ".", "--system", "a=shipped", "--fps", "a=15"], "is for motion files"),
+    (["--truth", ".", "--system", "a=default", "--fps", "a=15"], "is for motion files"),
     (["--truth", ".", "--system", "a=.", "--fps", "a=0"], "give a number over 0"),
     (["--truth", ".", "--system", "a=.", "--piece", "nan"], "give a number over 0"),
     (["--truth", ".", "--system", "a=."], "holds no motion"),
