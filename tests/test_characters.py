@@ -29,6 +29,7 @@ from gesticulator.characters.retarget import Retargeter, retarget
 from gesticulator.characters.rig import Character
 from gesticulator.export import fbx_child as blender_child
 from gesticulator.jobs import retargeter_for
+from tests.performances import EXAMPLE
 from tests.rigs import Rig, as_glb, draw
 
 
@@ -309,8 +310,7 @@ def test_the_command_moves_a_bvh_character_from_sound_to_file(tmp_path: Path) ->
     still = np.tile(rig.character.rotations, (1, 1, 1))
     source, out = tmp_path / "rig.bvh", tmp_path / "talk.bvh"
     write_character_bvh(source, rig.character, still, None, 30.0)
-    sound = Path(__file__).parent.parent / "examples" / "speech.flac"
-    assert infer.main([str(sound), "--character", str(source), "-o", str(out), "--fps", "20", "--quiet",
+    assert infer.main([str(EXAMPLE), "--character", str(source), "-o", str(out), "--fps", "20", "--quiet",
                        "--save-mapping", str(tmp_path / "m.json")]) == 0
     made, rest = bvh.read_bvh(out, unit=0.01), read_character(source)
     kept = [node for node in range(1, len(rest)) if node != rest.names.index("Hips")]

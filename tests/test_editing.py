@@ -8,14 +8,13 @@ import copy
 import json
 from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import soundfile
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from performances import example
 
 from data_module.errors import InputError
 from data_module.types import Speech
@@ -30,22 +29,19 @@ from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.plan_file import parse_plan
 from gesticulator.sampling import loop
 
-SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 SECONDS, SEED = 6.0, 1
 Plain = dict[str, Any]
 
 
 @pytest.fixture(scope="module")
-def system() -> Gesticulator:
-    system = Gesticulator.from_pretrained()
+def system(system: Gesticulator) -> Gesticulator:
     system.keeps_generations = True
     return system
 
 
 @pytest.fixture(scope="module")
 def speech() -> Speech:
-    samples, rate = soundfile.read(SPEECH, frames=round(SECONDS * 16000), dtype="float32")
-    return Speech(samples, rate)
+    return example(SECONDS)
 
 
 @pytest.fixture(scope="module")
