@@ -21,7 +21,6 @@ from data_module.files import lock
 from data_module.intervals import STEP, measure
 from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh, write_bvh
-from data_module.motion.motion_beats import motion_beats
 from data_module.motion.skeletons import FINGER_JOINTS, WHOLE_BODY
 from data_module.store import Store
 from data_module.types import Speech
@@ -44,17 +43,6 @@ def _contents(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
 
 
-def test_tiny_store(tiny_store: Path) -> None:
-    store = Store.open(tiny_store)
-    seconds = sum(info.seconds for info in store.recordings)
-    assert 120 < seconds < 240 and {info.split for info in store.recordings} == {"train", "val", "test"}
-    for info in store.recordings:
-        recording = store.load(info.name)
-        assert recording.motion.fps == 60 and recording.speech.words and recording.truth is not None
-        assert abs(recording.motion.duration - recording.speech.duration) <= 1 / 60
-        assert recording.truth.strokes and recording.truth.syllables and recording.truth.phrases
-
-
 def test_a_store_of_the_performer_stands_on_the_floor_and_its_fingers_live(tiny_store: Path) -> None:
     store = Store.open(tiny_store)
     for info in store.recordings[:3]:
@@ -67,21 +55,6 @@ def test_a_store_of_the_performer_stands_on_the_floor_and_its_fingers_live(tiny_
         assert (speed.mean(axis=0) > 0.5).all() and speed.max() < 250.0
         small = store.load(info.name).motion
         assert len(small.skeleton) == 16 and np.array_equal(small.rotations, motion.rotations[:, :16])
-
-
-def test_planned_beats_are_in_the_stored_motion(tiny_store: Path) -> None:
-    """The truth is true of what was stored: strokes' planned beats are found again by the detector of motion beats."""
-    store = Store.open(tiny_store)
-    near: dict[float, list[float]] = {0.0: [], 0.37: []}
-    for info in store.of_split("train"):
-        recording = store.load(info.name)
-        found = motion_beats(recording.motion, mode="A")
-        assert recording.truth is not None
-        for shift, apart in near.items():
-            apart += [float(np.abs(found - stroke.beat - shift).min()) for stroke in recording.truth.strokes]
-    # The detector sums both hands, so a beat of one may be moved by the other; a shifted plan shows what chance gives.
-    assert np.median(near[0.0]) < 0.015 and np.mean(np.array(near[0.0]) < 0.04) > 0.7
-    assert np.median(near[0.37]) > 0.05
 
 
 def test_the_data_set_beside_the_store_gives_the_same_store(tiny_store: Path, tmp_path: Path) -> None:

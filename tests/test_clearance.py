@@ -21,16 +21,13 @@ from gesticulator import Gesticulator
 from gesticulator.body.clips import mirrored_motion
 from gesticulator.contacts.columns import TRUNK
 from gesticulator.contacts.default_body import (
-    HEAD_RADIUS,
     HEM,
     STEEPEST,
     cleared,
-    face_front,
     front_at,
     shirt_at,
-    trunk_front,
 )
-from gesticulator.contacts.limbs import OURS, pose_of
+from gesticulator.contacts.limbs import pose_of
 
 FPS = 60.0
 
@@ -44,22 +41,6 @@ def reaching(angles: Array, elbow: Array) -> Motion:
     turns[:, FINGERED.index("LeftArm")] = rotation.multiply(across, down)
     turns[:, FINGERED.index("LeftForeArm")] = rotation.from_exponential_map(elbow[:, None] * [0.0, -1.0, 0.0])
     return Motion(FINGERED, turns, np.zeros((len(angles), 3)), FPS)
-
-
-def test_the_front_covers_the_trunk_and_is_nowhere_steeper_than_stated() -> None:
-    across = np.linspace(-0.5, 0.5, 4001)
-    front = trunk_front(across)
-    width, depth = OURS
-    inside = np.abs(across) < width
-    ellipse = depth * np.sqrt(1 - (across[inside] / width) ** 2)
-    assert (front[inside] >= ellipse - 1e-9).all() and trunk_front(np.zeros(1))[0] == depth
-    assert np.abs(np.diff(front) / np.diff(across)).max() <= STEEPEST + 1e-6
-    assert front[across > 0.2].max() < -0.03, "a hanging hand is beside it"
-    radius = np.linspace(0, 0.5, 1001)
-    face = face_front(radius)
-    sphere = radius < HEAD_RADIUS
-    assert (face[~sphere] <= 1e-9).all() and face[0] == HEAD_RADIUS
-    assert np.abs(np.diff(face) / np.diff(radius)).max() <= 2.0 + 1e-6
 
 
 def test_a_shirt_hangs_over_hips_that_are_wider_than_the_trunk() -> None:

@@ -224,7 +224,7 @@ def test_the_page_and_the_command_play_the_same_and_undo_costs_nothing(
     np.testing.assert_array_equal(again.frames, before)
 
 
-def test_a_plan_with_pins_is_rendered_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plan_with_pins_is_rendered_on_the_command_line(tmp_path: Path) -> None:
     import soundfile
 
     from data_module.motion import bvh
@@ -244,12 +244,3 @@ def test_a_plan_with_pins_is_rendered_on_the_command_line(tmp_path: Path, capsys
     np.testing.assert_allclose(_places(made, "RightHand")[90], (-0.25, 1.3, 0.35), atol=1e-4)
     outside = np.r_[:54, 127:len(made)]
     np.testing.assert_array_equal(made.rotations[outside], before.rotations[outside])
-    plain["pins"][0]["position"] = [-1.0, 1.3, 0.35]
-    Path(plan).write_text(json.dumps(plain, indent=1))
-    capsys.readouterr()
-    with pytest.raises(SystemExit) as ended:
-        main(["infer", talk, "-o", str(tmp_path / "none.bvh"), "--plan", plan])
-    assert ended.value.code == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "plan.json: pins[0].position" in said and "the arm reaches" in said
-    assert not (tmp_path / "none.bvh").exists()

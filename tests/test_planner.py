@@ -10,8 +10,6 @@ import torch
 from scipy.stats import chisquare
 
 from gesticulator.bundle.features import SpeechBlock
-from gesticulator.plan.plan import Block, BlockDraw
-from gesticulator.sampling.loop import BlockMotion
 from gesticulator.systems.movement import GOES_ON_PAUSING, HOLD, VOICE_RETURNS, phrasing
 from gesticulator.training.stages.heads import units_of
 from interpreters.base import BlockFeatures
@@ -177,7 +175,3 @@ def test_lexemes_are_worth_what_their_phase_says() -> None:
 
 
 # ---------------------------------------------------------------------------------------------------- the plan
-
-def block(start: float, unit: UnitDecision | None) -> BlockMotion:
-    own = Block(start, start + 0.3, 0, False, BlockDraw(0, 0, 0), "onset")
-    return BlockMotion(own, 0, np.zeros((1, 1), np.float32), np.zeros(0, np.float32), unit)

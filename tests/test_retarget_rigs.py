@@ -21,7 +21,7 @@ from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import SURE
 from gesticulator.characters.retarget import Retargeter
 from tests.rig_errors import LIMITS, depth_in_column, inside, worst
-from tests.rigs import PLACES, POSES, STYLES, Rig, draw, placed
+from tests.rigs import PLACES, Rig, draw, placed
 
 SEEDS = range(200, 400)
 """Two hundred in a row: none was left out."""
@@ -62,15 +62,6 @@ def _gestured(**asked: str) -> Motion:
 
 def _some(motion: Motion, kept: np.ndarray) -> Motion:
     return replace(motion, rotations=motion.rotations[kept], root_positions=motion.root_positions[kept])
-
-
-def test_the_generator_makes_what_it_says() -> None:
-    rigs = [drawn(seed) for seed in SEEDS]
-    assert {rig.style for rig in rigs} == set(STYLES) and {rig.pose for rig in rigs} == set(POSES)
-    assert {rig.character.kind for rig in rigs} == {"bvh", "glb"}
-    assert len({rig.size for rig in rigs}) == 6 and {rig.unit for rig in rigs} >= {1.0, 0.01}
-    turned = [not np.allclose(rig.character.world_turns()[rig.truth["LeftArm"]], np.eye(3)) for rig in rigs]
-    assert 0.3 < np.mean(turned) < 0.95
 
 
 def test_the_joints_of_two_hundred_rigs_are_found() -> None:

@@ -114,20 +114,6 @@ def test_what_was_collected_is_laid_out_as_the_data(simulator: Simulator, table:
     assert (online["reward"][online["valid"] == 0] == 0).all() and (online["cloned"] == 0).all()
 
 
-def test_who_acts_is_shown_the_history_and_no_more(simulator: Simulator) -> None:
-    widths, kept = [], []
-
-    def choose(seen: dict[str, Tensor]) -> Tensor:
-        widths.append({key: value.shape for key, value in seen.items()})
-        kept.append(seen["previous"])
-        return torch.full((3,), len(widths) % SIZE)
-
-    batch = simulator.collect(choose, np.random.default_rng(0), 3, 4)
-    assert [width["block"] for width in widths] == [(3, i) for i in range(1, 5)]
-    assert all(width["speaker"] == (3,) for width in widths)
-    assert torch.equal(kept[-1], batch["previous"][:, :4])
-
-
 def test_the_ring_gives_the_layout_of_the_data(simulator: Simulator, table: RewardTable) -> None:
     memory = Replay(10)
     memory.add(simulator.collect(at_random(0), np.random.default_rng(0), 4, 6))
