@@ -329,17 +329,3 @@ def test_a_recording_whose_worker_always_dies_fails_alone() -> None:
 
     (outcome,) = done_on_ray("local:2", _dies, [7])
     assert outcome.number == 7 and "its worker died 3 times" in outcome.error
-
-
-def test_a_head_that_is_killed_is_one_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'gesticulator[scale]'")
-    from gesticulator import ray_pool
-
-    if ray.is_initialized():
-        ray.shutdown()
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), str(Path(__file__).parents[1])]))
-    monkeypatch.setattr(ray_pool, "_head_answers", lambda ray, given: not (tmp_path / "killed").exists())
-    outcomes = ray_pool.done_on_ray("local:2", partial(_marker, tmp_path), range(4))
-    (tmp_path / "killed").touch()
-    with pytest.raises(InputError, match="the cluster is lost"):
-        list(outcomes)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
 
-from data_module.types import Array, Speech
-from eval.renderings import ListeningGesticulator
-from gesticulator.bundle.bundle import SHIPPED, Bundle, load
+from data_module.types import Array
+from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of
 from gesticulator.sampling.candidates import (
     FASTEST,
@@ -221,27 +218,3 @@ def test_hands_that_stop_before_the_onset_stop_nearer_to_it_when_retimed(bundle:
         np.testing.assert_allclose(made[-1], block[-1], atol=1e-6)
     np.testing.assert_array_equal(chooser.retimed(block_of(np.array([2.2])), past, block), block)
     np.testing.assert_array_equal(chooser.retimed(block_of(np.zeros(0)), past, block), block)
-
-
-def first_block(monkeypatch: pytest.MonkeyPatch, chosen: int, **asked: str) -> tuple[Array, Array]:
-    """The features of torso and head, and of all the rest, in the first block of the shipped bundle, before which all
-    is the same; chosen: which of its candidates is kept. Nothing is moved in time."""
-    monkeypatch.setattr(CandidateChooser, "choose", lambda *_: chosen)
-    monkeypatch.setattr(CandidateChooser, "retimed", lambda _, speech, past, block: block)
-    bundle = load(SHIPPED)
-    sound, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32")
-    system = ListeningGesticulator(bundle)
-    system(Speech(sound[:5 * rate], rate), seed=1, **asked)
-    parts = bundle.block_lexicon.basis.parts
-    trunk = sorted(column for name in ("torso", "head") for column in parts[name])
-    return system.drawn[0][:, trunk], np.delete(system.drawn[0], trunk, axis=1)
-
-
-@pytest.mark.parametrize(("asked", "alike"), [({}, True), ({"hand_height": "high"}, False)])
-def test_candidates_share_their_arms_but_where_controls_ask_for_a_choice(
-        monkeypatch: pytest.MonkeyPatch, asked: dict[str, str], alike: bool) -> None:
-    monkeypatch.setattr(CandidateChooser, "too_fast", lambda *_: False)
-    monkeypatch.setattr(CandidateChooser, "before_face", lambda *_: False)
-    (trunk, arms), (other_trunk, other_arms) = (first_block(monkeypatch, chosen, **asked) for chosen in (0, 3))
-    assert np.abs(trunk - other_trunk).max() > 0.05
-    assert (np.abs(arms - other_arms).max() < 0.01) == alike

@@ -14,7 +14,6 @@ from data_module.motion.motion_beats import beats_of_speed
 from data_module.speech.onsets import merged
 from data_module.types import BeatFlag, Beats, Speech, Word
 from eval.metrics import pmb
-from eval.metrics.audio_clusters import association
 from eval.pictures import embedding, plots
 from eval.pictures.embedding import colours
 from eval.pictures.strips import BEAT_COLOURS, BEAT_NAMES, save_strip
@@ -60,11 +59,6 @@ def test_delta_curves_are_the_curves_given() -> None:
     assert {*curves} <= {*legend_of(figure)} and not any(name.startswith("_") for name in legend_of(figure))
 
 
-def test_many_curves_are_told_apart() -> None:
-    figure = plots.delta_curves({str(i): [1.0, 2.0, 3.0] for i in range(36)}, DELTAS)
-    assert len({(line.get_color(), line.get_marker()) for line in figure.axes[0].get_lines()}) == 36
-
-
 # ---------------------------------------------------------------------------------------------------- Figs. 15, 17
 
 def test_joint_embedding_takes_rows_evenly_and_keeps_neighbours() -> None:
@@ -103,15 +97,6 @@ def test_panels_hold_every_point_in_its_lexemes_colour() -> None:
     low, high = np.array([first.get_xlim(), first.get_ylim()]).T
     everything = np.concatenate([points for points, _ in panels.values()])
     assert (everything > low).all() and (everything < high).all()
-
-
-def test_numbers_stand_on_points_of_their_lexeme() -> None:
-    points = np.random.default_rng(2).standard_normal((200, 2))
-    labels = np.repeat(np.arange(20), 10)
-    axis = embedding.embedding_panels({"a": (points, labels)}, 20).axes[0]
-    assert len(axis.texts) == embedding.NUMBERED
-    for text in axis.texts:
-        assert np.abs(points[labels == int(text.get_text())] - text.get_position()).sum(axis=1).min() == 0
 
 
 # --------------------------------------------------------------------------------------------------------- Fig. 16
@@ -159,28 +144,6 @@ def test_sweep_shows_means_intervals_and_sizes() -> None:
         assert set(drawn["size in use"].get_xdata()) == {100}
         assert ("performer" in drawn) == (title == "PMB")
     assert set(lines_of(figure.axes[1])["performer"].get_ydata()) == {95.0}
-
-
-# ---------------------------------------------------------------------------------------------------------- Fig. 14
-
-def test_bars_are_entropies_and_gains_of_the_association() -> None:
-    rng = np.random.default_rng(5)
-    lexemes, recording = rng.integers(0, 6, 240), np.repeat(np.arange(4), 60)
-    levels = {"low, level 2": rng.integers(0, 5, 240), "high, level 8": lexemes // 2}
-    own = association(levels, lexemes, recording, recording, draws=20, turns=12)
-    figure = plots.cluster_bars({"performer": own, "generated": own})
-    bars, gains = figure.axes
-    heights = {bar.get_label(): [patch.get_height() for patch in bar] for bar in bars.containers}
-    for name in levels:
-        assert heights[name] == [own[name]["entropy"]]
-        assert heights[f"{name}, by chance"] == heights[f"_{name}, by chance"] == [own[name]["by_chance"]]
-        spans = spans_of(gains, f"_{name}", 1)
-        assert spans == [[own[name]["gain"].low, own[name]["gain"].high]] * 2
-        assert [float(line.get_ydata()[0]) for line in gains.get_lines() if line.get_label() == f"_{name}"] == [
-            own[name]["gain"].mean] * 2
-    alone = [segment[0, 1] for part in bars.collections for segment in part.get_segments()]
-    assert alone == [own["lexeme_entropy"]] * 2
-    assert set(legend_of(figure)) == {"lexeme alone", *levels, *(f"{name}, by chance" for name in levels)}
 
 
 # ---------------------------------------------------------------------------------------------------------- Fig. 2

@@ -13,7 +13,6 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import wraps
-from pathlib import Path
 from typing import Any
 
 import jsonschema
@@ -35,7 +34,6 @@ from gesticulator.live.protocol import CloseCode, StreamRequest, published
 from gesticulator.live.server import LiveServer, ServerAddress
 
 RATE = 16000
-EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
 LIMITS = ServerLimits(streams=8, stream_seconds=100.0, message_bytes=2**16, waiting_seconds=10.0,
                       unread_bytes=2**16, unread_seconds=1.0, hello_seconds=0.5, quiet_seconds=5.0, drain_seconds=0.5)
 
@@ -235,25 +233,6 @@ async def test_beats_lexemes_and_words_are_events() -> None:
         assert [event["text"] for event in events if event["type"] == "word"] == ["hello", "there"]
 
 
-@in_loop
-async def test_an_interruption_takes_back_what_was_not_heard() -> None:
-    async with running() as at, connect(at.url, Hello(RATE)) as stream:
-        player = PosePlayer()
-        await stream.send(pcm(5.0))
-        async for message in stream:
-            if isinstance(message, Poses):
-                player.add(message)
-                if player.end > 4.0:
-                    break
-        await stream.interrupt(1.0)
-        await stream.idle(0.5)
-        await stream.finish()
-        async for message in stream:
-            if isinstance(message, Poses):
-                player.add(message)
-        assert player.end == 1.5
-
-
 @pytest.mark.parametrize("heard", [1.9, 1.0])
 @in_loop
 async def test_media_time_goes_on_from_where_the_voice_was_heard(heard: float) -> None:
@@ -338,22 +317,6 @@ async def test_what_is_wrong_is_closed_with_its_code_and_others_go_on(messages: 
         await other.send(pcm(1.0))
         await other.finish()
         assert_whole([one async for one in other if isinstance(one, Poses)], 1.0)
-
-
-@in_loop
-async def test_an_answer_of_minutes_that_was_sent_at_once_is_interrupted_where_it_is_played() -> None:
-    limits = replace(LIMITS, waiting_seconds=200.0, stream_seconds=200.0, message_bytes=2**23, quiet_seconds=60.0)
-    async with running(limits) as at, connect(at.url, Hello(RATE, fps=10)) as stream:
-        await stream.send(pcm(150.0))
-        await stream.idle(0.0)
-        got = stream.__aiter__()
-        while not isinstance(poses := await anext(got), Poses) or poses.first + len(poses) < 1500:
-            pass
-        await stream.interrupt(5.0)
-        await stream.idle(0.1)
-        while not isinstance(poses := await anext(got), Poses):
-            pass
-        assert poses.first == 50
 
 
 async def speak(url: str, seconds: float, options: dict[str, Any]) -> tuple[list[Poses], list[dict[str, Any]]]:

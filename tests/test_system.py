@@ -8,7 +8,7 @@ from data_module.settings import with_settings
 from gesticulator.bundle.bundle import required
 from gesticulator.systems import SYSTEMS, system_of
 from gesticulator.training.presets import PRESETS, preset
-from gesticulator.training.stages import STAGES, wanted
+from gesticulator.training.stages import wanted
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -26,11 +26,6 @@ def test_a_system_trains_what_its_bundle_cannot_do_without(name: str) -> None:
     assert {stage.part for stage in stages} >= set(required(config))
     assert [stage.name for stage in stages] == [name for name in system_of(config).STAGES if name in
                                                 {stage.name for stage in stages}]
-
-
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_the_stages_of_a_system_are_stages(name: str) -> None:
-    assert set(SYSTEMS.load(name).STAGES) <= set(STAGES)
 
 
 def test_a_setting_that_changes_the_system_trains_lexicon_and_generator_again() -> None:
