@@ -19,7 +19,6 @@ from gesticulator import infer
 from gesticulator.arguments import infer_arguments, settings_of
 from gesticulator.characters.blender import blender, run_in_blender
 from gesticulator.characters.bvh_rig import write_character_bvh
-from gesticulator.characters.command import COMMAND
 from gesticulator.characters.fbx_rig import from_bones
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import check, load_mapping, save_mapping
@@ -292,16 +291,6 @@ def test_something_without_a_body_is_refused() -> None:
                   flesh=np.zeros((0, 3)), flesh_nodes=np.zeros(0, np.int64))
     with pytest.raises(InputError, match="mapping"):
         check(find_joints(box), box)
-
-
-def test_the_verb_shows_what_was_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "rig.glb"
-    file.write_bytes(as_glb(draw(3, "mixamo", "A")))
-    assert COMMAND.main("gesticulator character", [str(file), "--save-mapping", str(tmp_path / "m.json")]) == 0
-    said = capsys.readouterr().out
-    assert "100% sure" in said and "mixamorig:LeftForeArm" in said
-    assert json.loads((tmp_path / "m.json").read_text())["joints"]["Hips"] == "mixamorig:Hips"
-    assert COMMAND.main("gesticulator character", [str(file), "--mapping", str(tmp_path / "m.json")]) == 0
 
 
 def test_the_command_moves_a_bvh_character_from_sound_to_file(tmp_path: Path) -> None:

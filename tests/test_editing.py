@@ -291,23 +291,6 @@ def test_an_edit_sends_its_stretch_and_undo_draws_nothing(system: Gesticulator, 
     assert drawn[0] <= whole + 3
 
 
-def test_a_curve_sizes_where_it_runs_and_leaves_locked_blocks(system: Gesticulator, first: Performance) -> None:
-    page = Page(system, first)
-    before = page.frames.copy()
-    plan = copy.deepcopy(page.plan)
-    plan["curves"] = [{"knob": "intensity", "times": [2.0, 3.0, 4.0], "values": [1.0, 0.1, 1.0]}]
-    page.edit(plan)
-    changed = np.flatnonzero((page.frames != before).any(axis=(1, 2)))
-    assert changed[0] >= 2.0 * 60 - 8 and 3.9 * 60 <= changed[-1] <= 4.0 * 60 + 8
-    hand = first.joints.index("RightArm")
-    rest = before[0, hand].astype(int)
-    assert np.abs(page.frames[180, hand] - rest).max() < np.abs(before[180, hand] - rest).max(), "nearer to rest"
-    for block in plan["blocks"]:
-        block["locked"] = True
-    page.edit(plan)
-    np.testing.assert_array_equal(page.frames, before)
-
-
 def _curved(plan: Plain, knob: str, *points: tuple[float, float]) -> Plain:
     times, values = zip(*points, strict=True)
     return {**copy.deepcopy(plan), "curves": [{"knob": knob, "times": list(times), "values": list(values)}]}
