@@ -6,15 +6,21 @@ import importlib.util
 import os
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import torch
 import toy
 from filelock import FileLock
 from hypothesis import HealthCheck, settings
+
+from data_module.errors import InputError
+
+if TYPE_CHECKING:
+    from gesticulator.gesticulator import Gesticulator
 
 # No deadline: the first call of a numerical library is slow and says nothing about the code under test.
 settings.register_profile("project", deadline=None, max_examples=50, derandomize=True,
@@ -193,3 +199,31 @@ def judge(outside_data: Path) -> ModuleType:
     finally:
         sys.dont_write_bytecode = written
     return module
+
+
+@pytest.fixture(scope="module")
+def system() -> Gesticulator:
+    """With the weights that are shipped."""
+    from gesticulator.gesticulator import Gesticulator
+
+    return Gesticulator.from_pretrained()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A headless Chromium; the test is skipped, with the reason, where there is none."""
+    from browser import chromium
+
+    with chromium() as window:
+        yield window
+
+
+@pytest.fixture
+def blender(tmp_path: Path) -> None:
+    """Skips the test, with the reason, where there is no Blender."""
+    from gesticulator.characters.blender import check_blender
+
+    try:
+        check_blender(tmp_path)
+    except InputError as lacking:
+        pytest.skip(str(lacking))

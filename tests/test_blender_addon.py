@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
+from example_speech import write_example
 from small_characters import AUTO_RIG, HUMANOID, MIXAMO, VROID, write_character
 
 from data_module.errors import InputError
@@ -41,9 +41,7 @@ def spoken(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Performance]
         check_blender(HERE)
     except InputError as lacking:
         pytest.skip(str(lacking))
-    samples, rate = soundfile.read(HERE.parent / "examples" / "speech.flac", frames=round(SECONDS * 16000))
-    sound = tmp_path_factory.mktemp("sound") / "speech.wav"
-    soundfile.write(sound, samples, rate)
+    sound = write_example(tmp_path_factory.mktemp("sound") / "speech.wav", SECONDS)
     return sound, Gesticulator.from_pretrained()(sound, fps=FPS, legs=True)
 
 

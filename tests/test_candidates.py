@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
+from example_speech import example_speech
 
-from data_module.types import Array, Speech
+from data_module.types import Array
 from eval.renderings import ListeningGesticulator
 from gesticulator.bundle.bundle import SHIPPED, Bundle, load
 from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of
@@ -229,9 +228,8 @@ def first_block(monkeypatch: pytest.MonkeyPatch, chosen: int, **asked: str) -> t
     monkeypatch.setattr(CandidateChooser, "choose", lambda *_: chosen)
     monkeypatch.setattr(CandidateChooser, "retimed", lambda _, speech, past, block: block)
     bundle = load(SHIPPED)
-    sound, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32")
     system = ListeningGesticulator(bundle)
-    system(Speech(sound[:5 * rate], rate), seed=1, **asked)
+    system(example_speech(5.0), seed=1, **asked)
     parts = bundle.block_lexicon.basis.parts
     trunk = sorted(column for name in ("torso", "head") for column in parts[name])
     return system.drawn[0][:, trunk], np.delete(system.drawn[0], trunk, axis=1)

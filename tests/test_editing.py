@@ -8,12 +8,11 @@ import copy
 import json
 from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import soundfile
+from example_speech import example_speech
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
@@ -31,7 +30,6 @@ from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.plan_file import parse_plan
 from gesticulator.sampling import loop
 
-SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 SECONDS, SEED = 6.0, 1
 Plain = dict[str, Any]
 
@@ -45,8 +43,7 @@ def system() -> Gesticulator:
 
 @pytest.fixture(scope="module")
 def speech() -> Speech:
-    samples, rate = soundfile.read(SPEECH, frames=round(SECONDS * 16000), dtype="float32")
-    return Speech(samples, rate)
+    return example_speech(SECONDS)
 
 
 @pytest.fixture(scope="module")

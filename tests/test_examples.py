@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from example_speech import write_example
 from gltf_reader import GlbFile
 from small_characters import write_character
 from untrained import untrained
@@ -37,10 +38,7 @@ RUN = {"calmer_take", "direct", "edit_plan", "file_to_bvh", "folder", "gestures_
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first seconds of the example recording."""
-    samples, rate = soundfile.read(EXAMPLES / "speech.flac", frames=round(SECONDS * 16000))
-    path = tmp_path_factory.mktemp("recordings") / "a.flac"
-    soundfile.write(path, samples, rate)
-    return path
+    return write_example(tmp_path_factory.mktemp("recordings") / "a.flac", SECONDS)
 
 
 def example(name: str) -> Callable[..., None]:

@@ -20,11 +20,10 @@ from gltf_reader import GlbFile
 from performances import perform, write
 from small_characters import write_character
 
-from data_module.errors import InputError
 from data_module.motion.kinematics import global_rotations
 from data_module.motion.skeletons import CHARACTERS, FINGERED, WHOLE_BODY, standing
 from data_module.types import Array
-from gesticulator.characters.blender import check_blender, run_in_blender
+from gesticulator.characters.blender import run_in_blender
 from gesticulator.characters.retarget import retarget
 from gesticulator.export.fbx import SCRIPT
 from gesticulator.export.vrma import BONES, humanoid
@@ -160,15 +159,6 @@ IMPORT = {
     ".fbx": {}, ".glb": {}, ".usdc": {},
 }
 """Suffix -> what to set in Blender's importer: the rest are its defaults."""
-
-
-@pytest.fixture
-def blender(tmp_path: Path) -> None:
-    """Skips the test, with the reason, where there is no Blender."""
-    try:
-        check_blender(tmp_path)
-    except InputError as lacking:
-        pytest.skip(str(lacking))
 
 
 def in_blender(path: Path, fps: float, settings: dict[str, Any]) -> dict[str, Any]:

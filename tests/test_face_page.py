@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from browser import OpenedPage, chromium
+from browser import OpenedPage
 from performances import perform, write
 from small_characters import write_character
 from test_face_files import EYES, JAW, add_bones, add_shapes, with_face
@@ -22,12 +21,6 @@ from gesticulator.face.shapes import ARKIT, curves
 from gesticulator.face.visemes import VISEMES
 
 OCULUS = [f"viseme_{name}" for name in VISEMES]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as window:
-        yield window
 
 
 def test_constants_are_the_curves() -> None:

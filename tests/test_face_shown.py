@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import OpenedPage, chromium
+from browser import OpenedPage
 from face_samples import FPS, PAUSE, VisemeSpan, posed, spoken, still, syllables
 from javascript import printed_by
 from performances import write
@@ -125,12 +125,6 @@ def test_a_films_mouth_opens() -> None:
 
 
 # ---------------------------------------------------------------------------------------------------------------- pages
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as window:
-        yield window
-
 
 _LOOK = """(time) => {
     const { clock, stage } = preview, [performer] = stage.performers;

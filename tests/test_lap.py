@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
+from example_speech import example_speech
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -122,9 +122,7 @@ def test_whether_somebody_sits_is_seen_from_the_thighs() -> None:
 
 
 def test_no_hand_of_a_performance_that_sits_is_in_a_thigh() -> None:
-    samples, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32",
-                                   frames=160_000)
-    motion = Gesticulator.from_pretrained()(samples, rate, seed=1, seated=True, activity=0.3, mirror=True).motion
+    motion = Gesticulator.from_pretrained()(example_speech(10.0), seed=1, seated=True, activity=0.3, mirror=True).motion
     assert of_ours(motion).min() > -0.003
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from example_speech import write_example
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from performances import perform
@@ -225,13 +226,9 @@ def test_the_page_and_the_command_play_the_same_and_undo_costs_nothing(
 
 
 def test_a_plan_with_pins_is_rendered_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    import soundfile
-
     from data_module.motion import bvh
 
-    samples, rate = soundfile.read(Path(__file__).resolve().parent.parent / "examples" / "speech.flac",
-                                   frames=3 * 16000, dtype="float32")
-    soundfile.write(tmp_path / "talk.wav", samples, rate, subtype="FLOAT")
+    write_example(tmp_path / "talk.wav", 3.0, "FLOAT")
     talk, plan, out = (str(tmp_path / name) for name in ("talk.wav", "plan.json", "out.bvh"))
     assert main(["infer", talk, "-o", str(tmp_path / "first.bvh"), "--plan-out", plan]) == 0
     plain = json.loads(Path(plan).read_text())
