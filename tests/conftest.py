@@ -9,12 +9,16 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 import pytest
 import torch
 import toy
 from filelock import FileLock
 from hypothesis import HealthCheck, settings
+
+if TYPE_CHECKING:
+    from gesticulator import Gesticulator
 
 # No deadline: the first call of a numerical library is slow and says nothing about the code under test.
 settings.register_profile("project", deadline=None, max_examples=50, derandomize=True,
@@ -133,6 +137,14 @@ def trained_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Pat
     for suffix in ("", ".work"):
         shutil.copytree(trained.with_name(name + suffix), own.with_name("bundle" + suffix))
     return own
+
+
+@pytest.fixture(scope="module")
+def system() -> Gesticulator:
+    """The shipped system, one for each file of tests."""
+    from gesticulator import Gesticulator
+
+    return Gesticulator.from_pretrained()
 
 
 @pytest.fixture(scope="session")

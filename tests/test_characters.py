@@ -19,7 +19,6 @@ from gesticulator import infer
 from gesticulator.arguments import infer_arguments, settings_of
 from gesticulator.characters.blender import blender, run_in_blender
 from gesticulator.characters.bvh_rig import write_character_bvh
-from gesticulator.characters.command import COMMAND
 from gesticulator.characters.fbx_rig import from_bones
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import check, load_mapping, save_mapping
@@ -29,6 +28,7 @@ from gesticulator.characters.retarget import Retargeter, retarget
 from gesticulator.characters.rig import Character
 from gesticulator.export import fbx_child as blender_child
 from gesticulator.jobs import retargeter_for
+from tests.performances import EXAMPLE
 from tests.rigs import Rig, as_glb, draw
 
 
@@ -293,24 +293,13 @@ def test_something_without_a_body_is_refused() -> None:
         check(find_joints(box), box)
 
 
-def test_the_verb_shows_what_was_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "rig.glb"
-    file.write_bytes(as_glb(draw(3, "mixamo", "A")))
-    assert COMMAND.main("gesticulator character", [str(file), "--save-mapping", str(tmp_path / "m.json")]) == 0
-    said = capsys.readouterr().out
-    assert "100% sure" in said and "mixamorig:LeftForeArm" in said
-    assert json.loads((tmp_path / "m.json").read_text())["joints"]["Hips"] == "mixamorig:Hips"
-    assert COMMAND.main("gesticulator character", [str(file), "--mapping", str(tmp_path / "m.json")]) == 0
-
-
 def test_the_command_moves_a_bvh_character_from_sound_to_file(tmp_path: Path) -> None:
     """End to end: names, channels and floor of her file are kept, frames are those of the sound."""
     rig = next(rig for rig in map(draw, range(200)) if rig.character.kind == "bvh" and rig.unit == 0.01)
     still = np.tile(rig.character.rotations, (1, 1, 1))
     source, out = tmp_path / "rig.bvh", tmp_path / "talk.bvh"
     write_character_bvh(source, rig.character, still, None, 30.0)
-    sound = Path(__file__).parent.parent / "examples" / "speech.flac"
-    assert infer.main([str(sound), "--character", str(source), "-o", str(out), "--fps", "20", "--quiet",
+    assert infer.main([str(EXAMPLE), "--character", str(source), "-o", str(out), "--fps", "20", "--quiet",
                        "--save-mapping", str(tmp_path / "m.json")]) == 0
     made, rest = bvh.read_bvh(out, unit=0.01), read_character(source)
     kept = [node for node in range(1, len(rest)) if node != rest.names.index("Hips")]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from performances import example
 
 from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
@@ -157,18 +156,11 @@ def test_a_hand_folded_to_its_shoulder_takes_its_knuckles_out_of_the_trunk_by_th
     assert steps[1] < 1.5 * steps[0], "no jump"
 
 
-@pytest.fixture(scope="module")
-def system() -> Gesticulator:
-    return Gesticulator.from_pretrained()
-
-
 @pytest.mark.parametrize("knobs", [{}, {"intensity": 2.0, "legs": True}, {"energy": "lively", "mirror": True},
                                    {"hand_radius": 0.15, "hold_still": ((3.2, 5.0),)}])
 @pytest.mark.filterwarnings("ignore:hand_radius")
 def test_no_hand_is_in_the_trunk_and_no_elbow_behind_it_at_any_knob(knobs: dict, system: Gesticulator) -> None:
-    samples, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32",
-                                   frames=160_000)
-    motion = system(samples, rate, seed=1, **knobs).motion
+    motion = system(example(10.0), seed=1, **knobs).motion
     for gap in TRUNK.distances(pose_of(replace(motion, root_positions=np.zeros_like(motion.root_positions)))).values():
         assert gap.min() > -0.01
     body = common_body(motion)
@@ -191,5 +183,5 @@ def test_a_hand_that_is_moved_turns_to_the_same_side_as_its_neighbours() -> None
 @pytest.mark.parametrize("seed", [2, 7])
 def test_no_elbow_jumps_in_the_example(seed: int, system: Gesticulator) -> None:
     """Seeds in which an elbow once jumped at 12 and 9 m/s."""
-    motion = system(Path(__file__).parent.parent / "examples" / "speech.flac", seed=seed).motion
+    motion = system(example(), seed=seed).motion
     assert fastest_elbow(common_body(motion)) < 4.0

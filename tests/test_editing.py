@@ -8,14 +8,13 @@ import copy
 import json
 from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import soundfile
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from performances import example
 
 from data_module.errors import InputError
 from data_module.types import Speech
@@ -30,22 +29,19 @@ from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.plan_file import parse_plan
 from gesticulator.sampling import loop
 
-SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 SECONDS, SEED = 6.0, 1
 Plain = dict[str, Any]
 
 
 @pytest.fixture(scope="module")
-def system() -> Gesticulator:
-    system = Gesticulator.from_pretrained()
+def system(system: Gesticulator) -> Gesticulator:
     system.keeps_generations = True
     return system
 
 
 @pytest.fixture(scope="module")
 def speech() -> Speech:
-    samples, rate = soundfile.read(SPEECH, frames=round(SECONDS * 16000), dtype="float32")
-    return Speech(samples, rate)
+    return example(SECONDS)
 
 
 @pytest.fixture(scope="module")
@@ -293,23 +289,6 @@ def test_an_edit_sends_its_stretch_and_undo_draws_nothing(system: Gesticulator, 
     assert drawn[0] <= whole + 1, "with other knobs too, an edit costs its block"
     page.edit(edited(page.plan, "join", 3, 0))
     assert drawn[0] <= whole + 3
-
-
-def test_a_curve_sizes_where_it_runs_and_leaves_locked_blocks(system: Gesticulator, first: Performance) -> None:
-    page = Page(system, first)
-    before = page.frames.copy()
-    plan = copy.deepcopy(page.plan)
-    plan["curves"] = [{"knob": "intensity", "times": [2.0, 3.0, 4.0], "values": [1.0, 0.1, 1.0]}]
-    page.edit(plan)
-    changed = np.flatnonzero((page.frames != before).any(axis=(1, 2)))
-    assert changed[0] >= 2.0 * 60 - 8 and 3.9 * 60 <= changed[-1] <= 4.0 * 60 + 8
-    hand = first.joints.index("RightArm")
-    rest = before[0, hand].astype(int)
-    assert np.abs(page.frames[180, hand] - rest).max() < np.abs(before[180, hand] - rest).max(), "nearer to rest"
-    for block in plan["blocks"]:
-        block["locked"] = True
-    page.edit(plan)
-    np.testing.assert_array_equal(page.frames, before)
 
 
 def _curved(plan: Plain, knob: str, *points: tuple[float, float]) -> Plain:

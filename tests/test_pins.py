@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from performances import perform
+from performances import example, perform
 from test_editing import Page, Plain, edited, first, frames_of_take, speech, system  # noqa: F401
 
 from data_module.errors import InputError
-from data_module.motion import rotation
+from data_module.motion import bvh, rotation
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT, standing
 from data_module.types import Array, Motion, Speech
@@ -225,13 +226,8 @@ def test_the_page_and_the_command_play_the_same_and_undo_costs_nothing(
 
 
 def test_a_plan_with_pins_is_rendered_on_the_command_line(tmp_path: Path) -> None:
-    import soundfile
-
-    from data_module.motion import bvh
-
-    samples, rate = soundfile.read(Path(__file__).resolve().parent.parent / "examples" / "speech.flac",
-                                   frames=3 * 16000, dtype="float32")
-    soundfile.write(tmp_path / "talk.wav", samples, rate, subtype="FLOAT")
+    sound = example(3.0)
+    soundfile.write(tmp_path / "talk.wav", sound.samples, sound.sample_rate, subtype="FLOAT")
     talk, plan, out = (str(tmp_path / name) for name in ("talk.wav", "plan.json", "out.bvh"))
     assert main(["infer", talk, "-o", str(tmp_path / "first.bvh"), "--plan-out", plan]) == 0
     plain = json.loads(Path(plan).read_text())

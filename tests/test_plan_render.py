@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from performances import example
 
 from data_module.errors import InputError
 from data_module.motion import rotation
@@ -36,22 +37,14 @@ from gesticulator.performance import Performance
 from gesticulator.plan.plan import GestureCue, GesturePlan
 from interpreters.base import BlockFeatures
 
-ROOT = Path(__file__).resolve().parents[1]
-SPEECH = ROOT / "examples" / "speech.flac"
 SECONDS, SEED = 7.0, 1
 REACH = 0.13
 """Seconds: the smoothing's kernel and two frames of a block to either side of what was changed."""
 
 
 @pytest.fixture(scope="module")
-def system() -> Gesticulator:
-    return Gesticulator.from_pretrained()
-
-
-@pytest.fixture(scope="module")
 def speech() -> Speech:
-    samples, rate = soundfile.read(SPEECH, frames=round(SECONDS * 16000), dtype="float32")
-    return Speech(samples, rate)
+    return example(SECONDS)
 
 
 @pytest.fixture(scope="module")

@@ -11,12 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
+from performances import example
 from scipy.spatial.transform import Rotation
 
 from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import WHOLE_BODY
 from data_module.types import Motion
+from gesticulator import Gesticulator
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import SURE
 from gesticulator.characters.retarget import Retargeter
@@ -38,26 +39,22 @@ def drawn(seed: int) -> Rig:
 
 
 @pytest.fixture(scope="module")
-def performed() -> Motion:
+def performed(system: Gesticulator) -> Motion:
     """What the shipped system makes of the shipped example, on legs: a few frames of it."""
-    motion = _gestured()
+    motion = _gestured(system)
     return _some(motion, np.linspace(10, len(motion) - 10, FRAMES).astype(int))
 
 
 @pytest.fixture(scope="module")
-def near() -> Motion:
+def near(system: Gesticulator) -> Motion:
     """The same with hands that keep close to the body: the frames in which one is nearest to it."""
-    motion = _gestured(hand_radius="low")
+    motion = _gestured(system, hand_radius="low")
     inside_of_wider = np.where(_ours_inside(motion) == 0.0, _ours_inside(motion, (0.29, 0.23)), 0.0)
     return _some(motion, np.sort(np.argsort(-inside_of_wider)[:FRAMES]))
 
 
-def _gestured(**asked: str) -> Motion:
-    from gesticulator.gesticulator import Gesticulator
-
-    speech = Path(__file__).parent.parent / "examples" / "speech.flac"
-    samples, rate = soundfile.read(speech, frames=round(SECONDS * 16000))
-    return Gesticulator.from_pretrained()(samples, rate, fps=20.0, legs=True, **asked).motion
+def _gestured(system: Gesticulator, **knobs: str) -> Motion:
+    return system(example(SECONDS), fps=20.0, legs=True, **knobs).motion
 
 
 def _some(motion: Motion, kept: np.ndarray) -> Motion:

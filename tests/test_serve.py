@@ -456,13 +456,10 @@ async def test_a_stalled_client_costs_its_bound_and_other_clients_nothing() -> N
         plain = socket.socket()
         plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         plain.connect(("127.0.0.1", at.port))
-        reader, writer = await asyncio.open_connection(sock=plain, limit=2**10)
-        await _raw_handshake(writer, reader)
-        writer.write(_frame(1, Hello(RATE, fps=240).text().encode()))
-        reader._transport.pause_reading()  # type: ignore[attr-defined]
+        stalled = await open_socket(at.url, sock=plain, max_queue=1, ping_interval=None)
+        await stalled.send(Hello(RATE, fps=240).text())
         for _ in range(55):
-            writer.write(_frame(2, pcm(1.0)))
-        await writer.drain()
+            await stalled.send(pcm(1.0))
         highest, served = 0.0, 0
         for _ in range(8):
             assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
@@ -476,21 +473,7 @@ async def test_a_stalled_client_costs_its_bound_and_other_clients_nothing() -> N
             while at.server.connections:
                 await asyncio.sleep(0.05)
         assert figure(at.server, "closed_total", code=str(int(CloseCode.UNREAD))) == 1
-        writer.transport.abort()
-
-
-async def _raw_handshake(writer: asyncio.StreamWriter, reader: asyncio.StreamReader) -> None:
-    writer.write(b"GET /stream HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-                 b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n")
-    assert (await reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 101")
-
-
-def _frame(opcode: int, payload: bytes, mask: bytes = b"\0\0\0\0") -> bytes:
-    """A WebSocket frame as RFC 6455 (5.2) has it."""
-    size = len(payload)
-    length = bytes([0x80 | size]) if size < 126 else bytes([0x80 | 126]) + size.to_bytes(2, "big") \
-        if size < 2**16 else bytes([0x80 | 127]) + size.to_bytes(8, "big")
-    return bytes([0x80 | opcode]) + length + mask + payload
+        stalled.transport.abort()
 
 
 # ---------------------------------------------------------------- faults

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from data_module.errors import InputError
 from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import FINGERED, HIP_HEIGHT, LEG_JOINTS, WHOLE_BODY, has_legs, resized, standing
@@ -305,17 +304,3 @@ def test_legs_stay_on_their_floor_in_what_is_written(tmp_path: Path) -> None:
         np.testing.assert_allclose(kinematics.positions_of(read)[:, order], made.positions(), atol=1e-4)
         assert made.positions()[:, WHOLE_BODY.index("LeftFoot"), 1].min() == pytest.approx(ANKLE, abs=1e-6)
     assert np.median(performance.positions()[:, 0, 1]) == pytest.approx(HIP_HEIGHT), "without legs as ever"
-
-
-def test_pictures_draw_the_legs_that_are_there() -> None:
-    from gesticulator.export.figure import VIEWS, figure_points, seen
-
-    motion = with_legs(drawn(1, seconds=20.0), 1)
-    points = figure_points(motion, np.array([0.0, 15.0]), legs=True)
-    frames = [0, 450]
-    for name in ("Hips", "LeftLeg", "RightFoot", "LeftToeBase", "Head", "RightHand"):
-        np.testing.assert_allclose(points[name], at(motion, name)[frames], atol=1e-9)
-    now = {name: path[:1] for name, path in points.items()}
-    assert len(seen(now, VIEWS["front"])) == len(seen(figure_points(motion, np.zeros(1)), VIEWS["front"])) + 1
-    with pytest.raises(InputError, match="legs"):
-        figure_points(still(seconds=1.0), np.zeros(1), legs=True)
