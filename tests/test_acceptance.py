@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import torch
 from bursts import RATE, recording
-from example_speech import example_speech
 from hypothesis import given
 from hypothesis import strategies as st
+from performances import example
 from torch import Tensor
 from untrained import PLAIN, untrained
 
@@ -419,7 +419,7 @@ def test_a_lexicon_of_movements_decodes_from_the_past() -> None:
 
 @pytest.fixture(scope="module")
 def speech() -> Speech:
-    return example_speech(8.0)
+    return example(8.0)
 
 
 def tilt_of(samples: Array) -> float:

@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from example_speech import example_speech
 from face_samples import still
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from performances import example
 
 from data_module.errors import InputError
 from data_module.text.marks import marked_text
 from data_module.types import Array, Speech, Word
+from gesticulator import Gesticulator
 from gesticulator.arguments import check_cues
 from gesticulator.directing.cues import stroke_of_word
 from gesticulator.directing.marks import MarkWarning, expression_of_mark, gesture_of_mark, mark_cues, warn_of_unknown
@@ -112,10 +113,10 @@ def test_a_cue_of_the_face_needs_one_on_the_command_line() -> None:
 def _speech(*marks: str, words: bool = True) -> Speech:
     """Four seconds, the third word of which has the marks."""
     spoken = tuple(Word("well", 0.4 * n + 0.3, 0.4 * n + 0.6, marks if n == 2 else ()) for n in range(9))
-    return replace(example_speech(4.0), words=spoken if words else None)
+    return replace(example(4.0), words=spoken if words else None)
 
 
-def _streamed(system: Any, speech: Speech, **options: Any) -> tuple[Array, FaceMotion | None]:
+def _streamed(system: Gesticulator, speech: Speech, **options: Any) -> tuple[Array, FaceMotion | None]:
     stream = system.stream(RATE, text=speech.words is not None, **options)
     if speech.words:
         stream.add_words([Word("".join(f"[{name}] " for name in word.marks) + word.text, word.start, word.end)
@@ -129,7 +130,7 @@ def _streamed(system: Any, speech: Speech, **options: Any) -> tuple[Array, FaceM
 
 
 @pytest.mark.filterwarnings(f"ignore::{PhonesWarning.__module__}.PhonesWarning")
-def test_a_marked_smile_in_a_file_and_a_stream(system: Any) -> None:
+def test_a_marked_smile_in_a_file_and_a_stream(system: Gesticulator) -> None:
     file = system(_speech("smile"), face="full")
     rotations, face = _streamed(system, _speech("smile"), face="full")
     assert face is not None
@@ -148,8 +149,8 @@ def test_a_marked_smile_in_a_file_and_a_stream(system: Any) -> None:
 @pytest.mark.filterwarnings(f"ignore::{PhonesWarning.__module__}.PhonesWarning")
 @pytest.mark.parametrize(("words", "options"), [
     (True, {"face": "full", "mood": 0.5}), (False, {"face": "lips", "mouth": 2.0})])
-def test_the_body_is_the_same_with_a_face_in_a_file_and_a_stream(system: Any, words: bool, options: dict[str, Any]
-                                                                 ) -> None:
+def test_the_body_is_the_same_with_a_face_in_a_file_and_a_stream(system: Gesticulator, words: bool,
+                                                                 options: dict[str, Any]) -> None:
     plain, marked = _speech(words=words), _speech(*(("smile",) if words else ()), words=words)
     made = system(marked, **options)
     assert made.face is not None and made.rotations.tobytes() == system(plain).rotations.tobytes()

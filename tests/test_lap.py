@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from example_speech import example_speech
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from performances import example
 from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
@@ -29,8 +29,6 @@ from tests.awkward import figure, write
 from tests.rig_errors import places_of
 from tests.rigs import Rig, draw
 from tests.sitting import FPS, WAY, out_of_thighs, swung
-
-VIEWER = Path(__file__).parent.parent / "viewer"
 
 
 def of_ours(motion: Motion) -> Array:
@@ -121,8 +119,8 @@ def test_whether_somebody_sits_is_seen_from_the_thighs() -> None:
     assert is_seated(seated(motion)) and not is_seated(with_legs(motion, 0)) and not is_seated(motion)
 
 
-def test_no_hand_of_a_performance_that_sits_is_in_a_thigh() -> None:
-    motion = Gesticulator.from_pretrained()(example_speech(10.0), seed=1, seated=True, activity=0.3, mirror=True).motion
+def test_no_hand_of_a_performance_that_sits_is_in_a_thigh(system: Gesticulator) -> None:
+    motion = system(example(10.0), seed=1, seated=True, activity=0.3, mirror=True).motion
     assert of_ours(motion).min() > -0.003
 
 

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import re
 import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from example_speech import example_speech
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from performances import example
 from pipecat_gesticulator.marks import timed_words, without_marks
 from recogniser_samples import FILES, Words
 
@@ -36,7 +35,7 @@ from gesticulator.live.limits import ServerLimits
 from gesticulator.live.protocol import StreamRequest
 from gesticulator.live.session import session_opener
 from gesticulator.options import InferenceOptions
-from gesticulator.plan.gestures import GESTURES, REPERTOIRE
+from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.plan import GestureCue
 
 ROOT = Path(__file__).parents[1]
@@ -208,17 +207,10 @@ def test_the_spelling_of_a_name_does_not_matter(gesture: str, between: str, capi
     assert mark_name(mark_name(spelt)) == mark_name(spelt)
 
 
-def test_the_prompt_of_the_page_lists_the_gestures_that_talk_often_calls_for() -> None:
-    page = " ".join((ROOT / "docs" / "marks.md").read_text(encoding="utf-8").split())
-    marks = page[page.index("Use these marks and no others"):page.index("## Transcripts")]
-    named = {gesture_of_mark(mark[1:-1]) for mark in re.findall(r"\[[^\]]+\]", marks)}
-    assert named == {name for name, gesture in REPERTOIRE.items() if gesture.core}
-
-
 # ------------------------------------------------------------------------------------------ a performance, a stream
 
 def _sound(seconds: float = 6.0) -> Speech:
-    return example_speech(seconds)
+    return example(seconds)
 
 
 def _words(**marks: str) -> tuple[Word, ...]:

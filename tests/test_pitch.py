@@ -5,14 +5,14 @@ from __future__ import annotations
 import librosa
 import numpy as np
 import pytest
-from example_speech import example_speech
+from performances import example
 
 from data_module.speech.silence import PITCH_HOP, PITCH_WINDOW, PitchLevel, pitch_of
 from data_module.types import Samples
 from gesticulator.sampling.candidates import with_pitch
 
 RATE = 16000
-EXAMPLE_VOICE = example_speech().samples
+EXAMPLE_VOICE = example().samples
 
 
 def voice(frequency: float, seconds: float = 0.5) -> Samples:

@@ -110,16 +110,6 @@ def test_it_streams_as_it_is_trained(memory: int, by: str) -> None:
         np.testing.assert_allclose(own, scores[i - 1].numpy(), atol=1e-5)
 
 
-@pytest.mark.parametrize("by", ["frame", "block"])
-def test_a_score_is_that_of_a_fresh_window_of_as_many_blocks(by: str) -> None:
-    interpreter, batch = model(pose_features=4, memory=3, reads_by=by).eval(), heard(7)
-    scores = whole(interpreter, batch)
-    for end in range(1, 8):
-        begin = max(0, end - 3)
-        window = {key: value if key == "speaker" else value[:, begin:end + 1] for key, value in batch.items()}
-        torch.testing.assert_close(whole(interpreter, window)[:, -1], scores[:, end - 1])
-
-
 def test_what_lies_before_the_memory_is_forgotten_and_the_paper_forgets_nothing() -> None:
     batch = heard(7)
     other = {**batch, "audio_high": batch["audio_high"].clone()}

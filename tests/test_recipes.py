@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from example_speech import write_example
+from performances import write_example
 
 ROOT = Path(__file__).resolve().parent.parent
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from example_speech import EXAMPLE, example_speech
 from hypothesis import given
 from hypothesis import strategies as st
+from performances import EXAMPLE, example
 
 from data_module.errors import InputError
 from data_module.speech.audio import amplified, load_speech, resample, write_flac
@@ -40,7 +40,7 @@ FRAME = 0.01
 
 @pytest.fixture(scope="module")
 def speech() -> Speech:
-    return example_speech(9.0)
+    return example(9.0)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from example_speech import example_speech
+from performances import example
 
 from data_module.motion.kinematics import positions_of
 from data_module.speech.audio import amplified
@@ -22,7 +22,7 @@ def system() -> Gesticulator:
 
 @lru_cache(maxsize=2)
 def take(seed: int) -> Performance:
-    return system()(example_speech(6.0), seed=seed)
+    return system()(example(6.0), seed=seed)
 
 
 def hands(made: Performance) -> Array:
@@ -33,7 +33,7 @@ def hands(made: Performance) -> Array:
 
 @pytest.mark.parametrize("decibels", [-0.1, -6.0])
 def test_another_level_is_the_same_take(decibels: float) -> None:
-    first, again = take(0), system()(amplified(example_speech(6.0), decibels), seed=0)
+    first, again = take(0), system()(amplified(example(6.0), decibels), seed=0)
     assert again.lexemes.tolist() == first.lexemes.tolist()
     assert np.array_equal(again.blocks.edges, first.blocks.edges)
     assert np.linalg.norm(hands(again) - hands(first), axis=-1).max() < 0.005

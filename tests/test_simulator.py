@@ -73,12 +73,6 @@ def test_rewards_are_those_of_the_table_on_the_same_history(simulator: Simulator
         torch.testing.assert_close(batch["reward"][0, :count], wanted)
 
 
-def test_whoever_does_what_the_person_did_earns_what_the_data_say(simulator: Simulator, table: RewardTable) -> None:
-    offline = data(table).cut(np.array([0, 1]), np.array([2, 1]), 4)
-    batch = simulator.act(acting(offline["action"].T.tolist()), np.array([0, 1]), np.array([2, 1]), 4)
-    torch.testing.assert_close(batch["reward"][:, :4], offline["reward"][:, :4])
-
-
 def test_the_end_of_a_recording_is_terminal_and_the_horizon_truncates(simulator: Simulator) -> None:
     # 4, 5 and 6 are the last blocks of the second recording; the first has far to go.
     batch = simulator.act(lambda seen: torch.zeros(3), np.array([0, 1, 1]), np.array([0, 3, 2]), 4)

@@ -64,24 +64,6 @@ def renamed(motion: Motion, names: Mapping[str, str], prefix: str = "") -> Motio
     return Motion(skeleton, kinematics.local_rotations(skeleton, world), motion.root_positions, motion.fps)
 
 
-def test_the_character_is_an_adult_with_level_arms() -> None:
-    rest = kinematics.joint_positions(CHARACTER, np.tile([1.0, 0, 0, 0], (16, 1)))
-    at = dict(zip(JOINTS, rest, strict=True))
-    assert len(JOINTS) == 16
-    assert np.allclose(at["LeftHand"] * [-1, 1, 1], at["RightHand"])
-    assert at["LeftHand"][0] > 0.5
-    assert at["LeftHand"][1] == pytest.approx(at["LeftArm"][1])
-    assert 0.5 < at["Head"][1] < 0.75
-
-
-def test_the_characters_own_motion_is_left_as_it_is() -> None:
-    motion = calm()
-    there = to_character(motion)
-    assert rotation.angle_between(there.rotations, motion.rotations).max() < 1e-7
-    assert np.allclose(there.root_positions, motion.root_positions)
-    assert there.absent == ()
-
-
 @pytest.mark.parametrize("droop", [20.0, 45.0, 80.0])
 def test_an_a_pose_and_a_t_pose_source_agree(droop: float) -> None:
     motion = calm()

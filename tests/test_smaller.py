@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from example_speech import example_speech
+from performances import example
 
 from data_module.types import Array, Speech
 from gesticulator import Gesticulator
@@ -27,7 +27,7 @@ def system() -> Gesticulator:
 
 @pytest.fixture(scope="module")
 def speech() -> Speech:
-    return example_speech()
+    return example()
 
 
 def peaks(performance: Performance) -> Array:

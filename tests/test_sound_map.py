@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from example_speech import example_speech
 from hypothesis import given
 from hypothesis import strategies as st
+from performances import example
 
 from data_module.errors import InputError
 from data_module.speech.audio import amplified, resample
@@ -20,7 +20,7 @@ from data_module.types import Speech
 
 @pytest.fixture(scope="module")
 def speech() -> Speech:
-    return example_speech(12.0)
+    return example(12.0)
 
 
 def unlike(frames: np.ndarray, other: np.ndarray) -> float:

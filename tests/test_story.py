@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from browser import OpenedPage, chromium
-from example_speech import write_example
+from performances import write_example
 
 from gesticulator.arguments import run_settings_of
 from gesticulator.export import html

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile
-from example_speech import example_speech, write_example
+from performances import example, write_example
 from small_characters import write_character
 
 from gesticulator import Gesticulator
@@ -65,7 +65,7 @@ def test_saved_edits_are_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixt
     options = gone_on()
     assert (options.plan, options.retime) == (plan, False) and "are opened" in capsys.readouterr().out
     # The sound was exported again, with a pause at the start.
-    soundfile.write(sound, np.concatenate([np.zeros(16000, np.float32), example_speech(4.0).samples]), 16000,
+    soundfile.write(sound, np.concatenate([np.zeros(16000, np.float32), example(4.0).samples]), 16000,
                     subtype="FLOAT")
     assert gone_on().retime and "moved onto the new sound" in capsys.readouterr().out
     # What does not fit is put aside, and stays.

@@ -1,7 +1,6 @@
 """Real characters: their joints are those that a human sees, and what comes out of them is sound, or refused.
 
-Only a full run fetches them (GESTICULATOR_ZOO names a folder for the packages); a package that this machine cannot get
-is skipped with the reason.
+GESTICULATOR_ZOO names the folder in which their packages are unpacked; one that is missing is skipped with the reason.
 """
 
 from __future__ import annotations

