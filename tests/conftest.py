@@ -105,6 +105,18 @@ def meaning_data(outside_data: Path) -> Path:
     return _part_of(outside_data, "meaning", "meanings.csv")
 
 
+@pytest.fixture(scope="session")
+def blender() -> None:
+    """Skips the test, with the reason, where there is no Blender."""
+    from data_module.errors import InputError
+    from gesticulator.characters.blender import check_blender
+
+    try:
+        check_blender(Path(__file__))
+    except InputError as lacking:
+        pytest.skip(str(lacking))
+
+
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], int]) -> Path:
     """The folder `name` that `make` fills and returns 0 for, once for all processes of a run: the others wait for the
     one that came first. Tests read it and change nothing in it."""

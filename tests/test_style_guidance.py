@@ -67,8 +67,3 @@ def test_contrast_takes_what_is_heard_further(
                                       f"selection.contrast={contrast}"))[dimension] for sign in (1.0, -1.0)]
         apart.append(measured[0] - measured[1])
     assert apart[1] > 1.3 * apart[0] > 0.0
-
-
-def test_contrast_changes_nothing_where_no_style_is_heard(bundle: Bundle, speech: Speech) -> None:
-    one, two = (rendered(bundle, speech, (0.0,) * 4, f"selection.contrast={contrast}") for contrast in (0.0, 2.0))
-    assert np.array_equal(one, two)
