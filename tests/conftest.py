@@ -6,10 +6,10 @@ import importlib.util
 import os
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import torch
@@ -103,6 +103,18 @@ def free_motion(outside_data: Path) -> Path:
 def meaning_data(outside_data: Path) -> Path:
     """The folder of gestures with a meaning in the outside data."""
     return _part_of(outside_data, "meaning", "meanings.csv")
+
+
+@pytest.fixture(scope="session")
+def blender() -> None:
+    """Skips the test, with the reason, where there is no Blender."""
+    from data_module.errors import InputError
+    from gesticulator.characters.blender import check_blender
+
+    try:
+        check_blender(Path(__file__))
+    except InputError as lacking:
+        pytest.skip(str(lacking))
 
 
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], int]) -> Path:
@@ -205,3 +217,12 @@ def judge(outside_data: Path) -> ModuleType:
     finally:
         sys.dont_write_bytecode = written
     return module
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A headless Chromium; the test is skipped, with the reason, where there is none."""
+    from browser import chromium
+
+    with chromium() as window:
+        yield window

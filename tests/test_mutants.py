@@ -57,11 +57,3 @@ def test_what_is_noticed_is_killed_and_what_is_not_survives(tmp_path: Path) -> N
                           capture_output=True, check=True)
     assert done.stdout.split() == ["killed", "survived", "error", "error", "killed"]
     assert formula.read_text() == "def product(a, b):\n    return a * b\n", "the line is put back"
-
-
-def test_the_command_lists_and_refuses_what_matches_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    assert mutants.main(["--list", "--only", "Gumbel"]) == 0
-    assert "generator/model.py" in capsys.readouterr().out
-    with pytest.raises(SystemExit) as stopped:
-        mutants.main(["--only", "no such formula"])
-    assert stopped.value.code == 2

@@ -49,16 +49,6 @@ def test_the_example_is_gestured_in_speech_and_rests_in_its_pause(example: Perfo
     assert rest < 0.4 * speech
 
 
-def test_no_activity_is_a_person_who_listens(example: Performance) -> None:
-    system = Gesticulator.from_pretrained()
-    still = system(EXAMPLE, activity=0.0)
-    assert set(still.lexemes.tolist()) <= set(system.bundle.silent.tolist())
-    quiet, lively = (measure(made.motion, made.speech).hand_speed.mean()
-                     for made in (still, example))
-    assert quiet < 0.05, "m/s: stillness"
-    assert quiet < 0.2 * lively
-
-
 def test_the_example_looks_like_a_person(example: Performance) -> None:
     clip = measure(example.motion, example.speech)
     assert np.percentile(clip.hand_speed, 99) < 4.0, "no faster than the fastest real take (3.1 m/s), give or take"
