@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import soundfile
+from performances import example
 
 ROOT = Path(__file__).resolve().parent.parent
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -52,8 +53,7 @@ def run(line: str, packages: Path, folder: Path) -> str:
 
 def speech(folder: Path) -> None:
     """Two seconds of a voice."""
-    samples, rate = soundfile.read(ROOT / "examples" / "speech.flac", frames=2 * 16000)
-    soundfile.write(folder / "speech.wav", samples, rate)
+    soundfile.write(folder / "speech.wav", example(2.0).samples, 16000)
 
 
 @pytest.fixture

@@ -2,33 +2,20 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from pathlib import Path
-
 import numpy as np
 import pytest
+from performances import example
 
 from data_module.motion.kinematics import positions_of
-from data_module.speech.audio import SAMPLE_RATE, amplified, load_speech
-from data_module.types import Array, Speech
+from data_module.speech.audio import amplified
+from data_module.types import Array
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.performance import Performance
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
 
-
-@lru_cache(maxsize=1)
-def system() -> Gesticulator:
-    return Gesticulator.from_pretrained()
-
-
-def speech(seconds: float) -> Speech:
-    return Speech(load_speech(EXAMPLE).samples[:round(seconds * SAMPLE_RATE)], SAMPLE_RATE)
-
-
-@lru_cache(maxsize=2)
-def take(seed: int) -> Performance:
-    return system()(speech(6.0), seed=seed)
+@pytest.fixture(scope="module")
+def first(system: Gesticulator) -> Performance:
+    return system(example(6.0), seed=0)
 
 
 def hands(made: Performance) -> Array:
@@ -38,14 +25,14 @@ def hands(made: Performance) -> Array:
 
 
 @pytest.mark.parametrize("decibels", [-0.1, -6.0])
-def test_another_level_is_the_same_take(decibels: float) -> None:
-    first, again = take(0), system()(amplified(speech(6.0), decibels), seed=0)
+def test_another_level_is_the_same_take(system: Gesticulator, first: Performance, decibels: float) -> None:
+    again = system(amplified(example(6.0), decibels), seed=0)
     assert again.lexemes.tolist() == first.lexemes.tolist()
     assert np.array_equal(again.blocks.edges, first.blocks.edges)
     assert np.linalg.norm(hands(again) - hands(first), axis=-1).max() < 0.005
 
 
-def test_another_seed_is_another_take() -> None:
-    first, other = take(0), take(1)
+def test_another_seed_is_another_take(system: Gesticulator, first: Performance) -> None:
+    other = system(example(6.0), seed=1)
     assert np.mean(first.lexemes != other.lexemes) > 0.7
     assert np.linalg.norm(hands(other) - hands(first), axis=-1).mean() > 0.1

@@ -3,34 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
+from performances import example
 
-from data_module.types import Array, Speech
+from data_module.types import Array
 from gesticulator import Gesticulator
 from gesticulator.directing.strokes import LARGE, StrokeMemory
 from gesticulator.performance import Performance
 
-SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 SEED = 2
 NO_FASTER = 1.05
 """Joints are slowed, and a hand's speed depends on which of them move: up to a twentieth more is left at a peak."""
 
 
 @pytest.fixture(scope="module")
-def system() -> Gesticulator:
-    system = Gesticulator.from_pretrained()
+def system(system: Gesticulator) -> Gesticulator:
     system.keeps_generations = True
     return system
-
-
-@pytest.fixture(scope="module")
-def speech() -> Speech:
-    samples, rate = soundfile.read(SPEECH, dtype="float32")
-    return Speech(samples, rate)
 
 
 def peaks(performance: Performance) -> Array:
@@ -47,9 +38,8 @@ def halved(system: Gesticulator, first: Performance, intensity: float = 0.5) -> 
 
 @pytest.mark.parametrize("speaker", ["brad", "brad2", "connor", "conversation", "garza", "lesson", "presenter", "story",
                                      "traffic"])
-def test_no_hand_of_a_performer_is_faster_at_half_the_intensity(system: Gesticulator, speech: Speech, speaker: str
-                                                                ) -> None:
-    first = system(speech, seed=SEED, speaker=speaker)
+def test_no_hand_of_a_performer_is_faster_at_half_the_intensity(system: Gesticulator, speaker: str) -> None:
+    first = system(example(), seed=SEED, speaker=speaker)
     assert (peaks(halved(system, first)) <= NO_FASTER * peaks(first)).all()
 
 

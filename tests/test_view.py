@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile
+from performances import example
 from small_characters import write_character
 
 from gesticulator import Gesticulator
@@ -23,7 +24,6 @@ from gesticulator.page.saved_edits import place_of, save
 from gesticulator.page.server import TOKEN_HEADER
 from gesticulator.plan.plan_file import read_plan
 
-ROOT = Path(__file__).resolve().parents[1]
 # A shell that starts the tests in its background has its children ignore the interruption that ends the page.
 CODE = ("import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from "
         "gesticulator.page.command import COMMAND; sys.exit(COMMAND.main('gesticulator view', sys.argv[1:]))")
@@ -32,9 +32,8 @@ CODE = ("import signal, sys; signal.signal(signal.SIGINT, signal.default_int_han
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four seconds of the example recording, under a name that could be an element."""
-    samples, rate = soundfile.read(ROOT / "examples" / "speech.flac", frames=4 * 16000)
     path = tmp_path_factory.mktemp("view") / "<img src=x onerror=broken=1>.flac"
-    soundfile.write(path, samples, rate)
+    soundfile.write(path, example(4.0).samples, 16000)
     return path
 
 
@@ -52,11 +51,9 @@ def test_what_cannot_be_viewed_is_told_in_a_line(words: list[str], said: str, re
     assert stop.value.code == 2 and error.count("\n") == 1 and said in error
 
 
-def test_saved_edits_are_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    samples, rate = soundfile.read(ROOT / "examples" / "speech.flac", frames=4 * 16000, dtype="float32")
-    sound = tmp_path / "talk.wav"
+def test_saved_edits_are_gone_on_with(system: Gesticulator, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sound, samples, rate = tmp_path / "talk.wav", example(4.0).samples, 16000
     soundfile.write(sound, samples, rate, subtype="FLOAT")
-    system = Gesticulator.from_pretrained()
     plan = system(sound, seed=1).plan()
     place = place_of(sound)
     save(sound, plan)
