@@ -38,6 +38,7 @@ from gesticulator.options import InferenceOptions
 from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.plan import GestureCue
 
+ROOT = Path(__file__).parents[1]
 RATE = 16000
 SPOKEN: Words = (("And", 0.0, 0.3), ("so,", 0.3, 0.55), ("my", 0.7, 0.9), ("fellow", 0.9, 1.4),
                  ("Americans,", 1.4, 2.1), ("ask", 2.6, 2.9), ("not", 3.0, 3.4))
@@ -208,6 +209,10 @@ def test_the_spelling_of_a_name_does_not_matter(gesture: str, between: str, capi
 
 # ------------------------------------------------------------------------------------------ a performance, a stream
 
+def _sound(seconds: float = 6.0) -> Speech:
+    return example(seconds)
+
+
 def _words(**marks: str) -> tuple[Word, ...]:
     """Twelve words, marked by their number: w5="shrug"."""
     return tuple(Word(f"w{n}", 0.4 * n + 0.3, 0.4 * n + 0.6, (marks[f"w{n}"],) if f"w{n}" in marks else ())
@@ -226,7 +231,7 @@ def _around(changed: np.ndarray, stroke: float) -> None:
 
 
 def test_a_mark_makes_the_gesture_of_a_cue(system: Any) -> None:
-    speech = example(6.0)
+    speech = _sound()
     plain = system(Speech(speech.samples, RATE, _words()))
     marked = system(Speech(speech.samples, RATE, _words(w5="shrug", w8="none")))
     cued = system(Speech(speech.samples, RATE, _words()), cues=(GestureCue("shrug", "w5"),))
@@ -242,7 +247,7 @@ def test_a_mark_makes_the_gesture_of_a_cue(system: Any) -> None:
 def _streamed(system: Any, words: list[list[Word]], seconds: float = 6.0, when: float = 0.0) -> np.ndarray:
     """Frames of a stream that gets its words in these calls, once `when` seconds were fed."""
     stream = system.stream(RATE, text=True)
-    samples = example(seconds).samples
+    samples = _sound(seconds).samples
     frames = []
     for at in range(0, len(samples), 1600):
         if at >= when * RATE and words:
@@ -256,7 +261,7 @@ def _streamed(system: Any, words: list[list[Word]], seconds: float = 6.0, when: 
 
 def test_a_stream_makes_the_gestures_of_a_file(system: Any) -> None:
     words = _words(w5="shrug", w9="wave")
-    file = system(Speech(example(6.0).samples, RATE, words))
+    file = system(Speech(_sound().samples, RATE, words))
     np.testing.assert_allclose(_streamed(system, [_texts(words)]), file.rotations, atol=1e-9)
 
 
@@ -319,7 +324,7 @@ def test_an_interruption_takes_the_gesture_back(system: Any) -> None:
     def frames(mark: bool) -> tuple[np.ndarray, int]:
         stream = system.stream(RATE, text=True)
         stream.add_words(_texts(_words(w2="shrug", w5="wave") if mark else _words()))
-        made = stream.feed(example(5.0).samples).rotations
+        made = stream.feed(_sound(5.0).samples).rotations
         cut = stream.interrupt(1.6)
         return np.concatenate([made[:cut.first], cut.rotations, stream.idle(3.0).rotations]), cut.first
 
@@ -335,7 +340,7 @@ def test_the_server_makes_marks_and_echoes_words_without_them(system: Any) -> No
     session = session_opener(system, ServerLimits())("one", request)
     words = [{"text": word.text, "start": word.start, "end": word.end}
              for word in [*_texts(_words(w3="shrug")), Word("[wave]", 5.1, 5.1)]]
-    answers = [*session.obey({"type": "words", "words": words}), *session.feed(example(6.0).samples),
+    answers = [*session.obey({"type": "words", "words": words}), *session.feed(_sound().samples),
                *session.obey({"type": "finish"})]
     events = [json.loads(message) for answer in answers for message in answer.messages if isinstance(message, str)]
     assert [event["text"] for event in events if event["type"] == "word"] == [f"w{n}" for n in range(12)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -238,48 +239,51 @@ def test_an_unknown_level_is_refused() -> None:
 
 # ------------------------------------------------------------------------------------- files, plans and streams
 
-@pytest.fixture(scope="module")
+@lru_cache(maxsize=1)
+def system() -> Gesticulator:
+    return Gesticulator.from_pretrained()
+
+
+@lru_cache(maxsize=1)
 def spoken() -> Speech:
     """Eight seconds in which "idea" is said at 3.5 s."""
     return replace(example(8.0), words=spread(IDEA))
 
 
-@pytest.fixture(scope="module")
-def takes(system: Gesticulator, spoken: Speech) -> dict[str, Performance]:
-    return {level: system(spoken, meaning=level) for level in ("off", "normal")}
+@lru_cache(maxsize=2)
+def take(level: str) -> Performance:
+    return system()(spoken(), meaning=level)
 
 
-def test_words_move_the_body_at_their_gesture_and_nowhere_else(takes: dict[str, Performance]) -> None:
-    plain, shown = takes["off"].rotations, takes["normal"].rotations
+def test_words_move_the_body_at_their_gesture_and_nowhere_else() -> None:
+    plain, shown = take("off").rotations, take("normal").rotations
     moved = np.flatnonzero((plain != shown).any(axis=(1, 2))) / 60.0
-    entry, = takes["normal"].plan().meanings
+    entry, = take("normal").plan().meanings
     before, after = span_of_gesture("shrug")
     assert entry.source == "words" and (entry.kind, entry.gesture, entry.word) == ("shrug", "shrug", "idea")
     assert entry.time is not None and 3.3 <= entry.time <= 3.85
     assert entry.time - before - 0.5 <= moved[0] <= entry.time and moved[-1] <= entry.time + after + 0.5
-    assert not takes["off"].plan().meanings
+    assert not take("off").plan().meanings
 
 
-def test_a_plan_replays_its_meanings_and_what_is_deleted_is_left_out(
-        system: Gesticulator, spoken: Speech, takes: dict[str, Performance]) -> None:
-    plan = parse_plan(takes["normal"].plan().to_json())
-    assert plan == takes["normal"].plan()
-    assert np.array_equal(system(spoken, plan=plan).rotations, takes["normal"].rotations)
-    assert np.array_equal(system(spoken, plan=replace(plan, meanings=())).rotations, takes["off"].rotations)
-    assert np.array_equal(system(spoken, plan=plan, meaning="off").rotations, takes["off"].rotations)
+def test_a_plan_replays_its_meanings_and_what_is_deleted_is_left_out() -> None:
+    plan = parse_plan(take("normal").plan().to_json())
+    assert plan == take("normal").plan()
+    assert np.array_equal(system()(spoken(), plan=plan).rotations, take("normal").rotations)
+    assert np.array_equal(system()(spoken(), plan=replace(plan, meanings=())).rotations, take("off").rotations)
+    assert np.array_equal(system()(spoken(), plan=plan, meaning="off").rotations, take("off").rotations)
 
 
-def test_a_stream_whose_words_come_first_shows_what_a_file_shows(
-        system: Gesticulator, spoken: Speech, takes: dict[str, Performance]) -> None:
-    stream = system.stream(text=True)
-    stream.add_words(spoken.words or ())
-    parts = [stream.feed(piece) for piece in np.array_split(spoken.samples, 50)]
+def test_a_stream_whose_words_come_first_shows_what_a_file_shows() -> None:
+    stream = system().stream(text=True)
+    stream.add_words(spoken().words or ())
+    parts = [stream.feed(piece) for piece in np.array_split(spoken().samples, 50)]
     made = np.concatenate([part.rotations for part in (*parts, stream.finish())])
     # The gesture begins before its word is heard, so that the times of the word place it and its size is the plain one.
     words_alone = MeaningTrack("normal")
-    words_alone.add(spoken.words or ())
-    assert np.array_equal(made, system(spoken, plan=replace(
-        takes["normal"].plan(), meanings=words_alone.meanings())).rotations)
-    heard, unheard = takes["normal"].plan().meanings, words_alone.meanings()
+    words_alone.add(spoken().words or ())
+    assert np.array_equal(made, system()(spoken(), plan=replace(
+        take("normal").plan(), meanings=words_alone.meanings())).rotations)
+    heard, unheard = take("normal").plan().meanings, words_alone.meanings()
     assert [one.gesture for one in heard] == [one.gesture for one in unheard]
     assert all(abs((a.time or 0.0) - (b.time or 0.0)) < 0.25 for a, b in zip(heard, unheard, strict=True))

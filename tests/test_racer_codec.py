@@ -6,6 +6,7 @@ import copy
 
 import pytest
 import torch
+from learning import learn
 from torch import Tensor, nn
 
 from lexicon.racer import FRAMES, RacerCodec, RacerConfig
@@ -102,12 +103,8 @@ def test_one_batch_is_learned_by_heart() -> None:
     codec = small(width=32, size=32, revive_below=0.2)
     codec.start_codebook(motion, seed=0)
     batch = {"motion": motion, "mask": torch.ones(4, WIDTH_M)}
-    optimiser = torch.optim.Adam(codec.parameters(), 3e-3)
-    for _ in range(150):
-        terms = codec.losses(batch)
-        optimiser.zero_grad()
-        sum(codec.weights[key] * term for key, term in terms.items()).backward()  # type: ignore[union-attr]
-        optimiser.step()
+    learn(codec, lambda _: sum((codec.weights[key] * term for key, term in codec.losses(batch).items()),
+                               torch.zeros(())), 150, 3e-3)
     error = (codec.decode_tokens(codec.label(motion)).flatten(1, 2) - motion).abs().mean()
     assert error < 0.15 * motion.abs().mean(), f"{error:.3f} of {motion.abs().mean():.3f}"
 

@@ -1,4 +1,7 @@
-"""The server: its protocol, its limits, and that no client is another's business."""
+"""The server: its protocol, its limits, that no client is another's business; and the command.
+
+A server's whole life is in `test_deploy.py`.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import wraps
+from pathlib import Path
 from typing import Any
 
 import jsonschema
@@ -29,6 +33,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.motion.smplx import smplx_arrays
+from gesticulator.cli import Parser
+from gesticulator.live.command import COMMAND, read_token
 from gesticulator.live.limits import ServerLimits
 from gesticulator.live.protocol import CloseCode, StreamRequest, published
 from gesticulator.live.server import LiveServer, ServerAddress
@@ -583,3 +589,32 @@ def test_the_player_shows_the_frame_of_the_sound_that_is_heard() -> None:
     player.add(poses(45, 3.0, 30))  # an interruption at 0.75 s
     assert player.end == 1.25
     assert [at(time) for time in (0.74, 0.75, 1.2, 9.0)] == [1.0, 3.0, 3.0, 3.0]
+
+
+# ---------------------------------------------------------------- the command
+
+
+@pytest.mark.parametrize(("arguments", "wrong"), [
+    (["--port", "99999"], "port 99999"), (["--host", "no.such.host.invalid"], "no.such.host.invalid"),
+    (["--host", "0.0.0.0"], "--token-file"), (["--streams", "0"], "limits.streams"),
+    (["--vmc", "nowhere"], "HOST:PORT"),
+    (["--bundle", "/no/such/folder"], "is not a folder"), (["--drain-seconds", "nan"], "limits.drain_seconds"),
+    (["--threads", "0"], "--threads")])
+def test_what_cannot_be_served_is_told_in_one_line(arguments: list[str], wrong: str,
+                                                   capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        COMMAND.main("gesticulator serve", ["--port", "0", *arguments])
+    assert ended.value.code == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if "listening" not in line]
+    assert len(lines) == 1 and wrong in lines[0]
+
+
+def test_the_token_comes_from_a_file_or_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parser = Parser()
+    COMMAND.arguments(parser)
+    file = tmp_path / "token"
+    file.write_text("sesame\n")
+    assert read_token(parser.parse_args(["--token-file", str(file)])) == "sesame"
+    assert read_token(parser.parse_args([])) == ""
+    monkeypatch.setenv("GESTICULATOR_TOKEN", "other")
+    assert read_token(parser.parse_args(["--host", "0.0.0.0"])) == "other"

@@ -11,6 +11,7 @@ from performances import example
 from torch import Tensor, nn
 
 from data_module.motion.phases import hand_places
+from data_module.types import Speech
 from gesticulator import Gesticulator
 from gesticulator.bundle.bundle import Bundle, load
 from gesticulator.bundle.config import with_settings
@@ -42,20 +43,25 @@ def bundle() -> Bundle:
     return load(bundle_folder(None))
 
 
-def rendered(bundle: Bundle, code: tuple[float, ...], *settings: str) -> np.ndarray:
+@pytest.fixture(scope="module")
+def speech() -> Speech:
+    return example(14.0)
+
+
+def rendered(bundle: Bundle, speech: Speech, code: tuple[float, ...], *settings: str) -> np.ndarray:
     """[T, 2, 3] the hands, as the code and the settings have them."""
     told = replace(bundle.with_parts(style=Heard(code)), config=with_settings(bundle.config, list(settings)))
-    return hand_places(Gesticulator(told)(example(14.0), seed=2).motion, RATE)
+    return hand_places(Gesticulator(told)(speech, seed=2).motion, RATE)
 
 
 @pytest.mark.parametrize("dimension", [0, 3])
 def test_contrast_takes_what_is_heard_further(
-        bundle: Bundle, dimension: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        bundle: Bundle, speech: Speech, dimension: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a code of speed, or of reach, that is high in one rendering and low in another."""
     monkeypatch.setattr(movement, "WAXING", 0.0)
     apart = []
     for contrast in (0.0, 2.0):
-        measured = [style_of(rendered(bundle, tuple(sign * 1.5 * np.eye(4)[dimension]),
+        measured = [style_of(rendered(bundle, speech, tuple(sign * 1.5 * np.eye(4)[dimension]),
                                       f"selection.contrast={contrast}"))[dimension] for sign in (1.0, -1.0)]
         apart.append(measured[0] - measured[1])
     assert apart[1] > 1.3 * apart[0] > 0.0

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile
-from performances import example
+from performances import example, write_example
 from small_characters import write_character
 
 from gesticulator import Gesticulator
@@ -24,6 +24,7 @@ from gesticulator.page.saved_edits import place_of, save
 from gesticulator.page.server import TOKEN_HEADER
 from gesticulator.plan.plan_file import read_plan
 
+ROOT = Path(__file__).resolve().parents[1]
 # A shell that starts the tests in its background has its children ignore the interruption that ends the page.
 CODE = ("import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from "
         "gesticulator.page.command import COMMAND; sys.exit(COMMAND.main('gesticulator view', sys.argv[1:]))")
@@ -32,9 +33,7 @@ CODE = ("import signal, sys; signal.signal(signal.SIGINT, signal.default_int_han
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four seconds of the example recording, under a name that could be an element."""
-    path = tmp_path_factory.mktemp("view") / "<img src=x onerror=broken=1>.flac"
-    soundfile.write(path, example(4.0).samples, 16000)
-    return path
+    return write_example(tmp_path_factory.mktemp("view") / "<img src=x onerror=broken=1>.flac", 4.0)
 
 
 @pytest.mark.parametrize(("words", "said"), [
@@ -51,9 +50,9 @@ def test_what_cannot_be_viewed_is_told_in_a_line(words: list[str], said: str, re
     assert stop.value.code == 2 and error.count("\n") == 1 and said in error
 
 
-def test_saved_edits_are_gone_on_with(system: Gesticulator, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    sound, samples, rate = tmp_path / "talk.wav", example(4.0).samples, 16000
-    soundfile.write(sound, samples, rate, subtype="FLOAT")
+def test_saved_edits_are_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sound = write_example(tmp_path / "talk.wav", 4.0, "FLOAT")
+    system = Gesticulator.from_pretrained()
     plan = system(sound, seed=1).plan()
     place = place_of(sound)
     save(sound, plan)
@@ -66,7 +65,8 @@ def test_saved_edits_are_gone_on_with(system: Gesticulator, tmp_path: Path, caps
     options = gone_on()
     assert (options.plan, options.retime) == (plan, False) and "are opened" in capsys.readouterr().out
     # The sound was exported again, with a pause at the start.
-    soundfile.write(sound, np.concatenate([np.zeros(rate, np.float32), samples]), rate, subtype="FLOAT")
+    soundfile.write(sound, np.concatenate([np.zeros(16000, np.float32), example(4.0).samples]), 16000,
+                    subtype="FLOAT")
     assert gone_on().retime and "moved onto the new sound" in capsys.readouterr().out
     # What does not fit is put aside, and stays.
     assert gone_on("--speaker", system.speakers[0]).plan is None
