@@ -6,15 +6,19 @@ import importlib.util
 import os
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import torch
 import toy
 from filelock import FileLock
 from hypothesis import HealthCheck, settings
+
+if TYPE_CHECKING:
+    from gesticulator import Gesticulator
 
 # No deadline: the first call of a numerical library is slow and says nothing about the code under test.
 settings.register_profile("project", deadline=None, max_examples=50, derandomize=True,
@@ -101,6 +105,18 @@ def meaning_data(outside_data: Path) -> Path:
     return _part_of(outside_data, "meaning", "meanings.csv")
 
 
+@pytest.fixture(scope="session")
+def blender() -> None:
+    """Skips the test, with the reason, where there is no Blender."""
+    from data_module.errors import InputError
+    from gesticulator.characters.blender import check_blender
+
+    try:
+        check_blender(Path(__file__))
+    except InputError as lacking:
+        pytest.skip(str(lacking))
+
+
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], int]) -> Path:
     """The folder `name` that `make` fills and returns 0 for, once for all processes of a run: the others wait for the
     one that came first. Tests read it and change nothing in it."""
@@ -121,6 +137,14 @@ def trained_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Pat
     for suffix in ("", ".work"):
         shutil.copytree(trained.with_name(name + suffix), own.with_name("bundle" + suffix))
     return own
+
+
+@pytest.fixture(scope="module")
+def system() -> Gesticulator:
+    """The shipped system, one for each file of tests."""
+    from gesticulator import Gesticulator
+
+    return Gesticulator.from_pretrained()
 
 
 @pytest.fixture(scope="session")
@@ -193,3 +217,12 @@ def judge(outside_data: Path) -> ModuleType:
     finally:
         sys.dont_write_bytecode = written
     return module
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A headless Chromium; the test is skipped, with the reason, where there is none."""
+    from browser import chromium
+
+    with chromium() as window:
+        yield window

@@ -1,10 +1,11 @@
-"""A small performance made by rule, for the tests of what is written and shown."""
+"""A small performance made by rule, for the tests of what is written and shown; and the example recording."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+import soundfile
 
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
@@ -18,7 +19,21 @@ from gesticulator.plan.plan import Block, BlockDraw, LexemeChoice
 from gesticulator.sampling.loop import BlockMotion
 
 RATE = 16000
+EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 NONE = np.empty((1, 0), np.float32)
+
+
+def example(seconds: float | None = None) -> Speech:
+    """The beginning of the example recording, or all of it."""
+    samples, rate = soundfile.read(EXAMPLE, frames=-1 if seconds is None else round(seconds * RATE), dtype="float32")
+    return Speech(samples, rate)
+
+
+def write_example(path: Path, seconds: float, subtype: str | None = None) -> Path:
+    """Write its first seconds into a file of this name; subtype: of the samples, by soundfile."""
+    speech = example(seconds)
+    soundfile.write(path, speech.samples, speech.sample_rate, subtype=subtype)
+    return path
 
 
 def perform(seconds: float = 2.5, fps: float = 25.0, seed: int = 3, root_height: float = 0.0,

@@ -211,9 +211,6 @@ STYLES: dict[str, Callable[[str], str]] = {
 _VRM_BONES = {"Shoulder": "Shoulder", "Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "UpLeg": "UpperLeg",
               "Leg": "LowerLeg", "Foot": "Foot", "ToeBase": "Toes"}
 POSES = ("T", "A", "down", "forward", "bent", "twisted")
-NAMED = tuple(style for style in STYLES if style != "unknown")
-
-
 def draw(seed: int, style: str | None = None, pose: str | None = None, stout: bool = False,
          size: float | None = None, arch: float = 0.0) -> Rig:
     """The rig of a seed; what is told is not drawn. arch: metres by which the knuckles of middle and ring finger lie

@@ -10,7 +10,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-import torch
 
 from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh, write_bvh
@@ -18,16 +17,14 @@ from data_module.store import Store
 from eval.ablate import command, figures, racer, run
 from eval.ablate.ablation import Ablation
 from eval.ablate.cells import CellStore
-from eval.ablate.rows import COLUMNS, CONTROLS, OURS, REFERENCES, ROWS, TABLES, tiny
+from eval.ablate.rows import COLUMNS, OURS, REFERENCES, ROWS, TABLES, tiny
 from eval.ablate.run import RgRows
 from eval.baselines.controls import reversed_in_time
 from eval.baselines.interpreters import RandomStyle
 from eval.commands import ABLATE
 from eval.context import EvalContext
 from eval.metrics.gesture_features import RawFeatures
-from eval.stats import Interval
 from eval.table import NO_BUNDLE, NOT_RECORDED, Provenance, load, loads
-from generator import losses
 from gesticulator.bundle import config as configs
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages import LABELS, Run
@@ -62,13 +59,6 @@ def ablate(here: Ablation, *only: str, **systems: Path) -> dict[str, Any]:
 
 def mean(facts: dict[str, Any], row: str, column: str) -> float:
     return float(facts["rows"][row]["figures"][column].mean)
-
-
-def test_no_style_code_costs_nothing() -> None:
-    assert float(losses.style_divergence(torch.zeros(7, 0))) == 0.0
-    assert float(losses.style_divergence(torch.zeros(0, 4))) == 0.0
-    codes = torch.randn(500, 4, generator=torch.Generator().manual_seed(0))
-    assert 0 <= float(losses.style_divergence(codes)) < 0.01
 
 
 def test_random_codes_are_normal_and_repeat() -> None:
@@ -137,22 +127,6 @@ def test_the_command_goes_on_where_it_was_stopped(ablation: Ablation, work: Path
     assert here.cells.read()["ours"][1]["clips"] == one["clips"], "the same figures, measured again"
 
 
-def test_controls_and_references_stand_beside_the_rows(ablation: Ablation, tmp_path: Path) -> None:
-    every = Ablation(RgRows(dataclasses.replace(ablation.rg.context, limit=None)), CellStore(tmp_path / "a"))
-    facts = ablate(every, "ours")
-    known = {name: {key: mean(facts, name, key) for key in COLUMNS} for name in (*REFERENCES, *CONTROLS)
-             if name in facts["rows"]}
-    assert known["performer"]["maje"] == pytest.approx(0, abs=1e-9) and known["jitter"]["maje"] > 1
-    assert known["still"]["speech_speed"] < 1e-6 and known["performer"]["speech_speed"] > 0.05
-    assert known["jitter"]["mad"] > 10 * known["still"]["mad"], "noise accelerates"
-    assert known["reversed"]["diversity"] > 0 and known["shuffled"]["maje"] > 1
-    assert math.isnan(known["halves"]["maje"])
-    assert known["halves"]["fgd"] > known["performer"]["fgd"], "no set is as near to itself as to another"
-    table = next(one for one in load(tmp_path / "a" / "table.json") if one.title == "RG Table 1 (test)")
-    assert sum(name.startswith("halves: ") for name in table.rows) == 1 and table.notes[-1].startswith("(!) ")
-    assert table.columns["maje"].title == "MAJE (!)" and "jitter (" in "".join(table.notes)
-
-
 def test_a_cell_has_the_figures_that_score_gives(ablation: Ablation) -> None:
     """The row's motion, scored as a user would: file in, figures out."""
     rg = ablation.rg
@@ -182,16 +156,6 @@ def test_the_row_without_hint_and_mask_plays_other_lexemes_in_silence(ablation: 
     assert silent_share[OURS] == 1.0 > silent_share["no-hint"]
     hinted = [ablation.rg.runs(name, 1)[1].get(LABELS).hinted for name in (OURS, "no-hint")]
     assert not np.array_equal(hinted[0], hinted[1])
-
-
-def test_sizes_are_drawn_from_the_tables(ablation: Ablation) -> None:
-    rows = {f"size-{size}": {"figures": {key: Interval(size / 7, 0.0, 99.0, 3) for key in COLUMNS}}
-            for size in (10, 25, 50)}
-    picture, _ = figures.FIGURES["figure-18"].draw(ablation.rg, rows)
-    drawn = [round(float(value), 6) for axes in picture.axes for line in axes.lines for value in line.get_ydata()]
-    assert round(25 / 7, 6) in drawn
-    with pytest.raises(InputError, match="needs two sizes"):
-        figures.FIGURES["figure-18"].draw(ablation.rg, {})
 
 
 def test_the_listed_figures_are_those_that_are_drawn() -> None:

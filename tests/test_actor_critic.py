@@ -123,40 +123,6 @@ def test_errors_by_hand() -> None:
     assert float(model.losses(batch)["critic"].detach()) == pytest.approx(0.5)
 
 
-def test_a_better_outcome_than_expected_makes_an_action_likelier() -> None:
-    batch = windows(count=2)
-    batch["silent"] = torch.zeros_like(batch["silent"])
-    for reward, likelier in ((1.0, True), (-1.0, False)):
-        model = ActorCritic(network())
-        judges_always(model, 0.0)
-        batch["reward"] = torch.full_like(batch["reward"], reward)
-        optimiser = torch.optim.SGD([p for p in model.parameters() if p.requires_grad], 1e-3)
-        taken = batch["action"][:, :WINDOW, None]
-
-        def likelihood(model: ActorCritic = model, taken: Tensor = taken) -> float:
-            return float(model.values(*heard(batch))[:, :WINDOW].gather(-1, taken).mean().detach())
-
-        before = likelihood()
-        model.before_step(0)
-        sum(model.losses(batch).values(), start=torch.zeros(())).backward()
-        optimiser.step()
-        assert (likelihood() > before) == likelier
-
-
-def test_the_critic_learns_what_a_state_is_worth() -> None:
-    model = ActorCritic(network(), ActorCriticConfig(gamma=0.5))
-    batch = windows(count=2)
-    batch["reward"] = torch.ones_like(batch["reward"])
-    model.before_step(5)
-    optimiser = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], 1e-2)
-    for _ in range(150):
-        optimiser.zero_grad()
-        model.losses(batch)["critic"].backward()
-        optimiser.step()
-    worth = model.logits_and_value(*heard(batch))[1][:, :WINDOW]
-    assert (worth - 2.0).abs().max() < 0.2, "1 + 1/2 + 1/4 + ..."
-
-
 def test_it_streams_as_it_reads_a_whole_take() -> None:
     model = ActorCritic(network())
     assert isinstance(model, LexemeInterpreter)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import torch
+from learning import learn
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -144,25 +145,24 @@ def data(seed: int = 0, count: int = 400) -> tuple[CounterfactualRewards, Tensor
         gained, discounted(earned, 0.8)), audio
 
 
+def batch_of(known: CounterfactualRewards, audio: Tensor, rng: np.random.Generator, count: int) -> dict[str, Tensor]:
+    """Windows of four decisions with what is heard in them; every critic has heard their recordings."""
+    windows = known.windows(rng, count, 4)
+    return {**windows, "audio": audio[windows["block"]], "heard": torch.ones(count, 2),
+            "speaker": torch.nn.functional.one_hot(windows["speaker"], SPEAKERS).float()}
+
+
 def test_critics_learn_what_lexemes_earn_now_and_later() -> None:
     known, audio = data()
     model = critics()
-    optimiser = torch.optim.Adam(model.parameters(), 3e-3)
     rng = np.random.default_rng(2)
 
-    def batch(count: int) -> dict[str, Tensor]:
-        windows = known.windows(rng, count, 4)
-        return {**windows, "audio": audio[windows["block"]],
-                "speaker": torch.nn.functional.one_hot(windows["speaker"], SPEAKERS).float(),
-                "heard": torch.ones(count, 2)}
+    def loss(step: int) -> Tensor:
+        terms = model.losses(batch_of(known, audio, rng, 16), step / 250)
+        return sum((model.weights[key] * value for key, value in terms.items()), torch.zeros(()))
 
-    for step in range(250):
-        terms = model.losses(batch(16), step / 250)
-        loss = sum((model.weights[key] * value for key, value in terms.items()), torch.zeros(()))
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-    asked = batch(32)
+    learn(model, loss, 250, 3e-3)
+    asked = batch_of(known, audio, rng, 32)
     found = model.values(asked["previous"], asked["audio"], asked["speaker"], asked["silent"])
     learned, true = (value - value.mean(-1, keepdim=True) for value in (found.reward.mean(-2), asked["every"]))
     assert float(torch.cosine_similarity(learned.detach(), true, dim=-1).mean()) > 0.8
@@ -174,10 +174,7 @@ def test_critics_learn_what_lexemes_earn_now_and_later() -> None:
 
 
 def test_what_a_state_earns_whatever_is_done_is_not_the_rewards_to_learn() -> None:
-    known, audio = data()
-    windows = known.windows(np.random.default_rng(0), 8, 4)
-    batch = {**windows, "audio": audio[windows["block"]], "heard": torch.ones(8, 2),
-             "speaker": torch.nn.functional.one_hot(windows["speaker"], SPEAKERS).float()}
+    batch = batch_of(*data(), np.random.default_rng(0), 8)
     model = critics()
     with torch.no_grad():
         plain = model.losses(batch)["reward"]
@@ -186,12 +183,8 @@ def test_what_a_state_earns_whatever_is_done_is_not_the_rewards_to_learn() -> No
 
 
 def test_a_critic_learns_from_its_own_recordings_alone() -> None:
-    known, audio = data()
-    model = critics()
-    windows = known.windows(np.random.default_rng(0), 8, 4)
-    batch = {**windows, "audio": audio[windows["block"]], "heard": torch.zeros(8, 2),
-             "speaker": torch.nn.functional.one_hot(windows["speaker"], SPEAKERS).float()}
-    batch["heard"][:, 1] = 1
+    model, batch = critics(), batch_of(*data(), np.random.default_rng(0), 8)
+    batch["heard"][:, 0] = 0
     terms = model.losses(batch)
     sum(terms.values()).backward()
     own = model.reward.weight.grad.unflatten(0, (2, SIZE))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-import dataclasses
 import io
 import json
 import subprocess
@@ -15,21 +13,15 @@ import numpy as np
 import pytest
 import soundfile
 import torch
-from performances import perform
 from untrained import untrained
 
 import gesticulator
 from data_module.controls import Controls, Curve
 from data_module.errors import InputError
 from data_module.motion import rotation
-from data_module.motion.bvh import read_bvh
-from data_module.motion.kinematics import positions_of
-from data_module.motion.skeletons import HIP_HEIGHT
 from data_module.speech.audio import amplified
 from data_module.types import Speech, Word
-from gesticulator.arguments import infer_arguments
 from gesticulator.gesticulator import Gesticulator
-from gesticulator.options import InferenceOptions
 from gesticulator.performance import Performance
 
 RATE = 16000
@@ -65,19 +57,6 @@ def test_the_top_has_every_name_and_imports_nothing_for_it() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     assert gesticulator.Gesticulator is Gesticulator and gesticulator.InputError is InputError
-
-
-def test_each_option_of_the_command_is_a_field_with_its_docstring_as_help() -> None:
-    parser = argparse.ArgumentParser()
-    infer_arguments(parser)
-    text = " ".join(parser.format_help().split())
-    flags = {field.name: field.metadata["flag"] for field in dataclasses.fields(InferenceOptions) if field.metadata}
-    assert [name for name in (field.name for field in dataclasses.fields(InferenceOptions)) if name not in flags] == [
-        "controls"], "an object has no text"
-    for name, flag in flags.items():
-        assert f"--{(flag.name or name).replace('_', '-')}" in text
-    assert "--hand-speed VALUE mean speed of both hands, metres per second" in text
-    assert "--seed N the same seed gives the same bytes, with the same bundle and speech (default 0)" in text
 
 
 # ------------------------------------------------------------------------------------------- what may be given
@@ -193,22 +172,6 @@ def test_a_gpu_plays_the_same_lexemes() -> None:
 
 
 # -------------------------------------------------------------------------------------------- what comes back
-
-def test_positions_are_those_of_the_file(tmp_path: Path) -> None:
-    performance = perform()
-    positions = performance.positions()
-    assert performance.save(tmp_path / "new" / "g.bvh") == tmp_path / "new" / "g.bvh", "folders are made"
-    back = read_bvh(tmp_path / "new" / "g.bvh")
-    np.testing.assert_allclose(positions, positions_of(back), atol=1e-6)
-    assert performance.joints == back.skeleton.names and performance.fps == pytest.approx(back.fps)
-    assert positions[0, 0, 1] == pytest.approx(HIP_HEIGHT)
-    assert np.linalg.norm(performance.rotations, axis=-1) == pytest.approx(1)
-    # The T-pose: arms level along X, left at +X, the head above the hips.
-    still = dataclasses.replace(performance, motion=dataclasses.replace(
-        performance.motion, rotations=np.tile([1.0, 0, 0, 0], (len(performance.motion), 16, 1))))
-    where = dict(zip(still.joints, still.positions()[0], strict=True))
-    assert where["LeftHand"][0] > 0.6 and where["RightHand"][0] < -0.6
-    assert where["Head"][1] - where["Hips"][1] == pytest.approx(0.615)
 
 
 def test_the_explanation_says_what_was_done(g: Gesticulator) -> None:

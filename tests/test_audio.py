@@ -35,6 +35,14 @@ def tone(rate: int, seconds: float = 2.0, hertz: float = 440.0) -> Samples:
     return (0.3 * np.sin(2 * np.pi * hertz * np.arange(round(rate * seconds)) / rate)).astype(np.float32)
 
 
+def check_tone(speech: Speech, apart: float) -> None:
+    """It is of 440 Hz and 0.3 of full scale, to the share `apart`."""
+    middle = speech.samples[4000:28000].astype(np.float64)
+    spectrum = np.abs(np.fft.rfft(middle * np.hanning(len(middle))))
+    assert abs(np.argmax(spectrum) * SAMPLE_RATE / len(middle) - 440.0) < 1.0
+    assert np.sqrt(np.mean(middle ** 2)) == pytest.approx(0.3 / np.sqrt(2), rel=apart)
+
+
 def encoded(samples: np.ndarray, rate: int, kind: str = "WAV", subtype: str | None = "PCM_16") -> bytes:
     memory = io.BytesIO()
     soundfile.write(memory, samples, rate, format=kind, subtype=subtype)
@@ -85,10 +93,7 @@ def test_a_tone_keeps_its_pitch_length_and_level_in_every_format(
     assert speech.sample_rate == SAMPLE_RATE
     assert speech.words is None
     assert abs(speech.duration - 2.0) < 0.002
-    middle = speech.samples[4000:28000].astype(np.float64)
-    spectrum = np.abs(np.fft.rfft(middle * np.hanning(len(middle))))
-    assert abs(np.argmax(spectrum) * SAMPLE_RATE / len(middle) - 440.0) < 1.0
-    assert np.sqrt(np.mean(middle ** 2)) == pytest.approx(0.3 / np.sqrt(2), rel=0.03)
+    check_tone(speech, 0.03)
 
 
 def test_flac_round_trip_is_exact_to_16_bits(tmp_path: Path) -> None:
@@ -152,9 +157,6 @@ def test_a_length_left_open_is_one_warning(tmp_path: Path, kind: str) -> None:
         speech = load_speech(path)
     assert len(caught) == 1
     assert np.allclose(speech.samples, tone(16000), atol=1e-4)
-
-
-# ---------------------------------------------------------------------------------------------------- the terminal
 
 
 # ---------------------------------------------------------------------------------------------------- length
@@ -306,10 +308,7 @@ def test_sound_in_containers_and_of_videos(tmp_path: Path, suffix: str, kind: st
         warnings.simplefilter("ignore" if suffix in ("webm", "mkv", "aac", "avi") else "error", AudioWarning)
         speech = load_speech(path)
     assert abs(speech.duration - 2.0) < 0.06
-    middle = speech.samples[4000:28000].astype(np.float64)
-    spectrum = np.abs(np.fft.rfft(middle * np.hanning(len(middle))))
-    assert abs(np.argmax(spectrum) * SAMPLE_RATE / len(middle) - 440.0) < 1.0
-    assert np.sqrt(np.mean(middle ** 2)) == pytest.approx(0.3 / np.sqrt(2), rel=0.05)
+    check_tone(speech, 0.05)
     with path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         assert np.array_equal(load_speech(file).samples, speech.samples)

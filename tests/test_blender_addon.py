@@ -12,13 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
+from performances import write_example
 from small_characters import AUTO_RIG, HUMANOID, MIXAMO, VROID, write_character
 
-from data_module.errors import InputError
 from data_module.types import Array
 from gesticulator import Gesticulator
-from gesticulator.characters.blender import check_blender, run_in_blender
+from gesticulator.characters.blender import run_in_blender
 from gesticulator.performance import Performance
 
 HERE = Path(__file__).resolve().parent
@@ -35,15 +34,9 @@ RIGS = {
 
 
 @pytest.fixture(scope="module")
-def spoken(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Performance]:
+def spoken(blender: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Performance]:
     """A recording, and the gesture that the program makes of it on our own skeleton."""
-    try:
-        check_blender(HERE)
-    except InputError as lacking:
-        pytest.skip(str(lacking))
-    samples, rate = soundfile.read(HERE.parent / "examples" / "speech.flac", frames=round(SECONDS * 16000))
-    sound = tmp_path_factory.mktemp("sound") / "speech.wav"
-    soundfile.write(sound, samples, rate)
+    sound = write_example(tmp_path_factory.mktemp("sound") / "speech.wav", SECONDS)
     return sound, Gesticulator.from_pretrained()(sound, fps=FPS, legs=True)
 
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
 
-from data_module.types import Array, Speech
-from eval.renderings import ListeningGesticulator
-from gesticulator.bundle.bundle import SHIPPED, Bundle, load
+from data_module.types import Array
+from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of
 from gesticulator.sampling.candidates import (
     FASTEST,
@@ -167,21 +164,6 @@ def test_a_hand_that_is_thrown_counts_only_where_all_are() -> None:
     assert slow_enough(hands(9.0, 5.0, 7.0), times).tolist() == [1], "the slowest of them"
 
 
-def test_braking_counts_from_the_start_of_the_block_on_and_by_its_share() -> None:
-    times = np.arange(-3, 11) * 0.05
-
-    def place(speed: Array) -> Array:
-        way = np.concatenate([[0.0], np.cumsum(speed * 0.05)])
-        return np.stack([np.stack([way, 0 * way, 0 * way], -1)] * 2, axis=1)[None]
-
-    stops = np.where(times[1:] < 0.25, 1.0, 0.0)
-    share = [float(in_time(place(stops), times, 0.0, np.array([at]))[0]) for at in (0.2, 0.25, 0.475)]
-    assert share[0] > 0.9 and share[0] > share[1] > 0.4 and share[2] < 1e-3
-    assert float(in_time(place(0 * stops), times, 0.0, np.array([0.25]))[0]) == 0.0
-    jolt = np.where(times[1:] < 0.02, 1.0, 0.0)
-    assert float(in_time(place(jolt), times, 0.0, np.array([0.0]))[0]) < 0.01, "what ends at the seam is not a beat"
-
-
 def test_an_onset_a_deviation_away_counts_as_a_gaussian_says() -> None:
     """One stop from 1 m/s of both hands: 40 m/s^2 at once, beside the 3 of hands that hardly move."""
     times = np.arange(-3, 11) * 0.05
@@ -203,45 +185,3 @@ def test_a_retimed_block_is_earlier_or_later_in_its_middle_and_keeps_its_ends() 
         np.testing.assert_allclose(made[inner, 1], expected[inner] ** 2, atol=1e-12)
     assert late[4, 0] - t[4] == pytest.approx(0.1) and late[-1, 0] == 1.0, "by a tenth in the middle"
     assert (np.diff(retimings(FRAMES, 0.3)[:, :, :] @ steps, axis=1) > 0.0).all(), "time never goes back"
-
-
-def test_hands_that_stop_before_the_onset_stop_nearer_to_it_when_retimed(bundle: Bundle) -> None:
-    chooser = CandidateChooser(bundle, 0, FEW)
-    past, block = swing(bundle, 0.4)
-
-    def worth(block: Array, speech: SpeechBlock) -> float:
-        hands = chooser._places(chooser._poses(past, block[None]))[:, :, :2]
-        return float(in_time(hands, chooser._times(speech, FRAMES), speech.start, speech.onsets)[0])
-
-    for onset, earlier in ((2.28, False), (2.12, True)):  # the hands stop at 2.2 s
-        speech = block_of(np.array([onset]))
-        made = chooser.retimed(speech, past, block)
-        assert worth(made, speech) > worth(block, speech) + 0.05
-        assert (np.abs(made - past[-1])[1] > np.abs(block - past[-1])[1] + 1e-3).any() == earlier
-        np.testing.assert_allclose(made[-1], block[-1], atol=1e-6)
-    np.testing.assert_array_equal(chooser.retimed(block_of(np.array([2.2])), past, block), block)
-    np.testing.assert_array_equal(chooser.retimed(block_of(np.zeros(0)), past, block), block)
-
-
-def first_block(monkeypatch: pytest.MonkeyPatch, chosen: int, **asked: str) -> tuple[Array, Array]:
-    """The features of torso and head, and of all the rest, in the first block of the shipped bundle, before which all
-    is the same; chosen: which of its candidates is kept. Nothing is moved in time."""
-    monkeypatch.setattr(CandidateChooser, "choose", lambda *_: chosen)
-    monkeypatch.setattr(CandidateChooser, "retimed", lambda _, speech, past, block: block)
-    bundle = load(SHIPPED)
-    sound, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32")
-    system = ListeningGesticulator(bundle)
-    system(Speech(sound[:5 * rate], rate), seed=1, **asked)
-    parts = bundle.block_lexicon.basis.parts
-    trunk = sorted(column for name in ("torso", "head") for column in parts[name])
-    return system.drawn[0][:, trunk], np.delete(system.drawn[0], trunk, axis=1)
-
-
-@pytest.mark.parametrize(("asked", "alike"), [({}, True), ({"hand_height": "high"}, False)])
-def test_candidates_share_their_arms_but_where_controls_ask_for_a_choice(
-        monkeypatch: pytest.MonkeyPatch, asked: dict[str, str], alike: bool) -> None:
-    monkeypatch.setattr(CandidateChooser, "too_fast", lambda *_: False)
-    monkeypatch.setattr(CandidateChooser, "before_face", lambda *_: False)
-    (trunk, arms), (other_trunk, other_arms) = (first_block(monkeypatch, chosen, **asked) for chosen in (0, 3))
-    assert np.abs(trunk - other_trunk).max() > 0.05
-    assert (np.abs(arms - other_arms).max() < 0.01) == alike

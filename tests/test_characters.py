@@ -13,13 +13,12 @@ from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError
 from data_module.motion import bvh, kinematics, rotation
-from data_module.motion.skeletons import CHARACTER, FINGERED, WHOLE_BODY
+from data_module.motion.skeletons import CHARACTER, WHOLE_BODY
 from data_module.types import Motion
 from gesticulator import infer
 from gesticulator.arguments import infer_arguments, settings_of
 from gesticulator.characters.blender import blender, run_in_blender
 from gesticulator.characters.bvh_rig import write_character_bvh
-from gesticulator.characters.command import COMMAND
 from gesticulator.characters.fbx_rig import from_bones
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import check, load_mapping, save_mapping
@@ -29,7 +28,7 @@ from gesticulator.characters.retarget import Retargeter, retarget
 from gesticulator.characters.rig import Character
 from gesticulator.export import fbx_child as blender_child
 from gesticulator.jobs import retargeter_for
-from tests.performances import perform
+from tests.performances import EXAMPLE
 from tests.rigs import Rig, as_glb, draw
 
 
@@ -140,8 +139,6 @@ def test_a_bvh_whose_offsets_lie_along_one_axis_is_aligned_by_its_first_frame(tm
     identity = np.zeros((n, 4))
     identity[:, 0] = 1.0
     # All bones along X, as some tools write them: the body stands only by its angles.
-    lengths = np.linalg.norm(glb.world_matrices()[:, :3, 3] - glb.world_matrices()[np.maximum(glb.parents, 0), :3, 3],
-                             axis=1)
     world = glb.world_matrices()[:, :3, 3]
     turns, local = np.tile(identity[0], (n, 1)), identity.copy()
     single = {p: [c for c, above in enumerate(glb.parents) if above == p] for p in range(n)}
@@ -156,14 +153,12 @@ def test_a_bvh_whose_offsets_lie_along_one_axis_is_aligned_by_its_first_frame(tm
         local[node] = rotation.multiply(rotation.conjugate(above), turns[node])
         offsets[node] = rotation.rotate(rotation.conjugate(above), world[node] - world[max(parent, 0)]) \
             if parent >= 0 else world[start]
-    assert lengths.max() > 0
     line = Character(glb.names, glb.parents, offsets * 100, identity, np.ones((n, 3)), Path("x.bvh"), "bvh",
                      np.ones(n, dtype=bool))
     file = tmp_path / "line.bvh"
     write_character_bvh(file, line, local[None], None, 30.0)
     read = read_character(file)
-    if read.bind is None:
-        pytest.skip("this tree is wide enough at rest to be told from a line")
+    assert read.bind is not None
     mapping = find_joints(read)
     assert {name: read.names[node] for name, node in mapping.joints.items()} == {
         name: glb.names[node] for name, node in rig.truth.items()}
@@ -214,23 +209,6 @@ def test_an_fbx_without_blender_says_what_to_do(tmp_path: Path, monkeypatch: pyt
 
 # ---------------------------------------------------------------------------------------------------- sizes, API
 
-@pytest.mark.parametrize("skeleton", [CHARACTER, FINGERED, WHOLE_BODY])
-def test_motions_of_all_our_sizes_are_taken(skeleton) -> None:  # type: ignore[no-untyped-def]
-    rig = draw(3, "mixamo", "A")
-    moved = Retargeter(rig.character)(motion_of(skeleton))
-    assert len(moved) == 6 and np.isfinite(moved.rotations).all() and moved.translations is not None
-    assert np.allclose(np.linalg.norm(moved.rotations, axis=-1), 1.0)
-
-
-def test_somebody_who_sits_keeps_legs_and_hips() -> None:
-    rig = draw(3, "mixamo", "A")
-    moved = Retargeter(rig.character, legs=False)(motion_of())
-    assert moved.translations is None
-    for name in ("Hips", "LeftUpLeg", "LeftLeg", "RightFoot"):
-        assert np.allclose(moved.rotations[:, rig.truth[name]], rig.character.rotations[rig.truth[name]])
-    assert not np.allclose(moved.rotations[:, rig.truth["LeftArm"]], rig.character.rotations[rig.truth["LeftArm"]])
-
-
 def seated_file(rig: Rig, path: Path) -> Path:
     """The rig as a GLB that stands in another pose than its mesh was bound in: thighs level, shins down."""
     world, turned = rig.character.world_turns(), {}
@@ -274,16 +252,6 @@ def test_the_command_tells_of_somebody_who_sits(tmp_path: Path, capsys: pytest.C
         assert ("sits.glb: is seated" in capsys.readouterr().err) is (not told)
 
 
-def test_a_performance_is_saved_on_a_character(tmp_path: Path) -> None:
-    rig = draw(3, "mixamo", "A")
-    file = tmp_path / "rig.glb"
-    file.write_bytes(as_glb(rig))
-    made = perform(seconds=1.0).on(file)
-    made.save(tmp_path / "talk.bvh")
-    read = bvh.read_bvh(tmp_path / "talk.bvh", unit=0.01)
-    assert "mixamorig:LeftForeArm" in read.skeleton.names and len(read) == len(made.motion)
-
-
 # ---------------------------------------------------------------------------------------------------- mappings
 
 def test_a_mapping_is_saved_corrected_and_read(tmp_path: Path) -> None:
@@ -325,24 +293,13 @@ def test_something_without_a_body_is_refused() -> None:
         check(find_joints(box), box)
 
 
-def test_the_verb_shows_what_was_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "rig.glb"
-    file.write_bytes(as_glb(draw(3, "mixamo", "A")))
-    assert COMMAND.main("gesticulator character", [str(file), "--save-mapping", str(tmp_path / "m.json")]) == 0
-    said = capsys.readouterr().out
-    assert "100% sure" in said and "mixamorig:LeftForeArm" in said
-    assert json.loads((tmp_path / "m.json").read_text())["joints"]["Hips"] == "mixamorig:Hips"
-    assert COMMAND.main("gesticulator character", [str(file), "--mapping", str(tmp_path / "m.json")]) == 0
-
-
 def test_the_command_moves_a_bvh_character_from_sound_to_file(tmp_path: Path) -> None:
     """End to end: names, channels and floor of her file are kept, frames are those of the sound."""
     rig = next(rig for rig in map(draw, range(200)) if rig.character.kind == "bvh" and rig.unit == 0.01)
     still = np.tile(rig.character.rotations, (1, 1, 1))
     source, out = tmp_path / "rig.bvh", tmp_path / "talk.bvh"
     write_character_bvh(source, rig.character, still, None, 30.0)
-    sound = Path(__file__).parent.parent / "examples" / "speech.flac"
-    assert infer.main([str(sound), "--character", str(source), "-o", str(out), "--fps", "20", "--quiet",
+    assert infer.main([str(EXAMPLE), "--character", str(source), "-o", str(out), "--fps", "20", "--quiet",
                        "--save-mapping", str(tmp_path / "m.json")]) == 0
     made, rest = bvh.read_bvh(out, unit=0.01), read_character(source)
     kept = [node for node in range(1, len(rest)) if node != rest.names.index("Hips")]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from performances import example
 
 from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
@@ -21,16 +20,13 @@ from gesticulator import Gesticulator
 from gesticulator.body.clips import mirrored_motion
 from gesticulator.contacts.columns import TRUNK
 from gesticulator.contacts.default_body import (
-    HEAD_RADIUS,
     HEM,
     STEEPEST,
     cleared,
-    face_front,
     front_at,
     shirt_at,
-    trunk_front,
 )
-from gesticulator.contacts.limbs import OURS, pose_of
+from gesticulator.contacts.limbs import pose_of
 
 FPS = 60.0
 
@@ -44,22 +40,6 @@ def reaching(angles: Array, elbow: Array) -> Motion:
     turns[:, FINGERED.index("LeftArm")] = rotation.multiply(across, down)
     turns[:, FINGERED.index("LeftForeArm")] = rotation.from_exponential_map(elbow[:, None] * [0.0, -1.0, 0.0])
     return Motion(FINGERED, turns, np.zeros((len(angles), 3)), FPS)
-
-
-def test_the_front_covers_the_trunk_and_is_nowhere_steeper_than_stated() -> None:
-    across = np.linspace(-0.5, 0.5, 4001)
-    front = trunk_front(across)
-    width, depth = OURS
-    inside = np.abs(across) < width
-    ellipse = depth * np.sqrt(1 - (across[inside] / width) ** 2)
-    assert (front[inside] >= ellipse - 1e-9).all() and trunk_front(np.zeros(1))[0] == depth
-    assert np.abs(np.diff(front) / np.diff(across)).max() <= STEEPEST + 1e-6
-    assert front[across > 0.2].max() < -0.03, "a hanging hand is beside it"
-    radius = np.linspace(0, 0.5, 1001)
-    face = face_front(radius)
-    sphere = radius < HEAD_RADIUS
-    assert (face[~sphere] <= 1e-9).all() and face[0] == HEAD_RADIUS
-    assert np.abs(np.diff(face) / np.diff(radius)).max() <= 2.0 + 1e-6
 
 
 def test_a_shirt_hangs_over_hips_that_are_wider_than_the_trunk() -> None:
@@ -176,18 +156,11 @@ def test_a_hand_folded_to_its_shoulder_takes_its_knuckles_out_of_the_trunk_by_th
     assert steps[1] < 1.5 * steps[0], "no jump"
 
 
-@pytest.fixture(scope="module")
-def system() -> Gesticulator:
-    return Gesticulator.from_pretrained()
-
-
 @pytest.mark.parametrize("knobs", [{}, {"intensity": 2.0, "legs": True}, {"energy": "lively", "mirror": True},
                                    {"hand_radius": 0.15, "hold_still": ((3.2, 5.0),)}])
 @pytest.mark.filterwarnings("ignore:hand_radius")
 def test_no_hand_is_in_the_trunk_and_no_elbow_behind_it_at_any_knob(knobs: dict, system: Gesticulator) -> None:
-    samples, rate = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32",
-                                   frames=160_000)
-    motion = system(samples, rate, seed=1, **knobs).motion
+    motion = system(example(10.0), seed=1, **knobs).motion
     for gap in TRUNK.distances(pose_of(replace(motion, root_positions=np.zeros_like(motion.root_positions)))).values():
         assert gap.min() > -0.01
     body = common_body(motion)
@@ -210,5 +183,5 @@ def test_a_hand_that_is_moved_turns_to_the_same_side_as_its_neighbours() -> None
 @pytest.mark.parametrize("seed", [2, 7])
 def test_no_elbow_jumps_in_the_example(seed: int, system: Gesticulator) -> None:
     """Seeds in which an elbow once jumped at 12 and 9 m/s."""
-    motion = system(Path(__file__).parent.parent / "examples" / "speech.flac", seed=seed).motion
+    motion = system(example(), seed=seed).motion
     assert fastest_elbow(common_body(motion)) < 4.0

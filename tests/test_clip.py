@@ -10,15 +10,8 @@ import pytest
 
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, from_vector
-from data_module.types import Motion, Speech
+from data_module.types import Speech
 from eval.clip.measure import ClipMeasurement, measure
-
-
-def moving(fps: float, seconds: float = 3.0) -> Motion:
-    t = np.arange(round(seconds * fps)) / fps
-    pose = np.zeros((len(t), len(CHARACTER), 3))
-    pose[:, CHARACTER.index("RightForeArm"), 1] = np.sin(2 * np.pi * t)
-    return from_vector(pose.reshape(len(t), -1), fps)
 
 
 def test_speeds_in_speech_and_in_silence() -> None:

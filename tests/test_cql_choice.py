@@ -50,12 +50,3 @@ def test_a_policy_that_is_no_better_is_remarked_upon_once(shipped: bundles.Bundl
             system.resolver.setup(options, text=False)
     assert [type(one.message) for one in caught] == [InterpreterWarning]
     assert "lstm" in str(caught[0].message) and "\n" not in str(caught[0].message)
-
-
-def test_streams_of_one_gesticulator_remark_once(shipped: bundles.Bundle) -> None:
-    system = Gesticulator(shipped)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        for _ in range(2):
-            system.stream(16000, interpreter="cql")
-    assert [one for one in caught if issubclass(one.category, InterpreterWarning)] == caught[:1]

@@ -16,7 +16,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from interpreters.advantage import advantages
 from interpreters.cql import DecisionBatch, conservative_q_loss
 
 Array = NDArray[np.float64]
@@ -71,14 +70,6 @@ def test_loss_and_gradient_are_the_derived_ones(alpha: float) -> None:
     np.testing.assert_allclose(gradient.numpy()[0], alpha * (soft - BEHAVIOUR) + BEHAVIOUR * apart, atol=1e-12)
 
 
-def test_the_fixed_point_has_no_gradient_by_the_derivation() -> None:
-    alpha, gamma = 1.0, 0.8
-    q = fixed_point(alpha, gamma, REWARD)
-    y = REWARD + gamma * q.max()
-    soft = np.exp(q) / np.exp(q).sum()
-    np.testing.assert_allclose(alpha * (soft - BEHAVIOUR) + BEHAVIOUR * (q - y), 0, atol=1e-8)
-
-
 @pytest.mark.parametrize(("alpha", "gamma"), [(1.0, 0.9), (1.0, 0.5), (0.1, 0.9), (4.0, 0.8)])
 def test_values_are_inflated_by_the_gap_that_is_bootstrapped(alpha: float, gamma: float) -> None:
     """E Q = (r + gamma g) / (1 - gamma) with g = max Q - E Q: gamma g / (1 - gamma) too much."""
@@ -101,20 +92,3 @@ def test_at_alpha_1_rewards_of_this_size_change_no_choice() -> None:
     assert np.corrcoef(q, np.log(BEHAVIOUR))[0, 1] > 0.95
     assert int(fixed_point(0.01, gamma, REWARD).argmax()) == int(REWARD.argmax()) == 3
     np.testing.assert_allclose(fixed_point(0.0, gamma, REWARD), REWARD + gamma * REWARD.max() / (1 - gamma), atol=1e-3)
-
-
-def test_at_alpha_1_rewards_that_are_large_beside_it_do() -> None:
-    assert int(fixed_point(1.0, 0.0, 100 * REWARD).argmax()) == int(REWARD.argmax())
-
-
-def test_prior_and_advantage_apart_are_led_by_rewards_of_any_size() -> None:
-    """In the same world: at the beta that a user would choose the policy earns more than the behaviour does and keeps
-    more of its variety than the best action alone; CQL at alpha 1 earns less than the behaviour."""
-    log_prior = torch.tensor(np.log(BEHAVIOUR))
-    worth = advantages(torch.tensor(REWARD)[None], log_prior)
-    spread = float((log_prior.exp() * worth.square()).sum().sqrt())
-    policy = (log_prior + 1.0 * worth / spread).softmax(-1).numpy()
-    behaved = float(BEHAVIOUR @ REWARD)
-    assert float(policy @ REWARD) > 1.5 * behaved
-    assert -(policy * np.log(policy)).sum() > 0.9
-    assert REWARD[int(fixed_point(1.0, 0.9, REWARD).argmax())] < behaved

@@ -13,7 +13,6 @@ import ranks
 import torch
 
 from gesticulator.training import command as train
-from gesticulator.training.distributed import agreed, first, joined, processes, rank
 from gesticulator.training.fit import Batch, Task, generator_for
 
 SHORT = {"lexicon.steps": 20, "generator.steps": 6, "style.steps": 6}
@@ -61,12 +60,6 @@ def test_torchrun_trains_stages_once_and_resumes(tiny_store: Path, tmp_path: Pat
     assert not list(work.glob("*/*.ckpt")) and not out.exists()
     assert train.main(command[3:]) == 0, "a single process uses what two have trained"
     assert len(list(work.glob("generator-*"))) == 1
-
-
-def test_a_single_process_is_in_no_group(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("WORLD_SIZE", raising=False)
-    with joined("cpu") as device, first():
-        assert (device, processes(), rank(), agreed(3)) == ("cpu", 1, 0, 3)
 
 
 def test_half_precision_is_for_gpus(tiny_store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,21 +8,19 @@ import copy
 import json
 from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import soundfile
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from performances import example
 
 from data_module.errors import InputError
-from data_module.types import BeatFlag, Blocks, Speech
+from data_module.types import Speech
 from gesticulator import Gesticulator
 from gesticulator.directing.knobs import LONGEST_GESTURE
 from gesticulator.directing.named_gestures import span_of_gesture
-from gesticulator.editing.recut import Recutter
 from gesticulator.export.html import describe
 from gesticulator.page.server import AbandonedError
 from gesticulator.page.session import EditSession
@@ -31,22 +29,19 @@ from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.plan_file import parse_plan
 from gesticulator.sampling import loop
 
-SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 SECONDS, SEED = 6.0, 1
 Plain = dict[str, Any]
 
 
 @pytest.fixture(scope="module")
-def system() -> Gesticulator:
-    system = Gesticulator.from_pretrained()
+def system(system: Gesticulator) -> Gesticulator:
     system.keeps_generations = True
     return system
 
 
 @pytest.fixture(scope="module")
 def speech() -> Speech:
-    samples, rate = soundfile.read(SPEECH, frames=round(SECONDS * 16000), dtype="float32")
-    return Speech(samples, rate)
+    return example(SECONDS)
 
 
 @pytest.fixture(scope="module")
@@ -296,23 +291,6 @@ def test_an_edit_sends_its_stretch_and_undo_draws_nothing(system: Gesticulator, 
     assert drawn[0] <= whole + 3
 
 
-def test_a_curve_sizes_where_it_runs_and_leaves_locked_blocks(system: Gesticulator, first: Performance) -> None:
-    page = Page(system, first)
-    before = page.frames.copy()
-    plan = copy.deepcopy(page.plan)
-    plan["curves"] = [{"knob": "intensity", "times": [2.0, 3.0, 4.0], "values": [1.0, 0.1, 1.0]}]
-    page.edit(plan)
-    changed = np.flatnonzero((page.frames != before).any(axis=(1, 2)))
-    assert changed[0] >= 2.0 * 60 - 8 and 3.9 * 60 <= changed[-1] <= 4.0 * 60 + 8
-    hand = first.joints.index("RightArm")
-    rest = before[0, hand].astype(int)
-    assert np.abs(page.frames[180, hand] - rest).max() < np.abs(before[180, hand] - rest).max(), "nearer to rest"
-    for block in plan["blocks"]:
-        block["locked"] = True
-    page.edit(plan)
-    np.testing.assert_array_equal(page.frames, before)
-
-
 def _curved(plan: Plain, knob: str, *points: tuple[float, float]) -> Plain:
     times, values = zip(*points, strict=True)
     return {**copy.deepcopy(plan), "curves": [{"knob": knob, "times": list(times), "values": list(values)}]}
@@ -375,26 +353,6 @@ def test_a_whole_take_reports_its_progress_and_goes_on_where_it_was_abandoned(
     assert page.progress == sorted(page.progress) and 0.3 < page.progress[0] < page.progress[-1] < 1.0
     with pytest.raises(InputError):
         page.edit({**asked, "blocks": asked["blocks"][:-1]})
-
-
-def test_moved_beats_are_encoded_as_if_all_were(system: Gesticulator, speech: Speech) -> None:
-    cutters: list[Any] = []
-    whole = system.encode_speech(speech, cutters=cutters)
-    plain = system.encode_speech(speech)
-    np.testing.assert_array_equal(whole.low, plain.low)
-    edges = whole.blocks.edges.tolist()
-    for moved in (3, len(edges) // 2, len(edges) - 2):
-        new = [*edges[:moved], edges[moved] - 0.04, *edges[moved + 1:]]
-        blocks = Blocks(np.array(new), whole.blocks.flags, whole.blocks.silent, whole.blocks.frames, whole.blocks.fps)
-        anew = system.encode_speech(speech, blocks)
-        wanted = list(range(max(moved - 2, 0), min(moved + 2, len(new) - 1)))
-        found = Recutter(speech.samples, cutters).blocks(new, [BeatFlag(int(flag)) for flag in blocks.flags], wanted)
-        for at in wanted:
-            there = anew.block(at)
-            np.testing.assert_array_equal(found[at].low, there.low)
-            np.testing.assert_array_equal(found[at].quiet, there.quiet)
-            np.testing.assert_array_equal(found[at].onsets, there.onsets)
-            assert found[at].durations == there.durations and (found[at].ahead is None) == (there.ahead is None)
 
 
 def test_no_gesture_is_longer_than_what_is_looked_for() -> None:

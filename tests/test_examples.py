@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 import soundfile
 from gltf_reader import GlbFile
+from performances import write_example
 from small_characters import write_character
 from untrained import untrained
 
-from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.motion.kinematics import positions_of
@@ -24,7 +24,7 @@ from eval.table import load
 from gesticulator import Gesticulator
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.config import Schedules
-from gesticulator.characters.blender import check_blender, run_in_blender
+from gesticulator.characters.blender import run_in_blender
 from gesticulator.plan.plan import edited_blocks
 from gesticulator.plan.plan_file import read_plan
 
@@ -37,10 +37,7 @@ RUN = {"calmer_take", "direct", "edit_plan", "file_to_bvh", "folder", "gestures_
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first seconds of the example recording."""
-    samples, rate = soundfile.read(EXAMPLES / "speech.flac", frames=round(SECONDS * 16000))
-    path = tmp_path_factory.mktemp("recordings") / "a.flac"
-    soundfile.write(path, samples, rate)
-    return path
+    return write_example(tmp_path_factory.mktemp("recordings") / "a.flac", SECONDS)
 
 
 def example(name: str) -> Callable[..., None]:
@@ -168,11 +165,8 @@ def test_a_calmer_take(recording: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert capsys.readouterr().out.count("m/s") == 2
 
 
+@pytest.mark.usefixtures("blender")
 def test_a_scene_for_blender(recording: Path, tmp_path: Path) -> None:
-    try:
-        check_blender(tmp_path)
-    except InputError as lacking:
-        pytest.skip(str(lacking))
     Gesticulator.from_pretrained()(recording, fps=30).save(tmp_path / "talk.glb")
     run_in_blender(tmp_path, EXAMPLES / "to_blender.py", str(tmp_path / "talk.glb"), str(recording),
                    str(tmp_path / "talk.blend"))

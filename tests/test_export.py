@@ -61,15 +61,6 @@ def test_explanation_tiles_the_sound(seed: int, seconds: float) -> None:
     assert [block["silent"] for block in blocks] == performance.blocks.silent.tolist()
 
 
-@pytest.mark.parametrize("name", ["out.max", "out", "archive.bvh.gz"])
-def test_unknown_suffix_lists_the_known_ones(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InputError) as caught:
-        write(tmp_path / name, perform())
-    assert all(suffix in str(caught.value) for suffix in WRITERS)
-    assert name in str(caught.value)
-    assert list(tmp_path.iterdir()) == []
-
-
 def skip_without_its_tool(suffix: str) -> None:
     """Skip where a file of that kind cannot be written here."""
     try:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +12,6 @@ from gltf_reader import GlbFile, save
 from performances import perform, write
 from small_characters import write_character
 
-from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import FINGERED, WHOLE_BODY
@@ -80,30 +78,6 @@ def test_nodes_with_a_matrix_become_nodes_that_can_turn(tmp_path: Path) -> None:
     np.testing.assert_allclose(two.worlds()[0], one.worlds()[0], atol=1e-6)
     animated = {channel["target"]["node"] for channel in two.document["animations"][0]["channels"]}
     assert not [node for node in animated if "matrix" in two.document["nodes"][node]]
-
-
-def test_buffers_and_pictures_beside_a_gltf_are_put_inside(tmp_path: Path) -> None:
-    glb = GlbFile.parse(write_character(tmp_path / "her.glb").read_bytes())
-    document = copy.deepcopy(glb.document)
-    view = document["bufferViews"][document["images"][0].pop("bufferView")]
-    picture = glb.binary[view["byteOffset"]:view["byteOffset"] + view["byteLength"]]
-    document["images"][0] = {"uri": "skin%201.png"}
-    document["buffers"][0]["uri"] = "her.bin"
-    (tmp_path / "skin 1.png").write_bytes(picture)
-    (tmp_path / "her.bin").write_bytes(glb.binary)
-    (tmp_path / "her.gltf").write_text(json.dumps(document))
-    out = GlbFile.parse(write(tmp_path / "out.glb", on(tmp_path / "her.gltf")).read_bytes())
-    assert "uri" not in json.dumps(out.document)
-    told = out.document["images"][0]
-    view = out.document["bufferViews"][told["bufferView"]]
-    assert told["mimeType"] == "image/png"
-    assert out.binary[view["byteOffset"]:view["byteOffset"] + view["byteLength"]] == picture
-    same = GlbFile.parse(write(tmp_path / "same.glb", on(tmp_path / "her.glb")).read_bytes())
-    np.testing.assert_array_equal(out.worlds(0), same.worlds(0))
-    moved = on(tmp_path / "her.gltf")
-    (tmp_path / "skin 1.png").unlink()
-    with pytest.raises(InputError, match=r"lacks skin%201\.png"):
-        write(tmp_path / "lacking.glb", moved)
 
 
 @pytest.mark.parametrize("vrm", ["", "0.x", "1.0"])

@@ -6,7 +6,6 @@ Each part is skipped, with the reason, where its tool is not installed.
 from __future__ import annotations
 
 import json
-import mimetypes
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -16,15 +15,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browser import package_page
 from gltf_reader import GlbFile
 from performances import perform, write
 from small_characters import write_character
 
-from data_module.errors import InputError
 from data_module.motion.kinematics import global_rotations
 from data_module.motion.skeletons import CHARACTERS, FINGERED, WHOLE_BODY, standing
 from data_module.types import Array
-from gesticulator.characters.blender import check_blender, run_in_blender
+from gesticulator.characters.blender import run_in_blender
 from gesticulator.characters.retarget import retarget
 from gesticulator.export.fbx import SCRIPT
 from gesticulator.export.vrma import BONES, humanoid
@@ -32,8 +31,6 @@ from gesticulator.performance import Performance
 
 HERE = Path(__file__).resolve().parent
 JS = HERE / "js"
-SITE = "http://tests.invalid/"
-FLAGS = ["--headless", "--no-sandbox", "--disable-gpu"]
 FRAMES = (0, 10, 21)
 TIMES = tuple(frame / 25 for frame in FRAMES)
 """Seconds of these frames."""
@@ -86,26 +83,8 @@ def page(files: tuple[dict[str, Path], dict[str, Performance]]) -> Iterator[Any]
     """A page of three.js with three-vrm, without a network: what it loads comes from the disk."""
     if not (JS / "node_modules" / "three").is_dir():
         pytest.skip("three.js is not installed: npm ci --prefix tests/js")
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if program is None:
-        pytest.skip("no chromium on this machine")
-
-    def serve(route: Any) -> None:
-        name = route.request.url.removeprefix(SITE)
-        path = files[0].get(name, JS / name)
-        kind = mimetypes.guess_type(path.name)[0] or "application/octet-stream"
-        route.fulfill(body=path.read_bytes(), content_type="text/javascript" if path.suffix == ".js" else kind)
-
-    with api.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=program, args=FLAGS)
-        window = browser.new_page()
-        window.set_default_timeout(120_000)
-        window.route("**/*", serve)
-        window.goto(SITE + "play.html")
-        window.wait_for_function("window.ready === true")
+    with package_page("play.html", JS, files[0]["ours16.glb"].parent, JS) as window:
         yield window
-        browser.close()
 
 
 @pytest.mark.parametrize("name", ["ours16", "ours54", "mixamo", *VRMS])
@@ -155,20 +134,8 @@ def _worlds(told: Any) -> Array:
 
 # ---------------------------------------------------------------------------------------------------- Blender
 
-IMPORT = {
-    ".bvh": {"global_scale": 0.01, "update_scene_fps": True, "update_scene_duration": True},
-    ".fbx": {}, ".glb": {}, ".usdc": {},
-}
-"""Suffix -> what to set in Blender's importer: the rest are its defaults."""
-
-
-@pytest.fixture
-def blender(tmp_path: Path) -> None:
-    """Skips the test, with the reason, where there is no Blender."""
-    try:
-        check_blender(tmp_path)
-    except InputError as lacking:
-        pytest.skip(str(lacking))
+IN_CENTIMETRES = {"global_scale": 0.01, "update_scene_fps": True, "update_scene_duration": True}
+"""What to set in Blender's importer of BVH: the rest are its defaults, as they are for all other files."""
 
 
 def in_blender(path: Path, fps: float, settings: dict[str, Any]) -> dict[str, Any]:
@@ -183,22 +150,15 @@ def in_blender(path: Path, fps: float, settings: dict[str, Any]) -> dict[str, An
 
 
 @pytest.mark.usefixtures("blender")
-@pytest.mark.parametrize("suffix", sorted(IMPORT))
-def test_blender_puts_our_joints_where_we_do(tmp_path: Path, suffix: str) -> None:
+@pytest.mark.parametrize(("suffix", "unit", "settings"), [
+    (".bvh", "cm", IN_CENTIMETRES), (".bvh", "m", {}), (".fbx", "cm", {}), (".glb", "cm", {}), (".usdc", "cm", {})])
+def test_blender_puts_our_joints_where_we_do(tmp_path: Path, suffix: str, unit: str, settings: dict[str, Any]) -> None:
     made = perform(0.6, 30.0, skeleton=WHOLE_BODY)
-    told = in_blender(write(tmp_path / f"a{suffix}", made), 30.0, IMPORT[suffix])
-    got = np.array([[frame[joint] for joint in made.joints] for frame in told["frames"]])
-    np.testing.assert_allclose(got, made.positions(), atol=1e-3)
-    np.testing.assert_allclose(told["scale"], 1.0, atol=1e-5)
-
-
-@pytest.mark.usefixtures("blender")
-def test_blenders_defaults_take_a_bvh_in_metres(tmp_path: Path) -> None:
-    made = perform(0.4, 30.0, skeleton=FINGERED)
-    told = in_blender(write(tmp_path / "a.bvh", made, unit="m"), 30.0, {})
-    assert 0.5 < told["height"] < 0.8, "metres from the hips to the head"
-    got = np.array([[frame[joint] for joint in made.joints] for frame in told["frames"]])
-    np.testing.assert_allclose(got, made.positions(), atol=1e-3)
+    scene = in_blender(write(tmp_path / f"a{suffix}", made, unit=unit), 30.0, settings)
+    places = np.array([[frame[joint] for joint in made.joints] for frame in scene["frames"]])
+    np.testing.assert_allclose(places, made.positions(), atol=1e-3)
+    np.testing.assert_allclose(scene["scale"], 1.0, atol=1e-5)
+    assert suffix != ".bvh" or 0.5 < scene["height"] < 0.8, "metres from the hips to the head"
 
 
 @pytest.mark.usefixtures("blender")
@@ -206,7 +166,7 @@ def test_blenders_defaults_take_a_bvh_in_metres(tmp_path: Path) -> None:
 def test_blender_takes_a_character_with_her_skin(tmp_path: Path, suffix: str) -> None:
     plain = perform(0.4, 30.0, skeleton=FINGERED)
     made = replace(plain, character=retarget(plain.motion, write_character(tmp_path / "her.glb")))
-    told = in_blender(write(tmp_path / f"a{suffix}", made), 30.0, IMPORT[suffix])
+    told = in_blender(write(tmp_path / f"a{suffix}", made), 30.0, {})
     nodes = made.scene().nodes
     got = np.array([[frame[joint] for joint in nodes.names] for frame in told["frames"]])
     np.testing.assert_allclose(got, nodes.positions(), atol=1e-3)
@@ -221,7 +181,7 @@ def test_a_character_from_fbx_keeps_her_mesh(tmp_path: Path, suffix: str) -> Non
     plain = perform(0.4, 25.0, skeleton=FINGERED)
     made = replace(plain, character=retarget(plain.motion, tmp_path / "her.fbx"))
     assert made.character is not None
-    told = in_blender(write(tmp_path / f"out{suffix}", made), 25.0, IMPORT[suffix])
+    told = in_blender(write(tmp_path / f"out{suffix}", made), 25.0, {})
     nodes = made.character.character.names[1:]
     got = np.array([[frame[joint] for joint in nodes] for frame in told["frames"]])
     x, y, z = np.moveaxis(made.character.world_matrices()[:, 1:, :3, 3], -1, 0)  # as Blender has it
@@ -237,21 +197,3 @@ def test_a_character_from_fbx_keeps_her_mesh(tmp_path: Path, suffix: str) -> Non
         assert material["name"] == "skin" and "baseColorTexture" in material["pbrMetallicRoughness"]
         assert after.document["images"][0]["mimeType"] == "image/png"
         assert len(after.document["skins"][0]["joints"]) == len(before.document["skins"][0]["joints"])
-
-
-@pytest.mark.usefixtures("blender")
-def test_an_fbx_that_stands_otherwise_than_it_was_bound_is_whole(tmp_path: Path) -> None:
-    """Bones in the pose of the file are turned, moved and scaled, which no key of ours would undo."""
-    rig, out, script = tmp_path / "rig.fbx", tmp_path / "out.fbx", HERE / "blender_stance.py"
-    run_in_blender(tmp_path, script, "make", str(write_character(tmp_path / "her.glb")), str(rig))
-
-    def measured(file: Path) -> dict[str, Any]:
-        run_in_blender(tmp_path, script, "measure", str(rig), str(file), str(tmp_path / "told.json"))
-        told: dict[str, Any] = json.loads((tmp_path / "told.json").read_text())
-        return told
-
-    assert measured(rig)["volumes"][1] > 1.3, "the file itself stands torn"
-    plain = perform(0.4, 25.0, skeleton=FINGERED)
-    told = measured(write(out, replace(plain, character=retarget(plain.motion, rig))))
-    assert told["volumes"] == pytest.approx([1.0, 1.0], abs=1e-3)
-    assert told["meshes"] > 0 and told["off"] < 1e-3, "metres between the mesh and where its bones bring it"

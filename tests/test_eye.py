@@ -129,17 +129,6 @@ def test_the_program_that_defines_them_agrees_on_sound(judge: ModuleType, take: 
 
 # -------------------------------------------------------------------------------------------------- synthetic answers
 
-def test_mirrored_arms_correlate_fully_and_free_ones_do_not() -> None:
-    free = wandering()
-    still_trunk = replace(free, rotations=np.where(
-        np.array([name in ("Spine1", "Head") for name in CHARACTER.names])[:, None], [1.0, 0, 0, 0], free.rotations))
-    mirrored = eye.figures(baselines.mirrored([still_trunk])[0])
-    assert mirrored["eye_hand_speed_correlation"] == pytest.approx(1.0)
-    assert mirrored["eye_hand_height_correlation"] == pytest.approx(1.0)
-    assert mirrored["eye_one_handed"] == mirrored["eye_one_hanging"] == 0.0
-    assert abs(eye.figures(still_trunk)["eye_hand_speed_correlation"]) < 0.5
-
-
 def test_one_hand_alone_is_one_handed_and_the_other_hangs() -> None:
     motion = posed(20.0, lambda time: {"RightArm": np.stack([0 * time, 0 * time, 0.4 * np.sin(3 * time) - 0.2], 1)})
     found = eye.figures(motion)
@@ -312,5 +301,3 @@ def test_backwards_is_seen_by_the_arrow_of_time_alone() -> None:
     assert ahead["eye_attack"] + back["eye_attack"] == pytest.approx(100.0, abs=2.0)
     for name in ("eye_stroke_amplitude", "eye_speed_95", "eye_repetition"):
         assert back[name] == pytest.approx(ahead[name], rel=0.03, abs=0.01)
-
-

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,11 +11,12 @@ import pytest
 from face_samples import still
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from performances import example
 
 from data_module.errors import InputError
-from data_module.speech.audio import load_speech
 from data_module.text.marks import marked_text
 from data_module.types import Array, Speech, Word
+from gesticulator import Gesticulator
 from gesticulator.arguments import check_cues
 from gesticulator.directing.cues import stroke_of_word
 from gesticulator.directing.marks import MarkWarning, expression_of_mark, gesture_of_mark, mark_cues, warn_of_unknown
@@ -110,22 +110,14 @@ def test_a_cue_of_the_face_needs_one_on_the_command_line() -> None:
 
 # ------------------------------------------------------------------------------------------ a performance, a stream
 
-@pytest.fixture(scope="module")
-def g() -> Any:
-    from gesticulator.gesticulator import Gesticulator
-
-    return Gesticulator.from_pretrained()
-
-
 def _speech(*marks: str, words: bool = True) -> Speech:
     """Four seconds, the third word of which has the marks."""
     spoken = tuple(Word("well", 0.4 * n + 0.3, 0.4 * n + 0.6, marks if n == 2 else ()) for n in range(9))
-    path = Path(__file__).parents[1] / "examples" / "speech.flac"
-    return Speech(load_speech(path).samples[:4 * RATE], RATE, spoken if words else None)
+    return replace(example(4.0), words=spoken if words else None)
 
 
-def _streamed(g: Any, speech: Speech, **options: Any) -> tuple[Array, FaceMotion | None]:
-    stream = g.stream(RATE, text=speech.words is not None, **options)
+def _streamed(system: Gesticulator, speech: Speech, **options: Any) -> tuple[Array, FaceMotion | None]:
+    stream = system.stream(RATE, text=speech.words is not None, **options)
     if speech.words:
         stream.add_words([Word("".join(f"[{name}] " for name in word.marks) + word.text, word.start, word.end)
                           for word in speech.words])
@@ -138,9 +130,9 @@ def _streamed(g: Any, speech: Speech, **options: Any) -> tuple[Array, FaceMotion
 
 
 @pytest.mark.filterwarnings(f"ignore::{PhonesWarning.__module__}.PhonesWarning")
-def test_a_marked_smile_in_a_file_and_a_stream(g: Any) -> None:
-    file = g(_speech("smile"), face="full")
-    rotations, face = _streamed(g, _speech("smile"), face="full")
+def test_a_marked_smile_in_a_file_and_a_stream(system: Gesticulator) -> None:
+    file = system(_speech("smile"), face="full")
+    rotations, face = _streamed(system, _speech("smile"), face="full")
     assert face is not None
     np.testing.assert_allclose(file.rotations, rotations, atol=1e-9)
     start = stroke_of_word(_speech().words[2])  # type: ignore[index]
@@ -148,20 +140,21 @@ def test_a_marked_smile_in_a_file_and_a_stream(g: Any) -> None:
     assert not smile[:int(start * 60)].any() and smile[int((start + 0.5) * 60):int((start + 1.5) * 60)].min() > 0.4
     # The lips of a file follow the words, those of a stream the sound; a smile is smaller where the mouth is open.
     assert np.array_equal(face.smile > 0, smile > 0)
-    cued = g(_speech(), face="full", cues=(GestureCue("smile", "well", 3),))
+    cued = system(_speech(), face="full", cues=(GestureCue("smile", "well", 3),))
     np.testing.assert_array_equal(cued.face.smile, smile)
-    again = g(_speech(), face="full", plan=file.plan())
+    again = system(_speech(), face="full", plan=file.plan())
     np.testing.assert_array_equal(again.face.values(), file.face.values())
 
 
 @pytest.mark.filterwarnings(f"ignore::{PhonesWarning.__module__}.PhonesWarning")
 @pytest.mark.parametrize(("words", "options"), [
     (True, {"face": "full", "mood": 0.5}), (False, {"face": "lips", "mouth": 2.0})])
-def test_the_body_is_the_same_with_a_face_in_a_file_and_a_stream(g: Any, words: bool, options: dict[str, Any]) -> None:
+def test_the_body_is_the_same_with_a_face_in_a_file_and_a_stream(system: Gesticulator, words: bool,
+                                                                 options: dict[str, Any]) -> None:
     plain, marked = _speech(words=words), _speech(*(("smile",) if words else ()), words=words)
-    made = g(marked, **options)
-    assert made.face is not None and made.rotations.tobytes() == g(plain).rotations.tobytes()
-    streamed, none = _streamed(g, plain)
-    rotations, face = _streamed(g, marked, **options)
+    made = system(marked, **options)
+    assert made.face is not None and made.rotations.tobytes() == system(plain).rotations.tobytes()
+    streamed, none = _streamed(system, plain)
+    rotations, face = _streamed(system, marked, **options)
     assert none is None and face is not None and len(face) == len(rotations)
     assert rotations.tobytes() == streamed.tobytes()

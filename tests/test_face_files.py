@@ -1,10 +1,8 @@
-"""A face in files: read back from GLB, VRM, VRMA, CSV and SMPL-X."""
+"""A face in files, read back from GLB, VRM, VRMA, CSV and SMPL-X, and in a page on a GLB that is no VRM."""
 
 from __future__ import annotations
 
 import csv
-import json
-import struct
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from performances import perform
+from browser import OpenedPage
+from gltf_reader import GlbFile
+from performances import perform, write
 from small_characters import write_character
 
 from gesticulator.characters.gltf_file import read_gltf
@@ -22,27 +22,26 @@ from gesticulator.characters.rig import CharacterMotion
 from gesticulator.export.face import LIVE_LINK, FaceWarning, timecode
 from gesticulator.export.gltf import GltfDocument, open_gltf
 from gesticulator.face.motion import FaceMotion, at_rest
+from gesticulator.face.page import NUMBERS, curve_constants, page_face
 from gesticulator.face.rig import find_face
-from gesticulator.face.shapes import ARKIT, arkit, jaw_angles, vrm
+from gesticulator.face.shapes import ARKIT, arkit, curves, jaw_angles, vrm
 from gesticulator.face.visemes import VISEMES
 from gesticulator.performance import Performance
 
 
-def spoken(frames: int, fps: float, lips_only: bool = False) -> FaceMotion:
+def spoken(frames: int, fps: float) -> FaceMotion:
     """A mouth that goes from shut to a to p, with a blink and a look to the left."""
     face = at_rest(frames, fps)
     face.visemes[:] = 0.0
     third = frames // 3
     for place, name in enumerate(("sil", "aa", "PP")):
         face.visemes[place * third:frames if place == 2 else (place + 1) * third, VISEMES.index(name)] = 1.0
-    if lips_only:
-        return replace(face, lips_only=True)
     return replace(face, blink=np.linspace(0, 1, frames), gaze=np.tile(np.radians([10.0, 5.0]), (frames, 1)),
                    smile=np.full(frames, 0.5))
 
 
-def with_face(performance: Performance, lips_only: bool = False) -> Performance:
-    return replace(performance, face=spoken(len(performance.motion), performance.fps, lips_only))
+def with_face(performance: Performance) -> Performance:
+    return replace(performance, face=spoken(len(performance.motion), performance.fps))
 
 
 def add_shapes(path: Path, names: list[str], expressions: dict[str, int] | None = None, jaw: bool = False) -> Path:
@@ -109,9 +108,9 @@ def still(path: Path, performance: Performance) -> CharacterMotion:
     return CharacterMotion(character, turns, None, performance.fps, joints, (joints["Head"],), 1.0)
 
 
-def written(tmp_path: Path, character: Path, lips_only: bool = False) -> dict[tuple[str, str], np.ndarray]:
+def written(tmp_path: Path, character: Path) -> dict[tuple[str, str], np.ndarray]:
     """(name of the node, property) -> values of the animation that is written for a character with a face."""
-    performance = with_face(perform(1.0), lips_only)
+    performance = with_face(perform(1.0))
     moved = replace(performance, character=still(character, performance))
     file = read_gltf(moved.save(tmp_path / "talk.glb"))
     animation = file.rows("animations")[-1]
@@ -139,13 +138,6 @@ def test_expressions_of_a_vrm_are_animated(tmp_path: Path, version: str, presets
         np.testing.assert_allclose(weights[:, column], curves[name], atol=1e-6)
 
 
-def test_lips_alone_leave_the_lids(tmp_path: Path) -> None:
-    path = add_shapes(write_character(tmp_path / "a.glb"), list(ARKIT))
-    weights = next(values for (_, kind), values in written(tmp_path, path, True).items() if kind == "weights")
-    weights = weights.reshape(-1, len(ARKIT))
-    assert weights[:, ARKIT.index("jawOpen")].max() > 0.5 and not weights[:, ARKIT.index("eyeBlinkLeft")].any()
-
-
 def test_a_jaw_bone_alone_opens_downwards(tmp_path: Path) -> None:
     path = add_shapes(write_character(tmp_path / "a.glb"), [], jaw=True)
     character = read_character(path)
@@ -171,17 +163,10 @@ def test_a_character_without_a_face_is_written_with_one_line(tmp_path: Path) -> 
     assert not any(kind == "weights" for _, kind in tracks)
 
 
-def _document(path: Path) -> dict[str, Any]:
-    data = path.read_bytes()
-    size = struct.unpack_from("<I", data, 12)[0]
-    document: dict[str, Any] = json.loads(data[20:20 + size])
-    return document
-
-
 def test_a_vrm_animation_has_expressions_and_a_gaze(tmp_path: Path) -> None:
     path = with_face(perform(1.0)).save(tmp_path / "talk.vrma")
     file = read_gltf(path)
-    extension = _document(path)["extensions"]["VRMC_vrm_animation"]
+    extension = GlbFile.parse(path.read_bytes()).document["extensions"]["VRMC_vrm_animation"]
     face = spoken(len(perform(1.0).motion), 25.0)
     animation = file.rows("animations")[0]
     outputs = {channel["target"]["node"]: file.array(animation["samplers"][channel["sampler"]]["output"])
@@ -193,7 +178,7 @@ def test_a_vrm_animation_has_expressions_and_a_gaze(tmp_path: Path) -> None:
     assert np.degrees(2 * np.arctan2(y, w)) == pytest.approx(10.0, abs=0.2)  # to the left
     assert np.degrees(2 * np.arctan2(x, w)) == pytest.approx(-5.0, abs=0.2)  # up
     plain = perform(1.0).save(tmp_path / "plain.vrma")
-    assert "expressions" not in _document(plain)["extensions"]["VRMC_vrm_animation"]
+    assert "expressions" not in GlbFile.parse(plain.read_bytes()).document["extensions"]["VRMC_vrm_animation"]
 
 
 def test_live_links_table_is_read_back(tmp_path: Path) -> None:
@@ -250,3 +235,76 @@ def test_vmc_sends_blend_shapes_and_eyes() -> None:
     assert np.degrees(2 * np.arctan2(eye[5], eye[7])) == pytest.approx(-10.0, abs=0.3)  # mirrored: Unity's left is -X
     assert not any(message.address.startswith("/VMC/Ext/Blend") for bundle in VmcFrames(made.motion).bundles(frame, 0.0)
                    for message in osc.OscBundle(bundle))
+
+
+# ------------------------------------------------------------------------------------------------------------ in pages
+
+OCULUS = [f"viseme_{name}" for name in VISEMES]
+
+
+def test_constants_are_the_curves() -> None:
+    rng = np.random.default_rng(5)
+    visemes = rng.dirichlet(np.full(15, 0.3), 50)
+    rest = rng.uniform([0, -1, -1, -0.7, -0.5], [1, 1, 1, 0.7, 0.5], (50, 5))
+    face = FaceMotion(visemes, rest[:, 0], rest[:, 1], rest[:, 2], rest[:, 3:], 30.0)
+    values = face.values()
+    parts = np.maximum(np.concatenate([values, -values], axis=1), 0.0)
+    constants = curve_constants()
+    for name, curve in curves(face).items():
+        got = sum((constant * parts[:, place] for place, constant in constants[name].items()), np.zeros(50))
+        np.testing.assert_allclose(np.clip(got, 0.0, 1.0), curve, atol=1e-5, err_msg=name)
+    assert max(place for places in constants.values() for place in places) < 2 * NUMBERS
+
+
+def test_lips_alone_leave_lids_and_eyes_to_the_file(tmp_path: Path) -> None:
+    path = add_shapes(add_bones(write_character(tmp_path / "a.glb"), EYES), ["Fat", *ARKIT])
+    whole, lips = (page_face(read_character(path), lips_only) for lips_only in (False, True))
+    blink, jaw = 1 + ARKIT.index("eyeBlinkLeft"), 1 + ARKIT.index("jawOpen")
+    moved = [{target for _, target, _ in face["morphs"]} for face in (whole, lips)]
+    assert {blink, jaw} <= moved[0] and jaw in moved[1] and blink not in moved[1] and 0 not in moved[0]
+    assert len(whole["eyes"]) == 2 and not lips["eyes"]
+    assert page_face(read_character(write_character(tmp_path / "plain.glb"))) == {}
+
+
+_FACE = """(time) => {
+    const { clock, stage } = preview, [performer] = stage.performers, weights = {}, turns = {};
+    clock.seek(time);
+    performer.show(time, stage.camera);
+    performer.character.gltf.scene.traverse((node) => {
+        if (node.morphTargetInfluences) weights[node.name] = [...node.morphTargetInfluences];
+        turns[node.name] = [node.quaternion.w, node.quaternion.x, node.quaternion.y, node.quaternion.z];
+    });
+    return { weights, turns };
+}"""
+
+
+@pytest.mark.parametrize("has", ["arkit and eyes", "oculus", "a jaw"])
+def test_the_page_moves_what_a_glb_has_for_a_face_as_files_do(browser: Any, tmp_path: Path, has: str) -> None:
+    path = write_character(tmp_path / "rig.glb")
+    if has == "a jaw":
+        add_bones(path, JAW)
+    elif has == "oculus":
+        add_shapes(path, ["Fat", *OCULUS])
+    else:
+        add_shapes(add_bones(path, EYES), ["Fat", *ARKIT])
+    made = with_face(perform(1.0)).on(path)
+    character, face = read_character(path), made.face
+    assert face is not None
+    rig = find_face(character)
+    left = np.array([1.0, 0.0, 0.0])  # the character faces +Z
+    page = OpenedPage(browser, write(tmp_path / "talk.html", made).as_uri())
+    page.page.wait_for_function("() => preview.stage.performers[0].character !== null")
+    for frame in (2, len(face) // 2, len(face) - 2):
+        got = page.page.evaluate(_FACE, frame / face.fps)
+        for wanted in rig.weights(face).values():
+            (weights,) = got["weights"].values()
+            np.testing.assert_allclose(weights, wanted[frame], atol=2e-4)
+        for node, turns in rig.turns(face, character, left).items():
+            agree = abs(float(turns[frame] @ got["turns"][character.names[node]]))
+            assert agree == pytest.approx(1.0, abs=1e-6), character.names[node]
+    page.check_quiet()
+    page.page.close()
+    still = OpenedPage(browser, write(tmp_path / "plain.html", replace(made, face=None)).as_uri())
+    still.page.wait_for_function("() => preview.stage.performers[0].character !== null")
+    assert not any(weight for weights in still.page.evaluate(_FACE, 0.5)["weights"].values() for weight in weights)
+    still.page.close()

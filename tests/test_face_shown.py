@@ -1,19 +1,15 @@
-"""The face of our own figure in pages, in the live page and in films."""
+"""The face of the default figure in pages and in films, and in the browser client."""
 
 from __future__ import annotations
 
-import base64
-import io
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from browser import OpenedPage, chromium
-from face_samples import FPS, PAUSE, VisemeSpan, posed, spoken, still, syllables
+from face_samples import FPS, posed, still, syllables
 from javascript import printed_by
 from performances import write
 
@@ -24,14 +20,8 @@ from gesticulator.face.motion import FaceMotion
 from gesticulator.face.mouth import lip_curves
 from gesticulator.face.shapes import vrm
 from gesticulator.face.visemes import OPENINGS, VISEMES
-from gesticulator.performance import Performance
 
 ROOT = Path(__file__).resolve().parents[1]
-
-
-@pytest.fixture(scope="module")
-def talk() -> tuple[Performance, list[VisemeSpan]]:
-    return spoken()
 
 
 # ------------------------------------------------------------------------------------------------- one mouth everywhere
@@ -122,66 +112,6 @@ def test_a_films_mouth_opens() -> None:
     pytest.importorskip("PIL")
     shut, wide = _drawn(posed()), _drawn(posed(aa=1.0))
     assert _near(wide, MOUTH)[0] > 3 * _near(shut, MOUTH)[0] > 0, "a shut one is a line"
-
-
-# ---------------------------------------------------------------------------------------------------------------- pages
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as window:
-        yield window
-
-
-_LOOK = """(time) => {
-    const { clock, stage } = preview, [performer] = stage.performers;
-    clock.seek(time);
-    performer.show(time, stage.camera);
-    const body = performer.body.group;
-    body.updateWorldMatrix(true, true);
-    const [x, y, z] = performer.figure.bone("Head").matrixWorld.elements.slice(12, 15);
-    Object.assign(stage.view, { x, y: y + 0.08, z, yaw: 0.12, pitch: 0, distance: 0.62 });
-    Object.assign(stage.goal, stage.view);
-    stage.draw(time);
-    return stage.canvas.toDataURL("image/png");
-}"""
-
-
-def look(page: OpenedPage, time: float) -> Array:
-    """[H, W, 4] the head at a time."""
-    image = pytest.importorskip("PIL.Image")
-    data = page.page.evaluate(_LOOK, time)
-    return np.asarray(image.open(io.BytesIO(base64.b64decode(data.split(",")[1]))).convert("RGBA")).astype(int)
-
-
-def inside_of_mouth(picture: Array) -> int:
-    """How many pixels are dark red: the inside of an open mouth."""
-    r, g, b, a = np.moveaxis(picture, -1, 0)
-    return int(((r < 130) & (r > 2.0 * g) & (r > 1.7 * b) & (a > 250)).sum())
-
-
-@pytest.fixture(scope="module")
-def shown(browser: Any, talk: tuple[Performance, list[VisemeSpan]], tmp_path_factory: pytest.TempPathFactory
-          ) -> Iterator[OpenedPage]:
-    path = write(tmp_path_factory.mktemp("face") / "talk.html", talk[0])
-    page = OpenedPage(browser, path.as_uri(), 420, 560)
-    yield page
-    page.check_quiet()
-    page.page.close()
-
-
-def test_the_page_shuts_the_mouth_on_m_and_f_and_opens_it_on_vowels(
-        shown: OpenedPage, talk: tuple[Performance, list[VisemeSpan]]) -> None:
-    """From the sound to the pixels: *mama*, *oh no*, *fish*, and the silence between them."""
-    wide = {VISEMES.index(name) for name in ("aa", "oh")}
-    track = talk[1]
-    moments = {kind: [(one.start + one.end) / 2 for one in track if one.viseme in names]
-               for kind, names in (("shut", {VISEMES.index("PP")}), ("open", wide), ("bite", {VISEMES.index("FF")}))}
-    assert len(moments["shut"]) == 2 and len(moments["open"]) >= 3 and len(moments["bite"]) == 1
-    closed = [min(inside_of_mouth(look(shown, at + shift)) for shift in (-0.03, 0.0, 0.03)) for at in moments["shut"]]
-    opened = [max(inside_of_mouth(look(shown, at + shift)) for shift in (-0.03, 0.0, 0.03)) for at in moments["open"]]
-    silent = inside_of_mouth(look(shown, PAUSE / 2))
-    bitten = inside_of_mouth(look(shown, moments["bite"][0]))
-    assert min(opened) > 20 and max(*closed, silent, bitten) < 5
 
 
 # ---------------------------------------------------------------------------------------------------- mouth and sound

@@ -12,9 +12,8 @@ from performances import perform, write
 from small_characters import write_character
 from test_face_files import JAW, add_bones, add_shapes, still, with_face
 
-from data_module.errors import InputError
 from data_module.types import Array
-from gesticulator.characters.blender import check_blender, run_in_blender
+from gesticulator.characters.blender import run_in_blender
 from gesticulator.characters.gltf_file import read_gltf
 from gesticulator.characters.retarget import retarget
 from gesticulator.export.face import FaceWarning
@@ -48,15 +47,6 @@ def test_usd_has_weights_as_pixars_library_reads_them(tmp_path: Path, suffix: st
         wanted = [arkit(made.face)[name][frame] for name in ARKIT]
         np.testing.assert_allclose(animation.ComputeBlendShapeWeights(frame), wanted, atol=1e-6)
     assert b"blendShape" not in write(tmp_path / f"plain{suffix}", perform(1.0)).read_bytes()
-
-
-@pytest.fixture
-def blender(tmp_path: Path) -> None:
-    """Skips the test, with the reason, where there is no Blender."""
-    try:
-        check_blender(tmp_path)
-    except InputError as lacking:
-        pytest.skip(str(lacking))
 
 
 def in_blender(path: Path, made: Performance) -> dict[str, dict[str, Array]]:

@@ -10,9 +10,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_module.blocks import windows_of
 from data_module.errors import InputError
-from data_module.speech.front_ends import AudioFeatures, FrontEnd, MelFrontEnd
+from data_module.speech.front_ends import FrontEnd, MelFrontEnd
 from data_module.speech.learned_front_ends import front_end
 from data_module.speech.silence import TYPICAL_LEVEL, reference_level
 from data_module.speech.speech_encoder import SpeechEncoder
@@ -81,17 +80,6 @@ def test_silence_is_the_floor_and_a_click_is_an_onset_in_its_own_frame() -> None
             assert np.argmax(low[frame, :, 32]) == frame
         if 1 <= frame <= 28:  # a frame's spectra lie evenly about its middle
             assert np.allclose(low[frame, frame - 1, :32], low[frame, frame + 1, :32], atol=0.01)
-
-
-def test_a_window_is_heard_alone() -> None:
-    windows = windows_of(noise(400, 0.1)[:, :8000])
-    reference = np.linspace(-40, -20, 400)
-    whole = MEL.encode(windows, reference)
-    for part in (slice(0, 1), slice(130, 133), slice(250, 400)):
-        assert np.allclose(MEL.encode(windows[part], reference[part]).low, whole.low[part], atol=1e-4)
-    assert isinstance(whole, AudioFeatures)
-    assert whole.low.shape == (400, 30, MEL.width_low)
-    assert whole.high.shape == (400, 30, MEL.width_high)
 
 
 def hum(count: int) -> Samples:

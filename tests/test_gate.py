@@ -10,6 +10,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from learning import learn
 from torch import Tensor
 
 from interpreters.base import BlockFeatures
@@ -44,26 +45,20 @@ def spoken(count: int, seed: int, habit: bool = False) -> dict[str, Tensor]:
 
 def taught(model: ActivityGate, habit: bool, steps: int = 120) -> float:
     """Train on the toy; the share of right decisions on other windows."""
-    optimiser = torch.optim.Adam(model.parameters(), 1e-2)
-    for step in range(steps):
+    def loss(step: int) -> torch.Tensor:
         losses = model.losses(spoken(32, 100 + step, habit), step / steps)
-        loss = torch.stack([model.weights[key] * term for key, term in losses.items()]).sum()
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-    model.eval()
+        return torch.stack([model.weights[key] * term for key, term in losses.items()]).sum()
+
+    learn(model, loss, steps)
     fresh = spoken(200, 1, habit)
     with torch.no_grad():
         says = model.logits(fresh["audio_low"], fresh["speaker"])[0] > 0
     return float((says == (fresh["active"] > 0.5)).float().mean())
 
 
-def test_learns_which_block_of_the_window_is_its_own() -> None:
-    assert taught(gate(), habit=False) > 0.97
-
-
-def test_the_habit_of_the_speaker_is_learned() -> None:
-    assert taught(gate(), habit=True) > 0.97
+@pytest.mark.parametrize("habit", [False, True], ids=["of all", "of each speaker"])
+def test_learns_which_block_of_the_window_is_its_own(habit: bool) -> None:
+    assert taught(gate(), habit) > 0.97
 
 
 def test_streams_as_it_trains() -> None:
@@ -76,15 +71,6 @@ def test_streams_as_it_trains() -> None:
         probability, state = model.step(state, BlockFeatures(window, window * math.nan))  # the high level is not heard
         streamed.append(probability)
     np.testing.assert_allclose(streamed, whole, atol=1e-6)
-
-
-def test_step_leaves_its_state_alone_and_carries_the_past() -> None:
-    model = gate().eval()
-    loud, soft = (BlockFeatures(w, w) for w in (torch.ones(3 * FRAMES, AUDIO), torch.zeros(3 * FRAMES, AUDIO)))
-    start = model.start(0)
-    first, after = model.step(start, loud)
-    assert model.step(start, loud)[0] == first
-    assert model.step(after, soft)[0] != model.step(start, soft)[0]
 
 
 def test_loss_is_the_cross_entropy_by_hand_and_ignores_padding() -> None:

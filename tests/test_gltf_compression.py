@@ -143,35 +143,6 @@ def test_garbage_in_a_compressed_part_is_refused(name: str, tmp_path: Path) -> N
         read_character(save(tmp_path / "bad.glb", file.document, garbage))
 
 
-def test_a_quantised_mesh_is_where_the_plain_one_is(tmp_path: Path) -> None:
-    source = write_character(tmp_path / "plain.glb", seed=2)
-    file = GlbFile.parse(source.read_bytes())
-    document = copy.deepcopy(file.document)
-    place = document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
-    points = file.numbers(place).astype(float)
-    low, size = points.min(axis=0), float(np.ptp(points, axis=0).max())
-    numbers = np.zeros((len(points), 4), "<u2")  # padded to 8 bytes, as the extension asks
-    numbers[:, :3] = np.round((points - low) / size * 65535)
-    back = np.eye(4)
-    back[:3, :3] *= size
-    back[:3, 3] = low
-    inverse = file.numbers(document["skins"][0]["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1) @ back
-    binary = file.binary + bytes(-len(file.binary) % 4)
-    for accessor, data, stride, change in (
-            (place, numbers.tobytes(), 8, {"componentType": 5123, "normalized": True}),
-            (document["skins"][0]["inverseBindMatrices"], inverse.transpose(0, 2, 1).astype("<f4").tobytes(), 0, {})):
-        view = {"buffer": 0, "byteOffset": len(binary), "byteLength": len(data)} | ({"byteStride": 8} if stride else {})
-        document["bufferViews"].append(view)
-        document["accessors"][accessor] |= {"bufferView": len(document["bufferViews"]) - 1, "byteOffset": 0, **change}
-        document["accessors"][accessor].pop("min", None)
-        document["accessors"][accessor].pop("max", None)
-        binary += data
-    document["buffers"][0]["byteLength"] = len(binary)
-    document["extensionsUsed"] = document["extensionsRequired"] = ["KHR_mesh_quantization"]
-    plain, same = read_character(source), read_character(save(tmp_path / "small.glb", document, binary))
-    np.testing.assert_allclose(same.flesh, plain.flesh, atol=2 * size / 65535)
-
-
 # ---------------------------------------------------------------------------------------------------- several
 
 def two_in_one(tmp_path: Path) -> Path:

@@ -148,8 +148,9 @@ def test_numbers_that_are_none_are_refused(old: bytes, new: bytes, wrong: str, t
         read_gltf_character(file)
 
 
-def test_extensions_of_materials_may_be_required(tmp_path: Path) -> None:
-    file = _changed_glb(tmp_path, lambda document: document.update(extensionsRequired=["KHR_materials_unlit"]))
+@pytest.mark.parametrize("extension", ["KHR_materials_unlit", "KHR_mesh_quantization"])
+def test_extensions_of_materials_and_quantised_meshes_may_be_required(extension: str, tmp_path: Path) -> None:
+    file = _changed_glb(tmp_path, lambda document: document.update(extensionsRequired=[extension]))
     assert len(read_gltf_character(file))
 
 

@@ -65,9 +65,3 @@ def test_motion_goes_on_from_unasked_to_asked(bundle: Bundle) -> None:
     np.testing.assert_allclose(first[2], first[0] + 5 * (first[1] - first[0]), atol=1e-5)
     unasked = played(bundle, 5, asked=False, noise=0.0)
     np.testing.assert_array_equal(first[0], unasked.motion[0])
-
-
-def test_guidance_has_no_say_where_nothing_is_asked(bundle: Bundle) -> None:
-    one, two = (played(bundle, g, asked=False) for g in (1, 5))
-    np.testing.assert_array_equal(one.motion, two.motion)
-    assert [made.block for made in one.blocks] == [made.block for made in two.blocks]

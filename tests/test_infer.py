@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,7 +17,6 @@ from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import JOINTS
 from data_module.speech import audio
 from gesticulator import infer
-from gesticulator.bundle import bundle as bundles
 from gesticulator.gesticulator import Gesticulator
 
 RATE = 16000
@@ -128,18 +125,6 @@ def test_bad_arguments(arguments: list[str], said: str, recording: Path, tiny_bu
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_full_disk_leaves_nothing_behind(recording: Path, tiny_bundle: Path, tmp_path: Path,
-                                           capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device", str(tmp_path / "o.bvh"))
-
-    monkeypatch.setattr(os, "replace", full)
-    with pytest.raises(SystemExit) as stop:
-        run([str(recording), "-o", str(tmp_path / "o.bvh")], tiny_bundle)
-    assert stop.value.code == 2 and "No space left" in capfd.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
 # ---------------------------------------------------------------------------------------------- batches
 
 @pytest.fixture
@@ -165,21 +150,6 @@ def test_one_bad_recording_of_a_folder_is_told_and_the_rest_is_done(
     # In a batch a recording makes the bytes that it makes alone, whatever failed before it.
     assert run([str(talks / "c.wav"), "-o", str(tmp_path / "alone.bvh"), "--quiet"], tiny_bundle) == 0
     assert (tmp_path / "alone.bvh").read_bytes() == (tmp_path / "new" / "out" / "c.bvh").read_bytes()
-
-
-@pytest.mark.parametrize("name", ["caf\u00e9.flac", os.fsdecode(b"caf\xe9.flac")])
-def test_names_that_the_terminal_cannot_show(name: str, recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
-    try:
-        shutil.copy(recording, tmp_path / name)
-    except OSError:
-        pytest.skip("this file system takes no such names")
-    done = subprocess.run([sys.executable, "-m", "gesticulator.infer", name, "-o", "out/", "--preview", "out/",
-                           "--explain", "out/", "--bundle", str(tiny_bundle)], cwd=tmp_path, capture_output=True,
-                          env={**os.environ, "PYTHONIOENCODING": "ascii"})
-    assert done.returncode == 0 and b"Traceback" not in done.stderr, done.stderr
-    stem = name.removesuffix(".flac")
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {f"{stem}{e}" for e in (".bvh", ".html", ".json")}
-    assert done.stdout.startswith(b"caf\\") and b"real-time factor" in done.stdout
 
 
 def test_the_threads_of_the_environment_change_no_bit(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
@@ -243,28 +213,6 @@ def as_plain(path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("name", "as_file", "said"), [
-    ("t.json", as_json, "4 words, times given"), ("t.txt", as_plain, "estimates"),
-])
-def test_a_transcript_is_read_and_the_summary_says_how(
-        name: str, as_file: Callable[[Path], Path], said: str, recording: Path, tiny_bundle: Path, tmp_path: Path,
-        capsys: pytest.CaptureFixture[str]) -> None:
-    assert run([str(recording), "-o", str(tmp_path / "o.bvh"), "--text", str(as_file(tmp_path / name)), "--fps", "20"],
-               tiny_bundle) == 0
-    out = capsys.readouterr().out
-    assert len(out.splitlines()) == 2 and said in out.splitlines()[1]
-    assert read_bvh(tmp_path / "o.bvh").duration == pytest.approx(8.0, abs=0.05)
-
-
-def test_the_words_change_the_motion(recording: Path, tiny_bundle: Path, tmp_path: Path) -> None:
-    made = []
-    for arguments in ([], ["--text", str(as_json(tmp_path / "j.json"))]):
-        assert run([str(recording), "-o", str(tmp_path / "o.bvh"), "--quiet", "--fps", "20", *arguments],
-                   tiny_bundle) == 0
-        made.append((tmp_path / "o.bvh").read_bytes())
-    assert made[0] != made[1]
-
-
 def test_a_folder_of_transcripts_serves_recordings_by_name(recording: Path, tiny_bundle: Path, tmp_path: Path,
                                                            capfd: pytest.CaptureFixture[str]) -> None:
     soundfile.write(tmp_path / "other.wav", babble(1.0, seed=1), RATE)
@@ -286,17 +234,3 @@ def test_a_folder_of_transcripts_serves_recordings_by_name(recording: Path, tiny
 
 
 # ------------------------------------------------------------------------------- style editing and activity
-
-@pytest.mark.parametrize(("name", "score"), [("lstm", "log-probability"), ("statistical", "log-probability"),
-                                             ("cql", "Q value")])
-def test_every_interpreter_is_explained(name: str, score: str, recording: Path, tiny_bundle: Path, tmp_path: Path
-                                        ) -> None:
-    assert run([str(recording), "-o", str(tmp_path / "o.bvh"), "--explain", str(tmp_path / "o.json"), "--quiet",
-                "--interpreter", name, "--temperature", "0"], tiny_bundle) == 0
-    plan = json.loads((tmp_path / "o.json").read_text())
-    silent = set(bundles.load(tiny_bundle).silent.tolist())
-    assert plan["score_is"] == score and plan["blocks"]
-    for block in plan["blocks"]:
-        told = [entry["lexeme"] for entry in block["alternatives"]]
-        # Taken is the best, or in silence the best of the silent ones.
-        assert block["lexeme"] in silent if block["silent"] else block["lexeme"] == told[0]

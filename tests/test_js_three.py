@@ -1,4 +1,4 @@
-"""The browser client with three.js: clips and poses of a stream on characters."""
+"""The browser client with three.js: clips, poses of a stream and faces on characters."""
 
 from __future__ import annotations
 
@@ -10,14 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import package_page
+from face_samples import VisemeSpan, spoken
 from performances import perform, write
 from small_characters import write_character
+from test_face_files import add_shapes
 
 from data_module.motion.kinematics import global_rotations
 from data_module.motion.skeletons import FINGERED, WHOLE_BODY, standing
 from data_module.types import Array, Skeleton
 from gesticulator.export.clip import ClipLayout
 from gesticulator.export.vrma import BONES, humanoid
+from gesticulator.face.motion import FaceMotion
+from gesticulator.face.shapes import vrm
 from gesticulator.live.protocol import StreamRequest, joints, pack
 from gesticulator.performance import Performance
 from gesticulator.stream import StreamFrames
@@ -35,8 +39,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Performance, P
     folder = tmp_path_factory.mktemp("files")
     ours = perform(1.0, FPS, skeleton=WHOLE_BODY)
     write(folder / "talk.vrma", ours)
-    for name, vrm in VRMS.items():
-        write_character(folder / f"{name}.vrm", vrm=vrm)
+    for name, version in VRMS.items():
+        write_character(folder / f"{name}.vrm", vrm=version)
     rest = perform(0.2, FPS, seed=9, skeleton=FINGERED).motion.crop(0, 1)
     spoken = replace(perform(1.0, FPS, skeleton=FINGERED), rest=lambda: rest)
     idle = replace(spoken, motion=replace(rest, rotations=np.tile(rest.rotations, (25, 1, 1)),
@@ -114,3 +118,57 @@ def test_an_additive_layer_over_an_idle_clip_is_the_gesture(page: Any, made: tup
             np.testing.assert_allclose(track, world[list(FRAMES), node, :3, 3], atol=2e-4, err_msg=name)
             checked += 1
     assert checked > 40
+
+
+# ------------------------------------------------------------------------------------------------------------ the face
+
+PRESETS = {"aa": 0, "ih": 1, "ou": 2, "ee": 3, "oh": 4, "blink": 5, "happy": 6, "sad": 7}
+PLAYERS = ("three-vrm", "gesticulator-client")
+
+
+@pytest.fixture(scope="module")
+def talk(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FaceMotion, list[VisemeSpan]]:
+    """A folder with the animation and a small VRM, the face in it, and what is spoken."""
+    folder = tmp_path_factory.mktemp("files")
+    performance, track = spoken()
+    face = performance.face
+    assert face is not None
+    count = len(face)
+    face = replace(face, lips_only=False, blink=np.linspace(0.0, 0.4, count), smile=np.linspace(-0.3, 0.5, count),
+                   gaze=np.tile([0.2, 0.1], (count, 1)))
+    write(folder / "talk.vrma", replace(performance, face=face))
+    add_shapes(write_character(folder / "small.vrm", vrm="1.0"), list(PRESETS), PRESETS)
+    return folder, face, track
+
+
+@pytest.fixture(scope="module")
+def face_page(talk: tuple[Path, FaceMotion, list[VisemeSpan]]) -> Iterator[Any]:
+    """A page without a network: what it loads comes from the disk."""
+    if not (JS / "node_modules" / "@pixiv" / "three-vrm-animation").is_dir():
+        pytest.skip("three-vrm is not installed: npm ci --prefix tests/js")
+
+    with package_page("face_page.html", FOLDER, talk[0], JS) as window:
+        yield window
+
+
+def play(page: Any, by: str, model: str, times: list[float]) -> list[dict[str, Any]]:
+    got: list[dict[str, Any]] = page.evaluate("([by, model, motion, times]) => playFace(by, model, motion, times)",
+                                              [by, model, "/talk.vrma", times])
+    return got
+
+
+def expected(face: FaceMotion, times: list[float]) -> list[dict[str, float]]:
+    curves = vrm(face)
+    return [{name: float(np.interp(time, face.times, curves[name])) for name in PRESETS} for time in times]
+
+
+@pytest.mark.parametrize("by", PLAYERS)
+def test_expressions_are_those_of_the_file(by: str, face_page: Any, talk: tuple[Path, FaceMotion, list[VisemeSpan]]
+                                           ) -> None:
+    _, face, track = talk
+    times = [float(face.times[round((one.start + one.end) / 2 * face.fps)]) for one in track]
+    got = play(face_page, by, "/small.vrm", times)
+    for shown, wanted in zip(got, expected(face, times), strict=True):
+        for name, number in PRESETS.items():
+            assert shown["weights"][name] == pytest.approx(wanted[name], abs=2e-3), name
+            assert shown["morphs"][number] == pytest.approx(wanted[name], abs=2e-3), name

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import math
 from pathlib import Path
@@ -100,22 +99,3 @@ def test_what_python_writes_beyond_the_standard_is_read_where_it_wrote_it() -> N
     assert math.isnan(parse_json("NaN", "a", "", python=True))
     with pytest.raises(InputError):
         parse_json("9" * 5000, "a", "", python=True)
-
-
-_OTHERS = {
-    "data_module/files.py": "the reader itself",
-}
-
-
-def test_every_other_module_reads_json_with_it() -> None:
-    root = Path(__file__).parents[1]
-    found = {}
-    for package in ("data_module", "gesticulator", "eval", "lexicon", "interpreters", "generator"):
-        for file in (root / package).rglob("*.py"):
-            tree = ast.parse(file.read_text(encoding="utf-8"))
-            calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call) and ast.unparse(node.func) in (
-                "json.load", "json.loads", "json.JSONDecoder")]
-            # A round trip through text, of values and not of a file.
-            if any(not ast.unparse(call).startswith("json.loads(json.dumps(") for call in calls):
-                found[file.relative_to(root).as_posix()] = len(calls)
-    assert set(found) == set(_OTHERS)

@@ -26,10 +26,6 @@ from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.bundle import Bundle
 
 
-def still(seconds: float, fps: float = 20.0) -> Motion:
-    return turning(seconds, fps, np.zeros(round(seconds * fps)))
-
-
 def turning(seconds: float, fps: float, turn: np.ndarray) -> Motion:
     """The right arm turned at the shoulder about the axis that points forward, by turn [T] radians."""
     return turned(round(seconds * fps), fps, {"RightArm": np.outer(turn, [0, 0, 1])})
@@ -68,10 +64,6 @@ def test_a_lexeme_is_told_in_words(end: float, says: str) -> None:
     assert told == f"right {chord:.0f} cm {says}; left rests"
     back = in_words(turning(1.0, 20.0, np.concatenate([np.linspace(0, end, 10), np.linspace(end, 0, 10)])))
     assert back == told.replace("; left", ", and back; left")
-
-
-def test_who_stands_still_rests() -> None:
-    assert in_words(still(1.0)) == "both rest"
 
 
 def test_frames_lie_in_their_blocks() -> None:

@@ -125,27 +125,6 @@ def test_idle_then_microphone_then_recording(opened: tuple[Any, list[str], list[
     assert all(url.startswith(("http://127.0.0.1", "ws://127.0.0.1", "blob:", "data:")) for url in requests)
 
 
-def test_the_page_tells_that_the_machine_is_too_slow_and_that_it_keeps_up_again(window: Any) -> None:
-    work = [3.0]  # seconds for a second of sound
-    with served(ServerLimits(), live_pages(), share=lambda: work[0]) as (_, port):
-        page = window.new_page(viewport={"width": 640, "height": 480})
-        page.set_default_timeout(_PATIENCE)
-        page.goto(f"http://127.0.0.1:{port}/")
-        page.wait_for_selector("body[data-ready=true]", timeout=_PATIENCE)
-        assert page.is_hidden("#pace")
-        page.click("#microphone")
-        page.wait_for_function("() => /slower than the sound: [0-9.]+ s were passed over/.test("
-                               "document.querySelector('#pace').textContent)", timeout=_PATIENCE)
-        assert page.is_visible("#pace")
-        assert "keeps up" not in page.inner_text("#pace")
-        work[0] = 0.01
-        page.wait_for_function("() => /keeps up again; [0-9.]+ s/.test(document.querySelector('#pace').textContent)",
-                               timeout=_PATIENCE)
-        page.click("#stop")
-        page.wait_for_function("() => document.querySelector('#pace').hidden")
-        page.close()
-
-
 def test_the_committed_script_is_the_build_of_its_sources(tmp_path: Path) -> None:
     viewer = ROOT / "viewer"
     node = shutil.which("node")

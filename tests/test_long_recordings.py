@@ -1,4 +1,4 @@
-"""Recordings done in pieces: the bytes of the whole, in bounded memory, and nothing left behind."""
+"""Recordings are read in pieces, and are what they are as a whole."""
 
 from __future__ import annotations
 
@@ -7,34 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from performances import example
 
 from data_module.speech import sound_files
 from data_module.speech.audio import load_speech
-from data_module.types import Samples
-from gesticulator import infer
-
-EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
-
-
-def example(seconds: float) -> tuple[Samples, int]:
-    """The beginning of the example, and its rate."""
-    rate = soundfile.info(EXAMPLE).samplerate
-    return soundfile.read(EXAMPLE, frames=round(seconds * rate), dtype="float32")[0], rate
 
 
 def test_sound_is_read_in_pieces_and_is_the_whole(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    samples, _ = example(2.0)
+    samples = example(2.0).samples
     soundfile.write(tmp_path / "a.wav", np.stack([samples, samples / 2], 1), 44100)
     whole = load_speech(tmp_path / "a.wav").samples
     monkeypatch.setattr(sound_files, "PIECE", 6000)
     assert np.array_equal(load_speech(tmp_path / "a.wav").samples, whole)
-
-
-def test_what_breaks_off_leaves_nothing_behind(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    samples, rate = example(6.0)
-    samples[-rate // 2:] = np.nan
-    soundfile.write(tmp_path / "a.wav", samples, rate, subtype="FLOAT")
-    with pytest.raises(SystemExit) as stop:
-        infer.main([str(tmp_path / "a.wav"), "-o", str(tmp_path / "out.bvh"), "-o", str(tmp_path / "out.glb")])
-    assert stop.value.code == 2 and "not numbers" in capfd.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["a.wav"]

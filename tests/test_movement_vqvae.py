@@ -9,7 +9,6 @@ import torch
 from test_movement import FRAMES, PARTS, WIDTH, planted
 from untrained import MOVING, untrained
 
-from data_module.motion.movement import Pasts
 from gesticulator.bundle import bundle as bundles
 from lexicon.movement import MovementVqVae
 from lexicon.movement_vqvae import MovementLearner, fit
@@ -90,46 +89,6 @@ def test_losses_are_the_equation_by_hand() -> None:
     plain = (model.decoder(latents) - y * weight) * known
     torch.testing.assert_close(early["reconstruction"], plain.pow(2).sum(1).mean())
     assert early["commitment"] == 0
-
-
-def test_the_encoder_gets_the_gradient_of_the_decoders_input_unaltered() -> None:
-    model = fitted()
-    learner = MovementLearner(model).eval()
-    motion, past, _ = planted(30, 4)
-    y = model.basis.coefficients(motion, past)
-    learner.start_codebook(y, 0)
-    learner.losses({"coefficients": y, "known": torch.ones_like(y)}, 1.0)["reconstruction"].backward()
-    x = y * model.basis.weight
-    latents = model.encoder(x)
-    code = learner.quantizer.vectors[learner.quantizer.labels(latents)].detach().requires_grad_()
-    slope, = torch.autograd.grad((model.decoder(code) - x).pow(2).sum(1).mean(), code)
-    torch.testing.assert_close(model.encoder.straight.weight.grad, slope.T @ x)
-
-
-def test_parts_that_a_source_lacks_have_no_loss() -> None:
-    model = fitted()
-    learner = MovementLearner(model).eval()
-    motion, past, _ = planted(30, 4)
-    y, fingers = model.basis.coefficients(motion, past), model.basis.slices()[2]
-    known = torch.ones_like(y)
-    known[:, fingers] = 0
-    learner.lexicon.encoder.straight.weight.data[:, fingers] = 0  # what it does not hear changes no code either
-    learner.lexicon.encoder.bend[0].weight.data[:, fingers] = 0  # type: ignore[union-attr]
-    learner.start_codebook(y, 0)
-    other = y.clone()
-    other[:, fingers] += torch.randn(30, fingers.stop - fingers.start)
-    one, two = (learner.losses({"coefficients": rows, "known": known}, 1.0) for rows in (y, other))
-    torch.testing.assert_close(one, two)
-
-
-def test_what_a_lexeme_shows_is_its_decoded_vector() -> None:
-    model = trained()
-    every = torch.arange(model.size)
-    torch.testing.assert_close(model.added(every), model.decoder(model.vectors) / model.basis.weight)
-    shown = model.shown()
-    assert shown.shape == (model.size, FRAMES, WIDTH)
-    base = model.basis.base(Pasts(model.examples, torch.ones(model.size)))
-    torch.testing.assert_close(shown - base, model.basis.expand(model.added(every)), atol=1e-5, rtol=1e-4)
 
 
 def test_a_bundle_keeps_it(tmp_path: Path) -> None:

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import soundfile
 from browser import opened_page
-from test_story import PATIENCE, SPEECH, _is, _rendered, _rotations
+from performances import example
+from test_story import PATIENCE, _is, _rendered, _rotations
 
-from data_module.types import Speech
 from gesticulator import Gesticulator
 from gesticulator.export import html
 from gesticulator.page.palette import moving_figures
@@ -22,18 +21,16 @@ from gesticulator.page.session import EditSession, levels_of
 
 
 @pytest.fixture(scope="module")
-def served() -> Iterator[tuple[PageServer, EditSession]]:
+def served(system: Gesticulator) -> Iterator[tuple[PageServer, EditSession]]:
     """The page of six seconds of the example, with its renderer."""
-    samples, rate = soundfile.read(SPEECH, frames=6 * 16000, dtype="float32")
-    gesticulator = Gesticulator.from_pretrained()
-    gesticulator.keeps_generations = True
-    performance = gesticulator(Speech(samples, rate), seed=1)
-    server, session = PageServer(), EditSession(gesticulator, performance)
+    system.keeps_generations = True
+    performance = system(example(6.0), seed=1)
+    server, session = PageServer(), EditSession(system, performance)
     live = {"token": server.token, "renderings": [session.opened(performance)],
-            "levels": levels_of(gesticulator.bundle), "speakers": list(gesticulator.speakers)}
+            "levels": levels_of(system.bundle), "speakers": list(system.speakers)}
     server.page = html.page({"lstm": performance.scene()}, "talk", more={"live": live}).encode()
     server.render = session.answer
-    server.figures = lambda: json.dumps(moving_figures(gesticulator.bundle, 0)).encode()
+    server.figures = lambda: json.dumps(moving_figures(system.bundle, 0)).encode()
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
     thread.start()
     yield server, session

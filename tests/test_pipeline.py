@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -92,11 +93,16 @@ def test_the_words_themselves_matter_and_when_they_are_said(system: Gesticulator
     assert not np.array_equal(scores(WORDS), scores(other)) and not np.array_equal(scores(WORDS), scores(later))
 
 
-def test_a_bundle_that_cannot_read_refuses_a_transcript_and_takes_spoken_words_in_its_stride(
-        plain: Gesticulator) -> None:
-    with pytest.raises(InputError, match="text"):
-        plain(SPEECH, text="heavy bread")
+@pytest.mark.parametrize(("options", "said"), [
+    ({"text": "heavy bread"}, "text"), ({"activity": 0.5}, "gate"), ({"controls": Controls(speed=0.3)}, "use_control")])
+def test_what_a_plain_bundle_cannot_do_is_refused(options: dict[str, Any], said: str, plain: Gesticulator) -> None:
+    with pytest.raises(InputError, match=said):
+        plain(SPEECH, **options)
+
+
+def test_a_plain_bundle_takes_spoken_words_and_free_hands_in_its_stride(plain: Gesticulator) -> None:
     assert same(plain(SPEECH), plain(dataclasses.replace(SPEECH, words=WORDS), meaning="off"))
+    assert same(plain(SPEECH), plain(SPEECH, controls=Controls.free()))
 
 
 def test_another_word_encoder_than_the_one_of_training_is_refused(system: Gesticulator) -> None:
@@ -121,18 +127,6 @@ def test_activity_is_the_gates_threshold_and_the_gate_hears_no_lexemes(system: G
     assert not set(second.lexemes[~closed & ~second.blocks.silent].tolist()) <= set(SILENT)
 
 
-def test_no_activity_is_stillness_with_or_without_a_gate(system: Gesticulator, plain: Gesticulator) -> None:
-    for own in (system, plain):
-        made = own(SPEECH, activity=0.0, temperature=3.0, seed=1)
-        assert set(made.lexemes.tolist()) <= set(SILENT)
-        assert same(own(SPEECH, activity=1.0), own(SPEECH)), "the bundle's own activity is 1"
-
-
-def test_a_bundle_without_a_gate_knows_all_and_nothing_only(plain: Gesticulator) -> None:
-    with pytest.raises(InputError, match="gate"):
-        plain(SPEECH, activity=0.5)
-
-
 def test_what_is_asked_of_the_hands_is_heard_and_nothing_asked_is_free(system: Gesticulator) -> None:
     free = system(SPEECH)
     assert same(free, system(SPEECH, controls=Controls.free()))
@@ -151,31 +145,6 @@ def test_a_curve_changes_nothing_before_its_time(system: Gesticulator) -> None:
     assert before.any() and not before.all()
     np.testing.assert_array_equal(steady.scores[before], rising.scores[before])
     assert not np.array_equal(steady.scores[~before], rising.scores[~before])
-
-
-def test_a_bundle_without_style_editing_refuses_to_be_asked(plain: Gesticulator) -> None:
-    with pytest.raises(InputError, match="use_control"):
-        plain(SPEECH, controls=Controls(speed=0.3))
-    assert same(plain(SPEECH), plain(SPEECH, controls=Controls.free()))
-
-
-def test_the_seed_decides_all_that_is_left_to_chance(system: Gesticulator) -> None:
-    spoken = dataclasses.replace(SPEECH, words=WORDS)
-
-    def made(seed: int) -> Performance:
-        return system(spoken, seed=seed, temperature=1.5, activity=0.6, controls=Controls(height=0.2), speaker="bob",
-                      fps=25)
-
-    assert same(made(4), made(4)) and not np.array_equal(made(4).lexemes, made(5).lexemes)
-
-
-def test_what_the_performance_tells_fits_its_blocks(system: Gesticulator) -> None:
-    calls: list[tuple[int, int]] = []
-    made = system(SPEECH, activity=0.5, on_block=lambda done, total: calls.append((done, total)))
-    count = len(made.blocks)
-    assert calls == [(i + 1, count) for i in range(count)]
-    assert made.codes is not None and made.codes.shape == (count, system.bundle.config.generator.style_width)
-    assert (np.diff(made.scores, axis=1) <= 0).all()
 
 
 def test_silence_has_silent_lexemes_unless_the_settings_let_it_go(system: Gesticulator) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from performances import example
 
 from data_module.errors import InputError
 from data_module.motion import rotation
@@ -33,25 +34,17 @@ from gesticulator.directing.strokes import FINE, LARGE, REMEMBERED, StrokeMemory
 from gesticulator.editing.render import BLEND
 from gesticulator.page.session import EditSession
 from gesticulator.performance import Performance
-from gesticulator.plan.plan import Block, GestureCue, GesturePlan
+from gesticulator.plan.plan import GestureCue, GesturePlan
 from interpreters.base import BlockFeatures
 
-ROOT = Path(__file__).resolve().parents[1]
-SPEECH = ROOT / "examples" / "speech.flac"
 SECONDS, SEED = 7.0, 1
 REACH = 0.13
 """Seconds: the smoothing's kernel and two frames of a block to either side of what was changed."""
 
 
 @pytest.fixture(scope="module")
-def system() -> Gesticulator:
-    return Gesticulator.from_pretrained()
-
-
-@pytest.fixture(scope="module")
 def speech() -> Speech:
-    samples, rate = soundfile.read(SPEECH, frames=round(SECONDS * 16000), dtype="float32")
-    return Speech(samples, rate)
+    return example(SECONDS)
 
 
 @pytest.fixture(scope="module")
@@ -129,20 +122,6 @@ def test_an_edit_changes_its_block_and_the_blend_alone(what: str, plans: EditSes
         assert hand_speeds(made)[inside].mean() < 0.5 * hand_speeds(drawn)[inside].mean()
     # What was made can be written and made again.
     np.testing.assert_array_equal(plans.perform(made.plan()).rotations, made.rotations)
-
-
-def test_edits_do_not_know_of_each_other(plans: EditSession, plan: GesturePlan) -> None:
-    def lexeme(block: Block) -> int:
-        return next(one.lexeme for one in block.alternatives if one.lexeme != block.lexeme)
-
-    early = with_block(plan, 5, lexeme=lexeme(plan.blocks[5]))
-    both = with_block(early, 15, lexeme=lexeme(plan.blocks[15]))
-    one, two = plans.perform(early), plans.perform(both)
-    first, _ = changed(one, two)
-    assert first >= plan.blocks[15].start - REACH
-    late = plans.perform(with_block(plan, 15, lexeme=lexeme(plan.blocks[15])))
-    after = round((plan.blocks[5].end + BLEND + REACH) * 60) + 1
-    np.testing.assert_array_equal(late.rotations[after:], two.rotations[after:])
 
 
 def test_locked_blocks_stay_whatever_knob_is_turned(system: Gesticulator, speech: Speech, drawn: Performance,

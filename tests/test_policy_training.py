@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,6 @@ from eval.ablate.racer import RacerRows
 from eval.ablate.rows import ROWS
 from eval.ablate.run import RgRows
 from eval.context import EvalContext
-from gesticulator.bundle.config import with_settings
 from interpreters.cql import ConservativeQ, QNetwork
 from interpreters.episodes import BEHAVIOURS, Episode, Episodes
 
@@ -32,7 +30,7 @@ def test_another_reward_is_brought_to_the_scale_of_the_data() -> None:
     count, size = 40, 5
     actions = rng.integers(size, size=count)
     silent, terminal = np.zeros(count, bool), np.zeros(count, bool)
-    one = Episode(0, 0, np.arange(count), actions, np.zeros(count, np.int8), np.zeros(count, np.float32),
+    one = Episode(0, 0, np.arange(count), actions, np.zeros(count, np.int8),
                   rng.normal(0.6, 0.1, count).astype(np.float32), silent, terminal)
     table = torch.as_tensor(-rng.random((count, size)) * 30, dtype=torch.float32)
     scaled = training.rescaled(table, Episodes([one]))
@@ -114,16 +112,6 @@ def test_training_repeats_and_is_kept(context: RacerRows, name: str) -> None:
     assert torch.equal(first, weights(training.trained(context, name, 1)[0])), "as it was trained again"
     assert file.read_bytes() == stored
     assert not torch.equal(first, weights(training.trained(context, name, 2)[0]))
-
-
-def test_a_key_tells_what_shapes_a_row(context: RacerRows) -> None:
-    rows = [name for name, row in ROWS.items() if row.train != "stages"]
-    keys = {context.key(name, seed) for name in rows for seed in (1, 2)}
-    # The alpha of this bundle is 0.1, so racer-alpha=0.1 is its racer-cql.
-    assert len(keys) == 2 * (len(rows) - 1)
-    assert len({context.cell_key(name, 1) for name in rows}) == len(rows) - 1
-    longer = with_settings(context.settings, ["schedules.cql.steps=5"])
-    assert dataclasses.replace(context, settings=longer).key("racer-cql", 1) not in keys
 
 
 def test_a_bundle_without_a_judge_is_refused(context: RacerRows, tiny_store: Path, tmp_path: Path) -> None:

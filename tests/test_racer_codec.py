@@ -6,6 +6,7 @@ import copy
 
 import pytest
 import torch
+from learning import learn
 from torch import Tensor, nn
 
 from lexicon.racer import FRAMES, RacerCodec, RacerConfig
@@ -97,38 +98,13 @@ def test_losses_are_the_equations_by_hand() -> None:
     assert codec.weights.keys() == loss.keys()
 
 
-def test_a_constant_error_is_an_error_of_the_pose_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    codec, tokens = small().eval(), torch.tensor([[3, 0, 5], [1, 1, 2]])
-    decoded = codec.decode_tokens(tokens).flatten(1, 2)
-    monkeypatch.setattr(codec, "encode", lambda motion: codec.vectors[tokens])  # exactly on the codes
-    loss = codec.losses({"motion": decoded - 0.25, "mask": torch.ones(2, WIDTH_M)})
-    torch.testing.assert_close(loss["reconstruction"], torch.tensor(0.25))
-    assert all(loss[key] < 1e-6 for key in ("velocity", "acceleration", "commitment"))
-
-
-def test_straight_through_hands_the_decoders_gradient_to_the_encoder_unaltered() -> None:
-    codec, motion = small().eval(), moving(3, 40)
-    latents = codec.encode(motion).detach().requires_grad_()
-    codes = codec.quantizer(latents.flatten(0, 1)).codes.unflatten(0, latents.shape[:2])
-    (codec.decode(codes) - motion).abs().mean().backward()
-    direct = codec.vectors[codec.quantizer.labels(latents.detach().flatten(0, 1))].unflatten(0, latents.shape[:2])
-    direct = direct.detach().requires_grad_()
-    (codec.decode(direct) - motion).abs().mean().backward()
-    assert direct.grad is not None and direct.grad.abs().sum() > 0
-    torch.testing.assert_close(latents.grad, direct.grad)
-
-
 def test_one_batch_is_learned_by_heart() -> None:
     motion = moving(4, 48)
     codec = small(width=32, size=32, revive_below=0.2)
     codec.start_codebook(motion, seed=0)
     batch = {"motion": motion, "mask": torch.ones(4, WIDTH_M)}
-    optimiser = torch.optim.Adam(codec.parameters(), 3e-3)
-    for _ in range(150):
-        terms = codec.losses(batch)
-        optimiser.zero_grad()
-        sum(codec.weights[key] * term for key, term in terms.items()).backward()  # type: ignore[union-attr]
-        optimiser.step()
+    learn(codec, lambda _: sum((codec.weights[key] * term for key, term in codec.losses(batch).items()),
+                               torch.zeros(())), 150, 3e-3)
     error = (codec.decode_tokens(codec.label(motion)).flatten(1, 2) - motion).abs().mean()
     assert error < 0.15 * motion.abs().mean(), f"{error:.3f} of {motion.abs().mean():.3f}"
 

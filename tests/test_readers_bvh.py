@@ -11,8 +11,6 @@ import numpy as np
 import published_bvh as published
 import pytest
 
-from data_module.blocks import cut
-from data_module.build import main
 from data_module.corpora.base import DroppedError, Imported, Item, Options, Reader, load
 from data_module.corpora.table import open_corpus
 from data_module.corpora.takes import TakeWarning, read_motion
@@ -20,7 +18,6 @@ from data_module.corpora.trinity import read_words
 from data_module.errors import InputError
 from data_module.motion import kinematics
 from data_module.motion.skeletons import to_character
-from data_module.store import Store
 from data_module.types import Motion, Word
 
 LAYOUTS: dict[str, Callable[[Path], Path]] = {"trinity": published.trinity, "zeroeggs": published.zeroeggs,
@@ -260,25 +257,3 @@ def test_a_file_that_is_there_twice_is_refused(name: str, tmp_path: Path) -> Non
 
 
 # ---------------------------------------------------------------------------------------------------- stores
-
-
-@pytest.mark.parametrize("name", LAYOUTS)
-def test_a_store_of_what_was_published(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                                       capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.delenv("GESTICULATOR_DATA", raising=False)
-    source = LAYOUTS[name](tmp_path / "source")
-    out = tmp_path / "store"
-    assert main([name, "--source", str(source), "--out", str(out), "--workers", "1", "--no-dataset"]) == 0
-    said = capsys.readouterr().out
-    store = Store.open(out)
-    told = json.loads((out / "report.json").read_text(encoding="utf-8"))
-    recordings = [store.load(recording) for recording in store.names]
-    assert told["blocks"] == sum(len(cut(recording.speech)) for recording in recordings) > 0
-    assert told["minutes"] == pytest.approx(2.0 * len(recordings) / 60, abs=1e-4)
-    assert sum(told["intervals"]["beats"]) == told["blocks"]
-    # Clicks every 0.3 s: all onsets lie that far apart, in the bins on either side of 0.3 s.
-    assert sum(told["intervals"]["onsets"]) == sum(told["intervals"]["onsets"][5:7]) == 5 * len(recordings)
-    assert f"{told['blocks']} blocks" in said and "a unit of length is 0.01 m" in said
-    assert all(set(recording.motion.absent) == set() for recording in recordings)
-    assert all(recording.motion.fps == 60 for recording in recordings)
-    assert store.licence in said

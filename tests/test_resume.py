@@ -6,7 +6,6 @@ import asyncio
 import json
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,9 +23,6 @@ from gesticulator.live.limits import ServerLimits
 from gesticulator.live.server import LiveServer, ServerAddress
 
 LIMITS = ServerLimits(streams=8, drain_seconds=0.2)
-EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
-FASTEST, HARDEST = 3.5, 100.0
-"""m/s and m/s^2 of a hand: what the example does within a stroke is 2.2 and 31; a jump of 3 cm would be 108 m/s^2."""
 Opener = Callable[[ServerLimits], Any]
 
 

@@ -11,6 +11,7 @@ import pytest
 import soundfile
 from hypothesis import given
 from hypothesis import strategies as st
+from performances import EXAMPLE, example
 
 from data_module.errors import InputError
 from data_module.speech.audio import amplified, load_speech, resample, write_flac
@@ -31,7 +32,6 @@ from gesticulator.plan.plan import (
 )
 from gesticulator.plan.plan_file import parse_plan
 
-EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 PAUSE = 4.6
 """Seconds: the middle of the pause from 4.2 to 5.1 s."""
 FRAME = 0.01
@@ -39,14 +39,8 @@ FRAME = 0.01
 
 
 @pytest.fixture(scope="module")
-def system() -> Gesticulator:
-    return Gesticulator.from_pretrained()
-
-
-@pytest.fixture(scope="module")
 def speech() -> Speech:
-    samples, rate = soundfile.read(EXAMPLE, frames=9 * 16000, dtype="float32")
-    return Speech(samples, rate)
+    return example(9.0)
 
 
 @pytest.fixture(scope="module")

@@ -38,7 +38,7 @@ from eval.stats import Interval
 from eval.table import NO_BUNDLE, NOT_RECORDED, Provenance, Table, dumps, load, save
 from gesticulator.bundle import config as configs
 from gesticulator.training import presets
-from gesticulator.training.stages import GENERATOR, LEXICON, STAGES, Run, wanted
+from gesticulator.training.stages import GENERATOR, LEXICON, STAGES, Run
 
 ABOUT = Provenance("gesticulator ablate", "abc1234", NO_BUNDLE, "2026-01-02", NOT_RECORDED)
 
@@ -109,19 +109,6 @@ def context_of(config: configs.Config) -> RgRows:
     return RgRows(EvalContext(Run(config, store, Path())))  # type: ignore[arg-type]
 
 
-def test_the_preset_is_the_papers_system_made_short_and_hears_what_the_shipped_one_hears() -> None:
-    ours, theirs, shipped = ablation(), presets.preset("regression"), presets.preset("default")
-    # But for the robust features, which are younger than the rows' figures.
-    assert ours.front_end == dataclasses.replace(shipped.front_end, robust=False)
-    assert "speech" not in [stage.name for stage in wanted(ours)]
-    assert (ours.lexicon, ours.rhythm, ours.silence, ours.selection) == (
-        theirs.lexicon, theirs.rhythm, theirs.silence, theirs.selection)
-    for name in ("lexicon", "generator", "interpreter", "interpreter_text", "style"):
-        short, long = getattr(ours.schedules, name), getattr(theirs.schedules, name)
-        assert short.steps * short.batch < long.steps * long.batch
-    assert ours.silence.hint and ours.silence.mask, "the row without them would change nothing"
-
-
 @pytest.mark.parametrize(("row", "same", "other"), [
     ("no-style", "interpreter lexicon", "generator style"),
     ("no-position", "interpreter lexicon", "generator style"),
@@ -155,23 +142,6 @@ def test_a_seed_shares_speech_levels_and_lexicon_and_nothing_that_another_comman
     cut = context_of(learned).runs("no-segmentation", learned.seed)[1]
     alone = context_of(configured(learned, "no-segmentation")).first
     assert cut.key(GENERATOR) != alone.key(GENERATOR), "it hears through the speech encoder of all rows"
-
-
-@pytest.mark.parametrize("preset", list(PRESETS))
-def test_the_row_of_movements_is_the_shipped_systems_and_all_others_are_the_papers(preset: str) -> None:
-    base, shipped = PRESETS[preset](), presets.preset("default")
-    flow = configured(base, "flow")
-    for read in (lambda c: c.system, lambda c: c.lexicon.size, lambda c: c.lexicon.quantizer,
-                 lambda c: c.lexicon.code_width, lambda c: c.lexicon.commitment, lambda c: c.lexicon.revive_below,
-                 lambda c: c.lexicon.warm_up,
-                 lambda c: c.motion.least_deviation, lambda c: c.motion.smoothing,
-                 lambda c: c.silence.hint, lambda c: c.silence.mask, lambda c: c.interpreter.pose_features,
-                 lambda c: c.interpreter.memory):
-        assert read(flow) == read(shipped)
-    assert not flow.generator.styled and not flow.generator.units, "the row asks about lexicon and head alone"
-    for name in (name for name in ROWS if not is_racer(name)):
-        other = configured(base, name)
-        assert name in ("flow", "k-means") or other.system == "paper"
 
 
 # -------------------------------------------------------------------------------------------------------------- cells

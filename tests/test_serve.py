@@ -1,4 +1,7 @@
-"""The server: its protocol, its limits, and that no client is another's business."""
+"""The server: its protocol, its limits, that no client is another's business; and the command.
+
+A server's whole life is in `test_deploy.py`.
+"""
 
 from __future__ import annotations
 
@@ -30,12 +33,13 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.motion.smplx import smplx_arrays
+from gesticulator.cli import Parser
+from gesticulator.live.command import COMMAND, read_token
 from gesticulator.live.limits import ServerLimits
 from gesticulator.live.protocol import CloseCode, StreamRequest, published
 from gesticulator.live.server import LiveServer, ServerAddress
 
 RATE = 16000
-EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
 LIMITS = ServerLimits(streams=8, stream_seconds=100.0, message_bytes=2**16, waiting_seconds=10.0,
                       unread_bytes=2**16, unread_seconds=1.0, hello_seconds=0.5, quiet_seconds=5.0, drain_seconds=0.5)
 
@@ -235,25 +239,6 @@ async def test_beats_lexemes_and_words_are_events() -> None:
         assert [event["text"] for event in events if event["type"] == "word"] == ["hello", "there"]
 
 
-@in_loop
-async def test_an_interruption_takes_back_what_was_not_heard() -> None:
-    async with running() as at, connect(at.url, Hello(RATE)) as stream:
-        player = PosePlayer()
-        await stream.send(pcm(5.0))
-        async for message in stream:
-            if isinstance(message, Poses):
-                player.add(message)
-                if player.end > 4.0:
-                    break
-        await stream.interrupt(1.0)
-        await stream.idle(0.5)
-        await stream.finish()
-        async for message in stream:
-            if isinstance(message, Poses):
-                player.add(message)
-        assert player.end == 1.5
-
-
 @pytest.mark.parametrize("heard", [1.9, 1.0])
 @in_loop
 async def test_media_time_goes_on_from_where_the_voice_was_heard(heard: float) -> None:
@@ -338,22 +323,6 @@ async def test_what_is_wrong_is_closed_with_its_code_and_others_go_on(messages: 
         await other.send(pcm(1.0))
         await other.finish()
         assert_whole([one async for one in other if isinstance(one, Poses)], 1.0)
-
-
-@in_loop
-async def test_an_answer_of_minutes_that_was_sent_at_once_is_interrupted_where_it_is_played() -> None:
-    limits = replace(LIMITS, waiting_seconds=200.0, stream_seconds=200.0, message_bytes=2**23, quiet_seconds=60.0)
-    async with running(limits) as at, connect(at.url, Hello(RATE, fps=10)) as stream:
-        await stream.send(pcm(150.0))
-        await stream.idle(0.0)
-        got = stream.__aiter__()
-        while not isinstance(poses := await anext(got), Poses) or poses.first + len(poses) < 1500:
-            pass
-        await stream.interrupt(5.0)
-        await stream.idle(0.1)
-        while not isinstance(poses := await anext(got), Poses):
-            pass
-        assert poses.first == 50
 
 
 async def speak(url: str, seconds: float, options: dict[str, Any]) -> tuple[list[Poses], list[dict[str, Any]]]:
@@ -493,13 +462,10 @@ async def test_a_stalled_client_costs_its_bound_and_other_clients_nothing() -> N
         plain = socket.socket()
         plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         plain.connect(("127.0.0.1", at.port))
-        reader, writer = await asyncio.open_connection(sock=plain, limit=2**10)
-        await _raw_handshake(writer, reader)
-        writer.write(_frame(1, Hello(RATE, fps=240).text().encode()))
-        reader._transport.pause_reading()  # type: ignore[attr-defined]
+        stalled = await open_socket(at.url, sock=plain, max_queue=1, ping_interval=None)
+        await stalled.send(Hello(RATE, fps=240).text())
         for _ in range(55):
-            writer.write(_frame(2, pcm(1.0)))
-        await writer.drain()
+            await stalled.send(pcm(1.0))
         highest, served = 0.0, 0
         for _ in range(8):
             assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
@@ -513,21 +479,7 @@ async def test_a_stalled_client_costs_its_bound_and_other_clients_nothing() -> N
             while at.server.connections:
                 await asyncio.sleep(0.05)
         assert figure(at.server, "closed_total", code=str(int(CloseCode.UNREAD))) == 1
-        writer.transport.abort()
-
-
-async def _raw_handshake(writer: asyncio.StreamWriter, reader: asyncio.StreamReader) -> None:
-    writer.write(b"GET /stream HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-                 b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n")
-    assert (await reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 101")
-
-
-def _frame(opcode: int, payload: bytes, mask: bytes = b"\0\0\0\0") -> bytes:
-    """A WebSocket frame as RFC 6455 (5.2) has it."""
-    size = len(payload)
-    length = bytes([0x80 | size]) if size < 126 else bytes([0x80 | 126]) + size.to_bytes(2, "big") \
-        if size < 2**16 else bytes([0x80 | 127]) + size.to_bytes(8, "big")
-    return bytes([0x80 | opcode]) + length + mask + payload
+        stalled.transport.abort()
 
 
 # ---------------------------------------------------------------- faults
@@ -637,3 +589,32 @@ def test_the_player_shows_the_frame_of_the_sound_that_is_heard() -> None:
     player.add(poses(45, 3.0, 30))  # an interruption at 0.75 s
     assert player.end == 1.25
     assert [at(time) for time in (0.74, 0.75, 1.2, 9.0)] == [1.0, 3.0, 3.0, 3.0]
+
+
+# ---------------------------------------------------------------- the command
+
+
+@pytest.mark.parametrize(("arguments", "wrong"), [
+    (["--port", "99999"], "port 99999"), (["--host", "no.such.host.invalid"], "no.such.host.invalid"),
+    (["--host", "0.0.0.0"], "--token-file"), (["--streams", "0"], "limits.streams"),
+    (["--vmc", "nowhere"], "HOST:PORT"),
+    (["--bundle", "/no/such/folder"], "is not a folder"), (["--drain-seconds", "nan"], "limits.drain_seconds"),
+    (["--threads", "0"], "--threads")])
+def test_what_cannot_be_served_is_told_in_one_line(arguments: list[str], wrong: str,
+                                                   capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        COMMAND.main("gesticulator serve", ["--port", "0", *arguments])
+    assert ended.value.code == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if "listening" not in line]
+    assert len(lines) == 1 and wrong in lines[0]
+
+
+def test_the_token_comes_from_a_file_or_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parser = Parser()
+    COMMAND.arguments(parser)
+    file = tmp_path / "token"
+    file.write_text("sesame\n")
+    assert read_token(parser.parse_args(["--token-file", str(file)])) == "sesame"
+    assert read_token(parser.parse_args([])) == ""
+    monkeypatch.setenv("GESTICULATOR_TOKEN", "other")
+    assert read_token(parser.parse_args(["--host", "0.0.0.0"])) == "other"

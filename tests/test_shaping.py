@@ -10,9 +10,7 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTERS
 from data_module.types import Motion
 from gesticulator.body.clips import exchanged_joints, mirrored_motion
-from gesticulator.directing.named_gestures import laid_over, span_of_gesture
 from gesticulator.directing.shaping import levels_at
-from gesticulator.plan.plan import GestureCue
 
 RNG = np.random.default_rng(4)
 
@@ -35,19 +33,3 @@ def test_a_mirror_image_has_its_joints_across_the_middle_and_is_its_own_inverse(
     across = positions_of(motion)[:, exchanged_joints(skeleton.names)] * [-1.0, 1.0, 1.0]
     np.testing.assert_allclose(positions_of(mirrored), across, atol=1e-9)
     assert np.array_equal(mirrored_motion(mirrored).rotations, motion.rotations)
-
-
-def test_a_gesture_is_blended_in_along_the_shortest_turn() -> None:
-    """Until the stroke begins, the arm turns about one axis, from where it was to where the stroke begins, by less than
-    half a turn."""
-    names = CHARACTERS[46].names
-    arm, pose = 3 * names.index("RightArm"), np.zeros((5, 3 * len(names)))
-    pose[:, arm:arm + 3] = [0.3, -0.4, 1.2]
-    before, _ = span_of_gesture("stop")
-    moved = laid_over(pose, np.array([2.0 - before, 1.55, 1.62, 1.69, 1.74]), [(GestureCue("stop", time=2.0), 2.0)])
-    assert np.array_equal(moved[0], pose[0])
-    was = Rotation.from_rotvec(moved[0, arm:arm + 3])
-    turns = np.array([(was.inv() * Rotation.from_rotvec(row[arm:arm + 3])).as_rotvec() for row in moved[1:]])
-    sizes = np.linalg.norm(turns, axis=1)
-    assert (np.diff(sizes) > 0).all() and 0.4 < sizes[-1] < np.pi
-    np.testing.assert_allclose(turns / sizes[:, None], np.tile(turns[0] / sizes[0], (4, 1)), atol=1e-6)

@@ -8,7 +8,6 @@ from scipy.signal import lfilter
 
 from data_module.speech.silence import (
     FRAME,
-    LOOK_AHEAD,
     SHORTEST_PAUSE,
     LoudnessTracker,
     SteadyStart,
@@ -16,7 +15,6 @@ from data_module.speech.silence import (
     loudness,
     pauses,
     silent_blocks,
-    silent_frames,
 )
 from data_module.types import Array, Samples, Speech
 
@@ -124,17 +122,6 @@ def test_a_pause_is_long_enough_and_a_blip_does_not_end_it() -> None:
     assert pauses(blip)[50:102].all()
     blip = np.concatenate([loud, quiet(25, bool), [False] * 3, quiet(25, bool), loud])
     assert not pauses(blip).any()
-
-
-def test_silence_is_the_same_in_a_stream() -> None:
-    sound = np.concatenate([voice(6.0, -20), np.zeros(3 * RATE, np.float32), voice(6.0, -25)]) + room(15.0, -50)
-    whole = pauses(silent_frames(sound, RATE))
-    assert whole.any()
-    assert not whole.all()
-    for seconds in (4.0, 6.5, 8.0, 12.0):
-        part = pauses(silent_frames(sound[:round(seconds * RATE)], RATE))
-        sure = round((seconds - LOOK_AHEAD) / FRAME)
-        assert np.array_equal(part[:sure], whole[:sure])
 
 
 def test_blocks_are_silent_by_their_own_frames() -> None:

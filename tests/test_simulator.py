@@ -73,12 +73,6 @@ def test_rewards_are_those_of_the_table_on_the_same_history(simulator: Simulator
         torch.testing.assert_close(batch["reward"][0, :count], wanted)
 
 
-def test_whoever_does_what_the_person_did_earns_what_the_data_say(simulator: Simulator, table: RewardTable) -> None:
-    offline = data(table).cut(np.array([0, 1]), np.array([2, 1]), 4)
-    batch = simulator.act(acting(offline["action"].T.tolist()), np.array([0, 1]), np.array([2, 1]), 4)
-    torch.testing.assert_close(batch["reward"][:, :4], offline["reward"][:, :4])
-
-
 def test_the_end_of_a_recording_is_terminal_and_the_horizon_truncates(simulator: Simulator) -> None:
     # 4, 5 and 6 are the last blocks of the second recording; the first has far to go.
     batch = simulator.act(lambda seen: torch.zeros(3), np.array([0, 1, 1]), np.array([0, 3, 2]), 4)
@@ -112,20 +106,6 @@ def test_what_was_collected_is_laid_out_as_the_data(simulator: Simulator, table:
     taken = (online["valid"] > 0)[:, 1:]
     assert torch.equal(online["previous"][:, 1:][taken], online["action"][:, :-1][taken])
     assert (online["reward"][online["valid"] == 0] == 0).all() and (online["cloned"] == 0).all()
-
-
-def test_who_acts_is_shown_the_history_and_no_more(simulator: Simulator) -> None:
-    widths, kept = [], []
-
-    def choose(seen: dict[str, Tensor]) -> Tensor:
-        widths.append({key: value.shape for key, value in seen.items()})
-        kept.append(seen["previous"])
-        return torch.full((3,), len(widths) % SIZE)
-
-    batch = simulator.collect(choose, np.random.default_rng(0), 3, 4)
-    assert [width["block"] for width in widths] == [(3, i) for i in range(1, 5)]
-    assert all(width["speaker"] == (3,) for width in widths)
-    assert torch.equal(kept[-1], batch["previous"][:, :4])
 
 
 def test_the_ring_gives_the_layout_of_the_data(simulator: Simulator, table: RewardTable) -> None:

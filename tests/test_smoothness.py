@@ -8,12 +8,10 @@ from bursts import turned
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import jensenshannon
-from scipy.stats import norm
 
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, facing
 from data_module.types import Motion
-from eval.baselines.controls import jittered, reversed_in_time
 from eval.metrics.smoothness import BIN, BINS, derivative, hellinger, motion_smoothness, speed_histogram
 
 
@@ -58,14 +56,6 @@ def test_absent_joints_do_not_count_and_too_few_frames_have_a_reason() -> None:
     assert np.isnan(nobody.jerk) and nobody.reason == "no joint is known"
 
 
-def test_what_fools_it_as_the_chapter_says() -> None:
-    motion = waving(60.0)
-    plain, back = motion_smoothness(motion), motion_smoothness(reversed_in_time([motion])[0])
-    assert back.jerk == pytest.approx(plain.jerk) and back.acceleration_hands == pytest.approx(plain.acceleration_hands)
-    assert motion_smoothness(jittered([motion], 0)[0]).jerk > 100 * plain.jerk
-    assert motion_smoothness(waving(30.0)).jerk_hands == pytest.approx(plain.jerk_hands, rel=0.05)
-
-
 @given(st.lists(st.floats(0, 6), min_size=1, max_size=80))
 def test_the_histogram_is_numpys(speeds: list[float]) -> None:
     own = np.asarray(speeds)
@@ -99,13 +89,3 @@ def test_empty_is_undefined_and_nonsense_is_refused() -> None:
     for counts in ([1.0, np.nan], [1.0, np.inf], [1.0, -1.0]):
         with pytest.raises(ValueError):
             hellinger(np.array(counts), np.ones(2))
-
-
-@pytest.mark.parametrize(("middle", "deviation"), [(0.5, 1.0), (2.0, 1.0), (0.0, 3.0)])
-def test_hellinger_of_two_normal_distributions_is_the_closed_form(middle: float, deviation: float) -> None:
-    """H^2 = 1 - sqrt(2 s t / (s^2 + t^2)) exp(-(m - n)^2 / (4 (s^2 + t^2))), of shares in narrow bins."""
-    edges = np.linspace(-20, 20, 4001)
-    p, q = np.diff(norm.cdf(edges)), np.diff(norm.cdf(edges, middle, deviation))
-    both = 1 + deviation ** 2
-    closed = 1 - np.sqrt(2 * deviation / both) * np.exp(-middle ** 2 / (4 * both))
-    assert hellinger(1000 * p, 70 * q) == pytest.approx(np.sqrt(closed), abs=1e-4)

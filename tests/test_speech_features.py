@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.store import Store
@@ -101,20 +100,3 @@ def test_in_use_a_bundle_hears_what_it_was_trained_on(prepared: tuple[bundles.Bu
             assert shifted.mean() > 20 * error.mean(), "the next block's are others"
         assert heard.text is not None
         np.testing.assert_array_equal(heard.text.astype(np.float16).astype(np.float32), corpus.text(own).numpy())
-
-
-def test_every_recording_reads_its_own_words(prepared: tuple[bundles.Bundle, Store, Corpus]) -> None:
-    bundle, store, corpus = prepared
-    assert corpus.words is not None and corpus.word_at is not None and corpus.has_text.all()
-    counts = [len(store.load(name).speech.words or ()) for name in corpus.names]
-    assert len(corpus.words) == 1 + sum(counts)
-    begin = 1
-    for recording, count in enumerate(counts):
-        rows = corpus.word_at[torch.as_tensor(corpus.blocks_of(recording))]
-        used = rows[rows > 0]
-        assert begin <= int(used.min()) and int(used.max()) < begin + count
-        assert (rows[0, :bundle.config.rhythm.frames] == 0).all() and (rows[-1, -bundle.config.rhythm.frames:] == 0
-                                                                       ).all()
-        begin += count
-    flags = corpus.text(np.arange(len(corpus.silent)))[..., -1]
-    assert torch.equal(flags == 1, corpus.word_at == 0), "the flag of the empty word, and only there"

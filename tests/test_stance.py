@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from data_module.errors import InputError
 from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import FINGERED, HIP_HEIGHT, LEG_JOINTS, WHOLE_BODY, has_legs, resized, standing
@@ -21,20 +20,6 @@ from tests.performances import perform
 SEEDS = range(4)
 ANKLE, BALL = 0.080, 0.020
 """Metres over the floor of a foot that stands flat."""
-
-
-def slide(motion: Motion) -> float:
-    """Metres over which an ankle or ball goes at most, along the floor, while its foot is planted: both within 3 mm of
-    the lowest that they are."""
-    positions = kinematics.positions_of(motion)
-    longest = 0.0
-    for side in ("Left", "Right"):
-        foot = [positions[:, motion.skeleton.index(side + joint)] for joint in ("Foot", "ToeBase")]
-        # The 1st percentile, as a single frame may lie lower by a rounding of the rotations.
-        planted = np.logical_and(*(part[:, 1] < np.percentile(part[:, 1], 1) + 0.003 for part in foot))
-        paths = [part[start:stop, [0, 2]] for part in foot for start, stop in runs(planted)]
-        longest = max([longest, *(float(np.linalg.norm(np.ptp(path, axis=0))) for path in paths)])
-    return longest
 
 
 _KNOWN: list[tuple[Motion, Array]] = []
@@ -319,29 +304,3 @@ def test_legs_stay_on_their_floor_in_what_is_written(tmp_path: Path) -> None:
         np.testing.assert_allclose(kinematics.positions_of(read)[:, order], made.positions(), atol=1e-4)
         assert made.positions()[:, WHOLE_BODY.index("LeftFoot"), 1].min() == pytest.approx(ANKLE, abs=1e-6)
     assert np.median(performance.positions()[:, 0, 1]) == pytest.approx(HIP_HEIGHT), "without legs as ever"
-
-
-def test_pictures_draw_the_legs_that_are_there() -> None:
-    from gesticulator.export.figure import VIEWS, figure_points, seen
-
-    motion = with_legs(drawn(1, seconds=20.0), 1)
-    points = figure_points(motion, np.array([0.0, 15.0]), legs=True)
-    frames = [0, 450]
-    for name in ("Hips", "LeftLeg", "RightFoot", "LeftToeBase", "Head", "RightHand"):
-        np.testing.assert_allclose(points[name], at(motion, name)[frames], atol=1e-9)
-    now = {name: path[:1] for name, path in points.items()}
-    assert len(seen(now, VIEWS["front"])) == len(seen(figure_points(motion, np.zeros(1)), VIEWS["front"])) + 1
-    with pytest.raises(InputError, match="legs"):
-        figure_points(still(seconds=1.0), np.zeros(1), legs=True)
-
-
-def test_planted_feet_do_not_slide_and_pushed_ones_do() -> None:
-    motion = with_legs(drawn(1), 1)
-    assert slide(motion) < 0.005
-    # A body that stands still and is pushed about: feet slide as far as it is pushed, 3 cm along each axis.
-    times = np.arange(len(motion)) / motion.fps
-    frozen = replace(motion, rotations=np.repeat(motion.rotations[:1], len(motion), axis=0),
-                     root_positions=np.repeat(motion.root_positions[:1], len(motion), axis=0))
-    pushed = replace(frozen, root_positions=frozen.root_positions + 0.015 * np.stack(
-        [np.sin(times), np.zeros_like(times), np.cos(times)], axis=-1))
-    assert slide(pushed) == pytest.approx(0.03 * 2**0.5, rel=0.01) and slide(frozen) == 0.0

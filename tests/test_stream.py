@@ -21,7 +21,6 @@ from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.types import Array, Motion, Samples, Speech, Word
 from gesticulator.bundle.features import representation_of
 from gesticulator.gesticulator import Gesticulator
-from gesticulator.sampling.cutter import BlockCutter
 from gesticulator.stream import Stream, StreamFrames, StreamState
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
@@ -163,19 +162,6 @@ def test_words_that_are_known_before_are_those_of_the_file_and_late_ones_do_no_h
     late.add_words(words)
     made = joined([*parts, late.finish()])
     assert made.shape == whole.shape and np.isfinite(made).all()
-
-
-def test_a_block_hears_the_words_that_are_known_when_it_is_drawn() -> None:
-    g, sound = system(), example()[:round(SHORT * SAMPLE_RATE)]
-    cutter = BlockCutter(g.bundle.config, words=g.word_encoder)
-    before = cutter.feed(sound)
-    cutter.add_words([Word("now", before[-1].start, 60.0)])
-    after = cutter.finish()
-    frames = g.bundle.frames
-    assert all((block.text[:, -1] == 1).all() for block in before if block.text is not None), "nothing was known"
-    for block in after:
-        assert block.text is not None and (block.text[frames:2 * frames, -1] == 0).all()
-        assert np.abs(block.text[frames:2 * frames, :-1]).max() > 0.1
 
 
 @pytest.mark.parametrize("latency", ["full", "low"])

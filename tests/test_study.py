@@ -8,14 +8,12 @@ import itertools
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import soundfile
-from browser import chromium
 from performances import perform
 from scipy import stats
 
@@ -23,7 +21,6 @@ from data_module.errors import InputError
 from data_module.motion import bvh
 from data_module.types import Array, Speech
 from eval.commands import STUDY
-from eval.stats import crossed_means
 from eval.study import anova
 from eval.study import command as study
 from eval.study.anova import Key, KeyItem
@@ -206,26 +203,6 @@ def test_anova_and_tukey_of_a_worked_example() -> None:
     assert first.mean == 5 and (first.low, first.high) == pytest.approx((5 - half, 5 + half), abs=1e-3)
 
 
-def _study(rng: np.random.Generator, better: float, raters: int = 20, clips: int = 8) -> Array:
-    """Ratings [R, C, 3] with strict and mild raters and easy and hard clips; the first system is better by `better`."""
-    mean = 3 + 0.5 * rng.normal(size=(raters, 1, 1)) + 0.3 * rng.normal(size=(1, clips, 1)) + better * np.eye(3)[0]
-    return np.clip(np.round(mean + 0.8 * rng.normal(size=(raters, clips, 3))), 1, 5)
-
-
-def test_bootstrap_draws_raters_and_clips() -> None:
-    rng = np.random.default_rng(3)
-    # All of the spread lies between raters: the interval must be that of 12 raters, not of 12 * 10 answers.
-    strictness = rng.normal(size=(12, 1, 1))
-    values = np.broadcast_to(strictness, (12, 10, 2)).copy()
-    drawn = crossed_means(values, seed=0)
-    assert drawn[:, 0].std() == pytest.approx(strictness.std() / np.sqrt(12), rel=0.1)
-    assert np.abs(drawn[:, 0] - drawn[:, 1]).max() < 1e-12, "differences are paired"
-    by_clip = crossed_means(values.transpose(1, 0, 2).copy(), seed=0)
-    assert by_clip[:, 0].std() == pytest.approx(drawn[:, 0].std(), rel=0.1)
-    values[0, 0, 1] = np.nan
-    assert np.isfinite(crossed_means(values, seed=0)).all()
-
-
 def test_rank_counts_share_the_better_place() -> None:
     nan = np.nan
     values = np.array([[[5, 3, 1], [4, 4, 2], [3, 3, 3], [1, nan, 5]]], dtype=float)
@@ -237,7 +214,7 @@ def test_rank_counts_share_the_better_place() -> None:
 
 
 def test_what_is_odd_is_named_and_what_is_undefined_is_none() -> None:
-    values = _study(np.random.default_rng(4), 0.0, raters=3, clips=4)
+    values = np.random.default_rng(4).integers(1, 6, (3, 4, 3)).astype(float)
     values[1] = 4
     values[2, 0, 0] = np.nan
     notes = _table(values).notes
@@ -411,13 +388,6 @@ def test_videos_show_what_the_key_says(films: dict[str, Path], systems: dict[str
 
 
 # ---------------------------------------------------------------- in a browser
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """A headless Chromium."""
-    with chromium() as window:
-        yield window
-
 
 def placed(key: Key, name: str) -> tuple[int, int]:
     """The numbers of an item's clip and system."""

@@ -19,7 +19,6 @@ from data_module.types import Motion, Speech, Word
 from eval.ablate import style_editing
 from eval.ablate.style_editing import FREE, REFERENCE, excerpts, figures, realised
 from eval.clip.excerpts import excerpt
-from eval.pictures import plots
 
 FPS, RATE = 60.0, 16000
 SHOULDER_HEIGHT, ARM = 0.49, 0.53
@@ -108,18 +107,3 @@ def test_clips_are_long_test_recordings_of_different_groups(tmp_path: Path, monk
     monkeypatch.setattr(style_editing, "SHORTEST", 60.0)
     with pytest.raises(InputError, match="no test recording"):
         excerpts(store)
-
-
-# --------------------------------------------------------------------------------------------------- reports
-
-def test_the_picture_shows_what_was_asked_and_what_came() -> None:
-    told = figures(obedient, clips(), LEVEL_TABLE)  # type: ignore[arg-type]
-    axes = plots.style_editing(told).axes
-    over_time, boxes = axes[0], axes[1]
-    levels = {round(float(line.get_ydata()[0]), 6) for line in over_time.lines if line.get_linestyle() == "--"}
-    assert levels == {0.1, 0.3, 0.6}
-    curves = [np.asarray(line.get_ydata()) for line in over_time.lines if line.get_linestyle() == "-"]
-    assert [round(float(c.mean()), 3) for c in curves] == [0.075, 0.275, 0.575], "the first clip is 2.5 cm low"
-    medians = sorted(float(np.mean(line.get_ydata())) for line in boxes.lines
-                     if len(line.get_ydata()) == 2 and np.isclose(np.ptp(line.get_xdata()), 0.5))
-    assert any(np.isclose(m, 0.6, atol=1e-6) for m in medians) and any(np.isclose(m, 0.1, atol=1e-6) for m in medians)

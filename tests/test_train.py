@@ -165,18 +165,6 @@ def test_only_what_a_setting_shapes_is_trained_again(setting: str, stages: set[s
     assert {stage for stage in BATTERY if base[stage] != other[stage]} == stages
 
 
-def test_a_stage_more_changes_no_seed_of_another(tiny_store: Path, work: Path) -> None:
-    store = Store.open(tiny_store)
-    run = Run(presets.preset("tiny"), store, work)
-    seeds = {name: run.seed(stage) for name, stage in STAGES.items()}
-    assert len(set(seeds.values())) == len(seeds), "no two stages draw the same numbers"
-    # By hand: the seed is of the run's seed and the name, so the place in the table cannot matter.
-    assert seeds["gate"] == int(configs.digest(1, "gate")[:12], 16) % 2**31
-    assert all(Run(presets.preset("tiny"), store, work).seed(Stage(name, ())) == seed for name, seed in seeds.items())
-    other = Run(configs.with_settings(presets.preset("tiny"), ["seed=2"]), store, work)
-    assert all(other.seed(stage) != seeds[name] for name, stage in STAGES.items())
-
-
 def test_another_store_is_refused_in_a_used_work_folder(tiny_store: Path, work: Path, tmp_path: Path) -> None:
     class Other:
         path, fingerprint = tiny_store, "another"

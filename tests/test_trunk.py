@@ -56,19 +56,6 @@ def test_a_hand_that_is_clear_is_left_and_so_is_that_of_the_default_trunk() -> N
     assert limited(our, our, ellipse(*STOUT)).lack.max() == 0.0, "a hand's length away from the stout one"
 
 
-def test_a_hand_whose_way_leads_through_a_stout_trunk_is_led_around_without_a_jump() -> None:
-    """Ours passes in front of our trunk; with the same steps theirs would pass through the middle of its own."""
-    across = np.linspace(0.35, -0.2, 400)
-    our = np.stack([across, np.full(400, 0.25), np.where(np.abs(across) < OURS[0], 0.125, 0.125
-                                                         - 0.5 * (np.abs(across) - OURS[0]))])
-    their = our * np.array([[0.9], [1.0], [0.0]])
-    limit = limited(our, their, ellipse(*STOUT))
-    moved = their + limit.lack * limit.normal.T
-    assert beside(their, *STOUT).min() < 0.01 and beside(moved, *STOUT).min() > 0.99
-    steps = np.linalg.norm(np.diff(moved, axis=1), axis=0)
-    assert steps.max() < 4.0 * np.linalg.norm(np.diff(our, axis=1), axis=0).max()
-
-
 def test_a_hand_that_is_led_around_a_stout_trunk_starts_early_and_is_not_hasty() -> None:
     """Ours crosses at the speed of a stroke; frame by frame theirs would be twice as fast, which is the control. The
     way around is longer, too."""

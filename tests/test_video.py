@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 import io
 import sys
 from pathlib import Path
@@ -143,20 +142,6 @@ def test_what_cannot_be_written_is_refused(monkeypatch: pytest.MonkeyPatch) -> N
             film.encode(points, speech, suffix, size=SMALL)
     for package, says in (("av", "PyAV"), ("PIL", "Pillow")):
         with monkeypatch.context() as patch:
-            _without(package, patch)
+            patch.setitem(sys.modules, package, None)
             with pytest.raises(InputError, match=rf"{says}.*pip install 'gesticulator\[video\]'"):
                 film.encode(points, speech, ".mp4", size=SMALL)
-
-
-def _without(package: str, patch: pytest.MonkeyPatch) -> None:
-    """As if `package` were not installed."""
-    real = builtins.__import__
-
-    def found(name: str, *others: Any, **named: Any) -> Any:
-        if name.split(".")[0] == package:
-            raise ImportError(name)
-        return real(name, *others, **named)
-
-    patch.setattr(builtins, "__import__", found)
-    for name in [name for name in sys.modules if name.split(".")[0] == package]:
-        patch.delitem(sys.modules, name)

@@ -10,26 +10,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import OpenedPage, chromium
+from browser import OpenedPage
 from gltf_reader import GlbFile
 from performances import perform, write
 from scipy.spatial.transform import Rotation
 from small_characters import write_character
 
 from data_module.motion import kinematics
-from data_module.motion.skeletons import FINGER_JOINTS, FINGERED, standing
+from data_module.motion.skeletons import standing
 from gesticulator.export import html
 from gesticulator.export.clip import ClipLayout
 from gesticulator.export.vrma import vrm_animation
 
 SECONDS = 4.0
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """A headless Chromium; the test is skipped, with the reason, where there is none."""
-    with chromium() as window:
-        yield window
 
 
 @pytest.fixture(scope="module")
@@ -54,35 +47,6 @@ def opened(shown: OpenedPage) -> Iterator[OpenedPage]:
     shown.settle(0.0)
     yield shown
     shown.check_quiet()
-
-
-def _drawn(page: OpenedPage, joint: str) -> int:
-    """How many meshes hang on a bone."""
-    bone = f"preview.stage.performers[0].figure.bone('{joint}')"
-    return int(page.page.evaluate(f"() => {bone}.children.filter((c) => c.isMesh).length"))
-
-
-def test_two_takes_stand_side_by_side(browser: Any, opened: OpenedPage, tmp_path: Path) -> None:
-    first, second = perform(), perform(skeleton=FINGERED, seed=3)
-    path = tmp_path / "two.html"
-    html.write_comparison(path, {"lstm": first, "<img src=x onerror=broken=1>": second})
-    page = OpenedPage(browser, path.as_uri())
-    page.go_to(1.0)
-    assert page.page.locator("#labels span").all_text_contents() == ["lstm", "<img src=x onerror=broken=1>"]
-    left, right = page.page.evaluate("() => preview.stage.performers.map((one) => one.group.position.x)")
-    assert right - left > 1.0
-    page.page.keyboard.press("d")  # one alone,
-    page.page.keyboard.press("a")  # and then the other one: with fingers, each where the motion has it
-    truth = kinematics.positions_of(standing(second.motion))[25]
-    page.page.wait_for_function("() => preview.session.active === 1")
-    page.go_to(1.0)
-    assert np.abs(np.array(page.joints()) - truth).max() < 2e-3
-    assert all(_drawn(page, joint) == 1 for joint in FINGER_JOINTS)
-    # The other page has hands of one piece, with fingers that do not move: more of them than a wrist and a palm.
-    assert _drawn(page, "LeftHand") == 7 and _drawn(opened, "LeftHand") == 0
-    assert page.page.locator("img").count() == 0
-    page.check_quiet()
-    page.page.close()
 
 
 def test_playing_moves_time_and_figure_and_stays_in_its_range(opened: OpenedPage) -> None:
