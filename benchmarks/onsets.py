@@ -3,8 +3,7 @@
     GESTICULATOR_DATA=... python benchmarks/onsets.py [--out docs/results/onsets.json]
 
 F-measure, precision and recall at 50 ms (mir_eval) on the readings in speech/, librosa at its defaults as the
-reference, onsets closer than 50 ms merged on both sides; and the agreement of our onsets with themselves when the
-recording is 20 dB fainter, or cut to pieces of 10 s.
+reference, onsets closer than 50 ms merged on both sides.
 """
 
 from __future__ import annotations
@@ -22,17 +21,9 @@ from data_module.files import write_text
 from data_module.speech.audio import SAMPLE_RATE, load_speech
 from data_module.speech.beats import find_beats
 from data_module.speech.onsets import detect_onsets, merged
-from data_module.types import Array, Samples, Speech
+from data_module.types import Speech
 
 TOLERANCE = 0.05
-PIECE = 10.0
-
-
-def in_pieces(samples: Samples) -> Array:
-    """Onsets of the recording cut every `PIECE` seconds, each piece heard alone."""
-    size = round(PIECE * SAMPLE_RATE)
-    return np.concatenate([detect_onsets(samples[start:start + size], SAMPLE_RATE) + start / SAMPLE_RATE
-                           for start in range(0, len(samples), size)])
 
 
 def measure(path: Path) -> dict[str, float]:
@@ -41,13 +32,10 @@ def measure(path: Path) -> dict[str, float]:
     ours = detect_onsets(samples, SAMPLE_RATE)
     whole = merged(librosa.onset.onset_detect(y=samples, sr=SAMPLE_RATE, units="time"), TOLERANCE)
     f, precision, recall = mir_eval.onset.f_measure(whole, ours, window=TOLERANCE)
-    fainter, pieces = (mir_eval.onset.f_measure(ours, other, window=TOLERANCE)[0]
-                       for other in (detect_onsets(samples * np.float32(0.1), SAMPLE_RATE), in_pieces(samples)))
     intervals = find_beats(Speech(samples, SAMPLE_RATE)).intervals
     seconds = len(samples) / SAMPLE_RATE
     return {"seconds": seconds, "onsets_per_second": len(ours) / seconds, "librosa_per_second": len(whole) / seconds,
-            "f": f, "precision": precision, "recall": recall, "fainter_f": fainter, "pieces_f": pieces,
-            "mean_interval": float(intervals.mean())}
+            "f": f, "precision": precision, "recall": recall, "mean_interval": float(intervals.mean())}
 
 
 def main() -> None:

@@ -55,31 +55,28 @@ def main() -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__)
     p.add_argument("speech", nargs="+")
-    p.add_argument("--bundle")
-    p.add_argument("--threads", type=int, default=1)
     p.add_argument("--out")
     a = p.parse_args()
-    torch.set_num_threads(a.threads)
-    system = Gesticulator.from_pretrained(a.bundle)
+    torch.set_num_threads(1)
+    system = Gesticulator.from_pretrained()
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "o.bvh"
         for name in a.speech:
             seconds = load_speech(name).duration
-            options = ["--bundle", a.bundle] if a.bundle else []
+            command = [name, "-o", str(target), "--threads", "1"]
             row: dict[str, Any] = {"file": Path(name).name, "seconds": round(seconds, 2)}
-            row["cold"] = round(cold([name, "-o", str(target), "--threads", str(a.threads), *options]) / seconds, 4)
+            row["cold"] = round(cold(command) / seconds, 4)
             for interpreter in system.bundle.interpreters:
                 row[f"warm_{interpreter}"] = round(warm(system, Path(name), target, interpreter) / seconds, 4)
             words = Path(name).with_suffix(".txt")
             if words.exists():
-                own = [name, "-o", str(target), "--threads", str(a.threads), "--text", str(words), *options]
-                row["cold_with_text"] = round(cold(own) / seconds, 4)
+                row["cold_with_text"] = round(cold([*command, "--text", str(words)]) / seconds, 4)
                 row["warm_with_text"] = round(warm(system, Path(name), target, "lstm", words) / seconds, 4)
             rows.append(row)
             print(row)
     if a.out:
-        result = {"processor": processor(), "threads": a.threads, "python": platform.python_version(),
+        result = {"processor": processor(), "threads": 1, "python": platform.python_version(),
                   "torch": torch.__version__, "real_time_factor": rows}
         Path(a.out).write_text(json.dumps(result, indent=1) + "\n")
 

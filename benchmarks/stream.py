@@ -82,18 +82,16 @@ def main() -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("speech", nargs="+")
-    p.add_argument("--bundle")
     p.add_argument("--seconds", type=float, default=float("inf"), help="of each recording")
     p.add_argument("--seeds", type=int, default=1, help="performances that PMB is averaged over")
-    p.add_argument("--threads", type=int, default=1)
     p.add_argument("--out")
     a = p.parse_args()
-    torch.set_num_threads(a.threads)
-    system = Gesticulator.from_pretrained(a.bundle)
+    torch.set_num_threads(1)
+    system = Gesticulator.from_pretrained()
     read = [load_speech(name) for name in a.speech]
     recordings = [Speech(one.samples[:round(min(a.seconds, one.duration) * SAMPLE_RATE)], SAMPLE_RATE) for one in read]
     live(system, Speech(recordings[0].samples[:SAMPLE_RATE], SAMPLE_RATE), "full")  # what is slow once
-    result: dict[str, Any] = {"processor": processor(), "threads": a.threads, "python": platform.python_version(),
+    result: dict[str, Any] = {"processor": processor(), "threads": 1, "python": platform.python_version(),
                               "torch": torch.__version__, "files": [Path(name).name for name in a.speech],
                               "seconds": round(sum(one.duration for one in recordings), 1)}
     above: dict[str, Any] = {}

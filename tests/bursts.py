@@ -25,6 +25,17 @@ def turned(frames: int, fps: float, joints: Mapping[str, ArrayLike], skeleton: S
     return Motion(skeleton, rotations, np.zeros((frames, 3)), fps, absent)
 
 
+def waving(skeleton: Skeleton = CHARACTER, frames: int = 60, fps: float = 20.0, seed: int = 0, size: float = 0.5
+           ) -> Motion:
+    """Every joint turns slowly and smoothly about its own axes, by `size` radians at the most, and the body is anywhere
+    in each frame."""
+    rng = np.random.default_rng(seed)
+    sizes, rates, phases = (rng.uniform(low, high, (1, len(skeleton), 3)) for low, high in (
+        (0.0, size), (0.2, 1.0), (0.0, 2 * np.pi)))
+    maps = sizes * np.sin(2 * np.pi * rates * np.arange(frames)[:, None, None] / fps + phases)
+    return Motion(skeleton, rotation.from_exponential_map(maps), rng.normal(size=(frames, 3)), fps)
+
+
 def recording(name: str, seed: int, seconds: float = 20.0, split: Split = "train") -> Recording:
     """Bursts of different loudness, and arms and a head on slow paths of their own."""
     rng = np.random.default_rng(seed)

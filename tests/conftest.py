@@ -6,10 +6,10 @@ import importlib.util
 import os
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import torch
@@ -217,3 +217,12 @@ def judge(outside_data: Path) -> ModuleType:
     finally:
         sys.dont_write_bytecode = written
     return module
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A headless Chromium; the test is skipped, with the reason, where there is none."""
+    from browser import chromium
+
+    with chromium() as window:
+        yield window

@@ -38,6 +38,13 @@ def turned(skeleton: Skeleton, frames: int, fps: float = 60.0, **joints: Array) 
     return Motion(skeleton, turns, np.zeros((frames, 3)), fps)
 
 
+def write_example(path: Path, seconds: float, subtype: str | None = None) -> Path:
+    """Write its first seconds into a file of this name; subtype: of the samples, by soundfile."""
+    speech = example(seconds)
+    soundfile.write(path, speech.samples, speech.sample_rate, subtype=subtype)
+    return path
+
+
 def perform(seconds: float = 2.5, fps: float = 25.0, seed: int = 3, root_height: float = 0.0,
             skeleton: Skeleton = CHARACTER) -> Performance:
     """Small smooth motion on a tone with a silent middle, cut into blocks at random; written with every frame."""

@@ -13,6 +13,7 @@ import torch
 from bursts import RATE, recording
 from hypothesis import given
 from hypothesis import strategies as st
+from performances import example
 from torch import Tensor
 from untrained import PLAIN, untrained
 
@@ -21,7 +22,7 @@ from data_module.motion import rotation
 from data_module.motion.bvh import write_bvh
 from data_module.motion.movement import Pasts, joined
 from data_module.motion.skeletons import CHARACTER
-from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
+from data_module.speech.audio import SAMPLE_RATE
 from data_module.store import StoreWriter
 from data_module.types import Array, Motion, Speech, Word
 from eval.acceptance import command, response, rest, stimuli, voices
@@ -45,7 +46,6 @@ from lexicon.settings import LexiconConfig
 from tests.test_eye import elbow, posed
 
 HZ = 60.0
-SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 
 
 def verdicts_of(group: str, results: Figures) -> dict[tuple[str, str], Verdict]:
@@ -419,8 +419,7 @@ def test_a_lexicon_of_movements_decodes_from_the_past() -> None:
 
 @pytest.fixture(scope="module")
 def speech() -> Speech:
-    whole = resample(load_speech(SPEECH), SAMPLE_RATE)
-    return Speech(whole.samples[:8 * SAMPLE_RATE], SAMPLE_RATE)
+    return example(8.0)
 
 
 def tilt_of(samples: Array) -> float:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import torch
+from learning import learn
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -154,14 +155,13 @@ def batch_of(known: CounterfactualRewards, audio: Tensor, rng: np.random.Generat
 def test_critics_learn_what_lexemes_earn_now_and_later() -> None:
     known, audio = data()
     model = critics()
-    optimiser = torch.optim.Adam(model.parameters(), 3e-3)
     rng = np.random.default_rng(2)
-    for step in range(250):
+
+    def loss(step: int) -> Tensor:
         terms = model.losses(batch_of(known, audio, rng, 16), step / 250)
-        loss = sum((model.weights[key] * value for key, value in terms.items()), torch.zeros(()))
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
+        return sum((model.weights[key] * value for key, value in terms.items()), torch.zeros(()))
+
+    learn(model, loss, 250, 3e-3)
     asked = batch_of(known, audio, rng, 32)
     found = model.values(asked["previous"], asked["audio"], asked["speaker"], asked["silent"])
     learned, true = (value - value.mean(-1, keepdim=True) for value in (found.reward.mean(-2), asked["every"]))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
+from performances import write_example
 from small_characters import AUTO_RIG, HUMANOID, MIXAMO, VROID, write_character
 
 from data_module.types import Array
@@ -36,9 +36,7 @@ RIGS = {
 @pytest.fixture(scope="module")
 def spoken(blender: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Performance]:
     """A recording, and the gesture that the program makes of it on our own skeleton."""
-    samples, rate = soundfile.read(HERE.parent / "examples" / "speech.flac", frames=round(SECONDS * 16000))
-    sound = tmp_path_factory.mktemp("sound") / "speech.wav"
-    soundfile.write(sound, samples, rate)
+    sound = write_example(tmp_path_factory.mktemp("sound") / "speech.wav", SECONDS)
     return sound, Gesticulator.from_pretrained()(sound, fps=FPS, legs=True)
 
 

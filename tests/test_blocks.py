@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from bursts import waving
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -27,7 +28,7 @@ from data_module.blocks import (
 from data_module.errors import InputError
 from data_module.motion import rotation, skeletons
 from data_module.speech.beats import BeatSettings
-from data_module.types import Array, Blocks, Motion, Samples, Speech
+from data_module.types import Array, Blocks, Samples, Speech
 
 RATE = 16000
 DURATIONS = st.lists(st.integers(4, 10), min_size=1, max_size=12).map(lambda ticks: np.array(ticks) * 0.05)
@@ -37,15 +38,6 @@ def blocks_of(durations: Array, frames: int = 10, fps: float = 20.0) -> Blocks:
     count = len(durations)
     edges = np.concatenate([[0.0], np.cumsum(durations)])
     return Blocks(edges, np.ones(count, np.int8), np.zeros(count, bool), frames, fps)
-
-
-def smooth_motion(seconds: float, fps: float, seed: int = 0, size: float = 0.6) -> Motion:
-    """Every joint swings about its own axes, slowly and smoothly."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(round(seconds * fps) + 1) / fps
-    rate, phase = rng.uniform(0.2, 1.0, (2, len(skeletons.JOINTS), 3))
-    maps = size * np.sin(2 * np.pi * (rate * time[:, None, None] + phase))
-    return Motion(skeletons.CHARACTER, rotation.from_exponential_map(maps), np.zeros((len(time), 3)), fps)
 
 
 def buzz(seconds: float) -> Samples:
@@ -147,7 +139,7 @@ def test_windows_hold_three_blocks_and_zeros_outside() -> None:
 @given(durations=DURATIONS, seed=st.integers(0, 5))
 def test_motion_comes_back_exactly_on_the_beats(durations: Array, seed: int) -> None:
     blocks = blocks_of(durations)
-    motion = smooth_motion(float(durations.sum()), 60.0, seed)
+    motion = waving(frames=round(durations.sum() * 60) + 1, fps=60.0, seed=seed)
     knots = normalise_motion(motion, blocks)
     assert knots.shape == (len(blocks), 10, 48)
     out = denormalise(knots, first_pose(motion), blocks, 20.0, smooth_over=0)

@@ -19,9 +19,9 @@ from data_module.build import main
 from data_module.corpora.table import CORPORA
 from data_module.files import lock
 from data_module.intervals import STEP, measure
-from data_module.motion import kinematics, rotation
+from data_module.motion import kinematics
 from data_module.motion.bvh import read_bvh, write_bvh
-from data_module.motion.skeletons import FINGER_JOINTS, WHOLE_BODY
+from data_module.motion.skeletons import WHOLE_BODY
 from data_module.store import Store
 from data_module.types import Speech
 
@@ -41,20 +41,6 @@ def _of(corpus: Path) -> list[str]:
 
 def _contents(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
-
-
-def test_a_store_of_the_performer_stands_on_the_floor_and_its_fingers_live(tiny_store: Path) -> None:
-    store = Store.open(tiny_store)
-    for info in store.recordings[:3]:
-        assert info.filled == FILLED and info.absent == ()
-        motion = store.load(info.name, 54).motion
-        feet = [WHOLE_BODY.index(side + part) for side in ("Left", "Right") for part in ("Foot", "ToeBase")]
-        assert np.ptp(kinematics.positions_of(motion)[:, feet], axis=0).max() < 0.01
-        fingers = [WHOLE_BODY.index(joint) for joint in FINGER_JOINTS]
-        speed = np.degrees(rotation.angle_between(motion.rotations[1:, fingers], motion.rotations[:-1, fingers])) * 60
-        assert (speed.mean(axis=0) > 0.5).all() and speed.max() < 250.0
-        small = store.load(info.name).motion
-        assert len(small.skeleton) == 16 and np.array_equal(small.rotations, motion.rotations[:, :16])
 
 
 def test_the_data_set_beside_the_store_gives_the_same_store(tiny_store: Path, tmp_path: Path) -> None:
@@ -98,14 +84,21 @@ def test_killed_half_way_then_finished_by_two_workers_gives_the_same_bytes(toy_c
     assert [name for name in mine if mine[name] != theirs[name]] == []
 
 
-def test_a_built_store_is_left_alone_and_other_settings_are_refused(toy_corpus: Path, tiny_store: Path, tmp_path: Path,
-                                                                    capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_built_store_is_left_alone_and_reported_and_other_settings_are_refused(
+        toy_corpus: Path, tiny_store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "store"
     shutil.copytree(tiny_store, out)
     before = {file: file.stat().st_mtime_ns for file in out.rglob("*")}
-    assert main([*_of(toy_corpus), "--out", str(out), "--workers", "1"]) == 0
+    told = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    again = [*_of(toy_corpus), "--out", str(out), "--workers", "1"]
+    assert main(again) == 0
     assert {file: file.stat().st_mtime_ns for file in out.rglob("*")} == before
-    capsys.readouterr()
+    said = capsys.readouterr().out
+    assert f"{told['blocks']} blocks" in said and "between onsets" in said
+    assert any(f"warning: {minutes} minutes of training data are little" in said for minutes in (2, 3))
+    (out / "report.json").unlink()
+    assert main(again) == 0
+    assert f"{told['minutes']:.1f} minutes" in capsys.readouterr().out
     with pytest.raises(SystemExit) as caught:
         main([*_of(toy_corpus), "--speaker", "anna", "--out", str(out), "--workers", "1"])
     said = capsys.readouterr().err
@@ -193,21 +186,6 @@ def test_the_report_counts_what_is_in_the_store(tiny_store: Path) -> None:
     # d_min and d_max are 0.2 and 0.5 s: no beats are closer or farther apart.
     beats = np.array(told["intervals"]["beats"])
     assert beats[round(0.2 / STEP):round(0.5 / STEP) + 1].sum() == beats.sum() == told["blocks"]
-
-
-def test_a_store_that_is_there_is_reported_as_when_it_was_built(toy_corpus: Path, tiny_store: Path, tmp_path: Path,
-                                                                capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "store"
-    shutil.copytree(tiny_store, out)
-    told = json.loads((out / "report.json").read_text(encoding="utf-8"))
-    again = [*_of(toy_corpus), "--out", str(out), "--workers", "1"]
-    assert main(again) == 0
-    said = capsys.readouterr().out
-    assert f"{told['blocks']} blocks" in said and "between onsets" in said
-    assert any(f"warning: {minutes} minutes of training data are little" in said for minutes in (2, 3))
-    (out / "report.json").unlink()
-    assert main(again) == 0
-    assert f"{told['minutes']:.1f} minutes" in capsys.readouterr().out
 
 
 def _ticking(apart: float, seconds: float = 6.0) -> Speech:

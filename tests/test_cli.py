@@ -21,7 +21,6 @@ from gesticulator import __version__, cli
 from gesticulator.infer import COMMAND
 from gesticulator.options import RANGES
 
-ROOT = Path(__file__).resolve().parent.parent
 HEAVY = {"torch", "numpy", "librosa", "scipy", "sklearn", "transformers", "soundfile", "matplotlib"}
 
 # A package of somebody else's that adds verbs: one that works, one that is no command, and broken ones.

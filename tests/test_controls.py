@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bursts import turned
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -24,7 +25,6 @@ from data_module.controls import (
     read_curve,
 )
 from data_module.errors import InputError
-from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Blocks, Motion
 
@@ -37,11 +37,8 @@ LEFT_RADIUS = float(np.hypot(0.18 + ARM, 0.035))
 
 def arm(angle: Array, fps: float, heading: Array | None = None) -> Motion:
     """The straight right arm turns about Z by `angle` [T]: the wrist goes round the shoulder; the left arm is level."""
-    maps = np.zeros((len(angle), len(CHARACTER), 3))
-    maps[:, CHARACTER.index("RightArm"), 2] = angle
-    if heading is not None:
-        maps[:, 0, 1] = heading
-    return Motion(CHARACTER, rotation.from_exponential_map(maps), np.zeros((len(angle), 3)), fps)
+    about = np.zeros(len(angle)) if heading is None else heading
+    return turned(len(angle), fps, {"RightArm": np.outer(angle, [0, 0, 1]), "Hips": np.outer(about, [0, 1, 0])})
 
 
 def levels() -> Levels:
@@ -120,13 +117,10 @@ def test_levels_are_the_15_50_and_85_per_cent_quantiles() -> None:
     assert fitted.value("speed", "high") == pytest.approx(170) and fitted.value("height", "low") == pytest.approx(0.15)
 
 
-@pytest.mark.parametrize("values", [np.zeros((0, 3)), np.zeros((5, 2)), np.full((5, 3), np.nan)])
-def test_levels_need_values(values: Array) -> None:
-    with pytest.raises(ValueError):
-        Levels.fit(values)
-
-
-def test_unknown_levels_and_features_are_refused() -> None:
+def test_levels_need_values_and_unknown_levels_and_features_are_refused() -> None:
+    for values in (np.zeros((0, 3)), np.zeros((5, 2)), np.full((5, 3), np.nan)):
+        with pytest.raises(ValueError):
+            Levels.fit(values)
     for feature, level in (("height", "top"), ("tempo", "low")):
         with pytest.raises(KeyError):
             levels().value(feature, level)

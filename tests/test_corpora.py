@@ -11,6 +11,7 @@ import numpy as np
 import published
 import published_bvh
 import pytest
+from bursts import waving
 
 from data_module.corpora.base import DroppedError, Options, Reader, load, spread
 from data_module.corpora.folder import FolderOptions
@@ -20,16 +21,9 @@ from data_module.motion import kinematics, skeletons
 from data_module.motion.bvh import write_bvh
 from data_module.speech.audio import write_flac
 from data_module.store import SPLITS
-from data_module.types import Motion, Speech, Word
+from data_module.types import Speech, Word
 
 RATE = 16000
-
-
-def _motion(frames: int, fps: float = 60.0, seed: int = 0) -> Motion:
-    rng = np.random.default_rng(seed)
-    logs = 0.3 * np.sin(np.arange(frames)[:, None, None] / fps * rng.uniform(1, 4, (16, 3)))
-    vectors = logs.reshape(frames, -1)
-    return skeletons.from_vector(vectors, fps)
 
 
 def _speech(seconds: float, words: tuple[Word, ...] | None = None) -> Speech:
@@ -37,11 +31,11 @@ def _speech(seconds: float, words: tuple[Word, ...] | None = None) -> Speech:
     return Speech(samples.astype(np.float32), RATE, words)
 
 
-def _folder(root: Path) -> Path:
-    source = root / "pairs"
+def _pairs(root: Path, *names: str) -> Path:
+    source = root / "recordings"
     source.mkdir()
-    for number, name in enumerate(("ann_1", "ann_2", "bob_1")):
-        write_bvh(source / f"{name}.bvh", _motion(150 + 30 * number, seed=number))
+    for number, name in enumerate(names or ("ann_1", "ann_2", "bob_1")):
+        write_bvh(source / f"{name}.bvh", waving(frames=150 + 30 * number, fps=60.0, seed=number))
         write_flac(source / f"{name}.flac", _speech(2.6))
     return source
 
@@ -51,24 +45,18 @@ def _beat(root: Path) -> Path:
     return root
 
 
-def _beat2(root: Path) -> Path:
-    published.write_beat2(root, published.TAKE, published.poses_of(45))
-    (root / "train_test_split.csv").write_text(f"id,type\n{published.TAKE},test\n")
-    return root
-
-
 def _ted(root: Path) -> Path:
     published.write_ted(root)
     return root
 
 
 SAMPLES: dict[str, Callable[[Path], Reader]] = {
-    "folder": lambda root: open_corpus("folder", _folder(root), Options()),
+    "folder": lambda root: open_corpus("folder", _pairs(root), Options()),
     "trinity": lambda root: open_corpus("trinity", published_bvh.trinity(root), Options()),
     "zeroeggs": lambda root: open_corpus("zeroeggs", published_bvh.zeroeggs(root), Options()),
     "mocca": lambda root: open_corpus("mocca", published_bvh.mocca(root), Options()),
     "beat": lambda root: open_corpus("beat", _beat(root), Options()),
-    "beat2": lambda root: open_corpus("beat2", _beat2(root), Options()),
+    "beat2": lambda root: open_corpus("beat2", published.listed_beat2(root).parent, Options()),
     "ted": lambda root: open_corpus("ted", _ted(root), Options()),
 }
 """A small instance of every reader; a new reader brings its own."""
@@ -105,8 +93,8 @@ def test_contract(name: str, tmp_path: Path) -> None:
 
 
 def test_folder_pairs_by_name_and_reports_the_rest(tmp_path: Path) -> None:
-    source = _folder(tmp_path)
-    write_bvh(source / "lonely.bvh", _motion(100))
+    source = _pairs(tmp_path)
+    write_bvh(source / "lonely.bvh", waving(frames=100, fps=60.0))
     (source / "ann_2.json").write_text(json.dumps({"words": [{"text": "hello", "start": 0.5, "end": 0.9}],
                                                    "performer": "ann", "language": "en", "split": "test"}))
     (source / "bob_1.bvh").write_text("HIERARCHY\n broken")
@@ -122,15 +110,6 @@ def test_folder_pairs_by_name_and_reports_the_rest(tmp_path: Path) -> None:
     # 180 frames are 3 s, the sound is 2.6 s: the shorter counts.
     assert len(recording.motion) == 156
     assert load(reader, items["ann_1"]).speech.words is None
-
-
-def _pairs(root: Path, *names: str) -> Path:
-    source = root / "recordings"
-    source.mkdir()
-    for number, name in enumerate(names):
-        write_bvh(source / f"{name}.bvh", _motion(150, seed=number))
-        write_flac(source / f"{name}.flac", _speech(2.6))
-    return source
 
 
 @pytest.mark.parametrize(("count", "counts"), [

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import soundfile
 from gltf_reader import GlbFile
+from performances import write_example
 from small_characters import write_character
 from untrained import untrained
 
@@ -36,10 +37,7 @@ RUN = {"calmer_take", "direct", "edit_plan", "file_to_bvh", "folder", "gestures_
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first seconds of the example recording."""
-    samples, rate = soundfile.read(EXAMPLES / "speech.flac", frames=round(SECONDS * 16000))
-    path = tmp_path_factory.mktemp("recordings") / "a.flac"
-    soundfile.write(path, samples, rate)
-    return path
+    return write_example(tmp_path_factory.mktemp("recordings") / "a.flac", SECONDS)
 
 
 def example(name: str) -> Callable[..., None]:

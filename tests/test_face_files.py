@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import csv
 import warnings
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from browser import OpenedPage, chromium
+from browser import OpenedPage
 from gltf_reader import GlbFile
 from performances import perform, write
 from small_characters import write_character
@@ -241,12 +240,6 @@ def test_vmc_sends_blend_shapes_and_eyes() -> None:
 # ------------------------------------------------------------------------------------------------------------ in pages
 
 OCULUS = [f"viseme_{name}" for name in VISEMES]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as window:
-        yield window
 
 
 def test_constants_are_the_curves() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bursts import waving
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -27,15 +28,6 @@ from data_module.motion.skeletons import (
 )
 from data_module.motion.smplx import read_smplx
 from data_module.types import Array, Motion, Skeleton
-
-
-def waving(skeleton: Skeleton = FINGERED, frames: int = 60, fps: float = 30.0, seed: int = 0) -> Motion:
-    """Every joint turns a little, smoothly."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(frames)[:, None, None] / fps
-    size, rate, phase = (rng.uniform(low, high, (1, len(skeleton), 3)) for low, high in ((0, .4), (.2, 1), (0, 6)))
-    maps = size * np.sin(2 * np.pi * rate * time + phase)
-    return Motion(skeleton, rotation.from_exponential_map(maps), np.zeros((frames, 3)), fps)
 
 
 def angles(a: Motion, b: Motion) -> Array:
@@ -73,7 +65,7 @@ def test_fingers_and_legs_are_known_by_each_familys_names(family: str, some: dic
 
 def test_fingers_of_another_rest_pose_point_where_the_sources_do() -> None:
     """Arms hang at 45 degrees and fingers are half bent at the source's rest; in space nothing changes."""
-    motion = waving()
+    motion = waving(FINGERED)
     rest = np.tile([1.0, 0.0, 0.0, 0.0], (46, 1))
     for side, way in (("Left", -1.0), ("Right", 1.0)):
         rest[FINGERED.index(side + "Arm")] = rotation.from_exponential_map(np.array([0, 0, way * np.pi / 4]))
@@ -116,7 +108,7 @@ def test_smplx_fingers_are_read_where_the_file_has_them(columns: int, first: int
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10_000), joints=st.sampled_from([16, 46, 54]))
 def test_vectors_of_any_size_come_back(seed: int, joints: int) -> None:
-    motion = waving(CHARACTERS[joints], seed=seed)
+    motion = waving(CHARACTERS[joints], fps=30.0, seed=seed)
     faced = skeletons.facing(motion)
     told = Rotations(joints)
     vectors = told.vectors(motion, np.arange(len(motion)) / motion.fps)
@@ -185,7 +177,7 @@ def test_relaxed_hands_are_mirrored_alive_smooth_and_the_same_every_time() -> No
 
 
 def test_recorded_fingers_are_left_alone() -> None:
-    motion = waving()
+    motion = waving(FINGERED)
     assert with_relaxed_hands(motion) is motion
     right = tuple(name for name in FINGER_JOINTS if name.startswith("Right"))
     half = with_relaxed_hands(Motion(FINGERED, motion.rotations, motion.root_positions, 30.0, right))

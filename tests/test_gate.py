@@ -10,6 +10,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from learning import learn
 from torch import Tensor
 
 from interpreters.base import BlockFeatures
@@ -44,14 +45,11 @@ def spoken(count: int, seed: int, habit: bool = False) -> dict[str, Tensor]:
 
 def taught(model: ActivityGate, habit: bool, steps: int = 120) -> float:
     """Train on the toy; the share of right decisions on other windows."""
-    optimiser = torch.optim.Adam(model.parameters(), 1e-2)
-    for step in range(steps):
+    def loss(step: int) -> torch.Tensor:
         losses = model.losses(spoken(32, 100 + step, habit), step / steps)
-        loss = torch.stack([model.weights[key] * term for key, term in losses.items()]).sum()
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-    model.eval()
+        return torch.stack([model.weights[key] * term for key, term in losses.items()]).sum()
+
+    learn(model, loss, steps)
     fresh = spoken(200, 1, habit)
     with torch.no_grad():
         says = model.logits(fresh["audio_low"], fresh["speaker"])[0] > 0

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from performances import example
 from pipecat_gesticulator.marks import timed_words, without_marks
 from recogniser_samples import FILES, Words
 
 from data_module.errors import InputError
 from data_module.motion.rotation import conjugate, multiply
-from data_module.speech.audio import load_speech
 from data_module.text.marks import mark_name, marked_text, marked_words
 from data_module.text.transcript import read_transcript, with_transcript
 from data_module.types import Speech, Word
@@ -209,15 +209,8 @@ def test_the_spelling_of_a_name_does_not_matter(gesture: str, between: str, capi
 
 # ------------------------------------------------------------------------------------------ a performance, a stream
 
-@pytest.fixture(scope="module")
-def g() -> Any:
-    from gesticulator.gesticulator import Gesticulator
-
-    return Gesticulator.from_pretrained()
-
-
 def _sound(seconds: float = 6.0) -> Speech:
-    return Speech(load_speech(ROOT / "examples" / "speech.flac").samples[:round(seconds * RATE)], RATE)
+    return example(seconds)
 
 
 def _words(**marks: str) -> tuple[Word, ...]:
@@ -237,11 +230,11 @@ def _around(changed: np.ndarray, stroke: float) -> None:
     assert stroke - before - 0.2 < changed[0] < stroke - 0.2 and stroke + 0.2 < changed[-1] < stroke + after + 0.2
 
 
-def test_a_mark_makes_the_gesture_of_a_cue(g: Any) -> None:
+def test_a_mark_makes_the_gesture_of_a_cue(system: Any) -> None:
     speech = _sound()
-    plain = g(Speech(speech.samples, RATE, _words()))
-    marked = g(Speech(speech.samples, RATE, _words(w5="shrug", w8="none")))
-    cued = g(Speech(speech.samples, RATE, _words()), cues=(GestureCue("shrug", "w5"),))
+    plain = system(Speech(speech.samples, RATE, _words()))
+    marked = system(Speech(speech.samples, RATE, _words(w5="shrug", w8="none")))
+    cued = system(Speech(speech.samples, RATE, _words()), cues=(GestureCue("shrug", "w5"),))
     np.testing.assert_array_equal(marked.rotations, cued.rotations)
     changed = np.flatnonzero((marked.rotations != plain.rotations).any((1, 2))) / 60
     _around(changed, stroke_of_word(_words()[5]))
@@ -251,9 +244,9 @@ def test_a_mark_makes_the_gesture_of_a_cue(g: Any) -> None:
     assert [word.text for word in plan.words] == [word.text for word in _words()]
 
 
-def _streamed(g: Any, words: list[list[Word]], seconds: float = 6.0, when: float = 0.0) -> np.ndarray:
+def _streamed(system: Any, words: list[list[Word]], seconds: float = 6.0, when: float = 0.0) -> np.ndarray:
     """Frames of a stream that gets its words in these calls, once `when` seconds were fed."""
-    stream = g.stream(RATE, text=True)
+    stream = system.stream(RATE, text=True)
     samples = _sound(seconds).samples
     frames = []
     for at in range(0, len(samples), 1600):
@@ -266,17 +259,17 @@ def _streamed(g: Any, words: list[list[Word]], seconds: float = 6.0, when: float
     return np.concatenate(frames)
 
 
-def test_a_stream_makes_the_gestures_of_a_file(g: Any) -> None:
+def test_a_stream_makes_the_gestures_of_a_file(system: Any) -> None:
     words = _words(w5="shrug", w9="wave")
-    file = g(Speech(_sound().samples, RATE, words))
-    np.testing.assert_allclose(_streamed(g, [_texts(words)]), file.rotations, atol=1e-9)
+    file = system(Speech(_sound().samples, RATE, words))
+    np.testing.assert_allclose(_streamed(system, [_texts(words)]), file.rotations, atol=1e-9)
 
 
-def test_a_mark_waits_for_the_next_words(g: Any) -> None:
+def test_a_mark_waits_for_the_next_words(system: Any) -> None:
     words = _texts(_words())
     alone = [*words[:5], Word("[shrug]", 2.3, 2.3)]
     whole = [*words[:5], Word("[shrug] w5", words[5].start, words[5].end)]
-    np.testing.assert_array_equal(_streamed(g, [alone, words[5:]]), _streamed(g, [whole, words[6:]]))
+    np.testing.assert_array_equal(_streamed(system, [alone, words[5:]]), _streamed(system, [whole, words[6:]]))
 
 
 def test_no_more_marks_may_wait_than_a_plan_may_have() -> None:
@@ -289,8 +282,8 @@ def test_no_more_marks_may_wait_than_a_plan_may_have() -> None:
     marks.take([Word("[shrug]no", 200.0, 200.5)], 50.0)  # half of the earlier ones are over
 
 
-def test_streams_give_the_words_back_without_marks(g: Any) -> None:
-    stream = g.stream(RATE, text=True)
+def test_streams_give_the_words_back_without_marks(system: Any) -> None:
+    stream = system.stream(RATE, text=True)
     with pytest.warns(MarkWarning):
         said = stream.add_words([Word("[shurg]", 0.0, 0.1), Word("so", 0.1, 0.3), Word("\N{SHRUG}no", 0.3, 0.5)])
     with warnings.catch_warnings():
@@ -308,16 +301,16 @@ def _added(marked: np.ndarray, plain: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def whole(g: Any) -> float:
+def whole(system: Any) -> float:
     """Radians per frame of a shrug that was known in time."""
-    marked, plain = (_streamed(g, [_texts(words)]) for words in (_words(w5="shrug"), _words()))
+    marked, plain = (_streamed(system, [_texts(words)]) for words in (_words(w5="shrug"), _words()))
     return float(_added(marked, plain).max())
 
 
 @pytest.mark.parametrize("when", [1.5, 2.2, 2.6, 3.0, 4.0, 5.0])
-def test_a_word_that_comes_late_makes_no_jump(g: Any, when: float, whole: float) -> None:
+def test_a_word_that_comes_late_makes_no_jump(system: Any, when: float, whole: float) -> None:
     """The gesture is whole and somewhat later, or there is none."""
-    marked, plain = (_streamed(g, [_texts(words)], when=when) for words in (_words(w5="shrug"), _words()))
+    marked, plain = (_streamed(system, [_texts(words)], when=when) for words in (_words(w5="shrug"), _words()))
     changed = np.flatnonzero((marked != plain).any((1, 2))) / 60
     if when > 4:
         assert len(changed) == 0, "the word was over"
@@ -327,24 +320,24 @@ def test_a_word_that_comes_late_makes_no_jump(g: Any, when: float, whole: float)
     assert len(changed) or when > 2.0
 
 
-def test_an_interruption_takes_the_gesture_back(g: Any) -> None:
+def test_an_interruption_takes_the_gesture_back(system: Any) -> None:
     def frames(mark: bool) -> tuple[np.ndarray, int]:
-        stream = g.stream(RATE, text=True)
+        stream = system.stream(RATE, text=True)
         stream.add_words(_texts(_words(w2="shrug", w5="wave") if mark else _words()))
         made = stream.feed(_sound(5.0).samples).rotations
         cut = stream.interrupt(1.6)
         return np.concatenate([made[:cut.first], cut.rotations, stream.idle(3.0).rotations]), cut.first
 
-    whole = _added(*(_streamed(g, [_texts(words)]) for words in (_words(w2="shrug"), _words()))).max()
+    whole = _added(*(_streamed(system, [_texts(words)]) for words in (_words(w2="shrug"), _words()))).max()
     (marked, cut), (plain, _) = frames(True), frames(False)
     changed = np.flatnonzero((marked != plain).any((1, 2)))
     assert changed[0] < cut < changed[-1] < cut + 80, "the shrug is blended out in 1.2 s, the wave is forgotten"
     assert _added(marked, plain)[cut - 2:].max() < 1.3 * whole
 
 
-def test_the_server_makes_marks_and_echoes_words_without_them(g: Any) -> None:
+def test_the_server_makes_marks_and_echoes_words_without_them(system: Any) -> None:
     request = StreamRequest(RATE, options={"text": True})
-    session = session_opener(g, ServerLimits())("one", request)
+    session = session_opener(system, ServerLimits())("one", request)
     words = [{"text": word.text, "start": word.start, "end": word.end}
              for word in [*_texts(_words(w3="shrug")), Word("[wave]", 5.1, 5.1)]]
     answers = [*session.obey({"type": "words", "words": words}), *session.feed(_sound().samples),
@@ -352,6 +345,6 @@ def test_the_server_makes_marks_and_echoes_words_without_them(g: Any) -> None:
     events = [json.loads(message) for answer in answers for message in answer.messages if isinstance(message, str)]
     assert [event["text"] for event in events if event["type"] == "word"] == [f"w{n}" for n in range(12)]
     made = np.concatenate([frames.rotations for answer in answers for frames in answer.frames])
-    plain = _streamed(g, [list(_words())])
+    plain = _streamed(system, [list(_words())])
     changed = np.flatnonzero((made != plain).any((1, 2))) / 60
     _around(changed, stroke_of_word(_words()[3]))

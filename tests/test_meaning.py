@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from performances import example
 
 from data_module.errors import InputError
-from data_module.speech.audio import SAMPLE_RATE, load_speech
 from data_module.text.language import language_of
 from data_module.types import Speech, Word
 from gesticulator.directing.cues import stroke_of_word
@@ -240,9 +239,6 @@ def test_an_unknown_level_is_refused() -> None:
 
 # ------------------------------------------------------------------------------------- files, plans and streams
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
-
-
 @lru_cache(maxsize=1)
 def system() -> Gesticulator:
     return Gesticulator.from_pretrained()
@@ -251,8 +247,7 @@ def system() -> Gesticulator:
 @lru_cache(maxsize=1)
 def spoken() -> Speech:
     """Eight seconds in which "idea" is said at 3.5 s."""
-    sound = load_speech(EXAMPLE)
-    return Speech(sound.samples[:8 * SAMPLE_RATE], SAMPLE_RATE, spread(IDEA))
+    return replace(example(8.0), words=spread(IDEA))
 
 
 @lru_cache(maxsize=2)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from bursts import turned
 
 from data_module.errors import InputError
-from data_module.motion import rotation, skeletons
 from data_module.motion.motion_beats import acting_speed, motion_beats
 from data_module.types import Array, Motion, Skeleton
 
@@ -21,11 +21,7 @@ def reach(time: Array, start: float, duration: float, size: float) -> Array:
 
 def arm_motion(angle: Array, fps: float, joint: str = "RightArm", yaw: float = 0.0) -> Motion:
     """One joint turns about Z by `angle` [T]; elbow and wrist go round circles, so their speeds follow the angle's."""
-    maps = np.zeros((len(angle), 16, 3))
-    maps[:, skeletons.CHARACTER.index(joint), 2] = angle
-    rotations = rotation.from_exponential_map(maps)
-    rotations[:, 0] = rotation.multiply(rotation.from_euler(np.array([0, yaw, 0]), "XYZ"), rotations[:, 0])
-    return Motion(skeletons.CHARACTER, rotations, np.zeros((len(angle), 3)), fps)
+    return turned(len(angle), fps, {joint: np.outer(angle, [0, 0, 1]), "Hips": [0, yaw, 0]})
 
 
 STARTS = np.array([0.8, 2.1, 3.4, 4.7, 6.0])

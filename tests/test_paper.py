@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from performances import example
 
-from data_module.speech.audio import load_speech
-from data_module.types import Speech
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.config import Config, from_dict
 from gesticulator.bundle.files import CARD, INDEX, NAMED, bundle_folder, read_index
@@ -19,8 +18,6 @@ from gesticulator.training import command as train
 from gesticulator.training.presets import preset
 from gesticulator.training.stages import wanted
 
-ROOT = Path(__file__).parent.parent
-EXAMPLE = ROOT / "examples" / "speech.flac"
 CHOOSERS = ("lstm", "cql", "cql-literal", "statistical")
 TOY = ("encoder.width=16", "lexicon.size=12", "lexicon.code_width=32", "lexicon.widths=[16,24,32,32]",
        "generator.motion_features=16", "generator.audio_features=8", "generator.audio_bottleneck=8",
@@ -50,13 +47,6 @@ def toy(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def paper() -> Gesticulator:
     return Gesticulator.from_pretrained("paper")
-
-
-@pytest.fixture(scope="module")
-def spoken() -> Speech:
-    """Six seconds of the example."""
-    speech = load_speech(EXAMPLE)
-    return Speech(speech.samples[:6 * speech.sample_rate], speech.sample_rate)
 
 
 def test_the_preset_is_both_papers_and_trains_every_stage(toy: Path) -> None:
@@ -97,7 +87,8 @@ def test_the_shipped_bundle_is_small_and_says_what_it_was_trained_on() -> None:
 
 
 @pytest.mark.parametrize("interpreter", CHOOSERS)
-def test_the_example_is_gestured_by_each_interpreter(interpreter: str, paper: Gesticulator, spoken: Speech) -> None:
+def test_the_example_is_gestured_by_each_interpreter(interpreter: str, paper: Gesticulator) -> None:
+    spoken = example(6.0)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         made = paper(spoken, interpreter=interpreter, seed=1)

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import librosa
 import numpy as np
 import pytest
-import soundfile
+from performances import example
 
 from data_module.speech.silence import PITCH_HOP, PITCH_WINDOW, PitchLevel, pitch_of
 from data_module.types import Samples
 from gesticulator.sampling.candidates import with_pitch
 
 RATE = 16000
-EXAMPLE_VOICE = soundfile.read(Path(__file__).parent.parent / "examples" / "speech.flac", dtype="float32")[0]
+EXAMPLE_VOICE = example().samples
 
 
 def voice(frequency: float, seconds: float = 0.5) -> Samples:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from learning import learn
 from scipy.stats import chisquare
 
 from gesticulator.bundle.features import SpeechBlock
@@ -76,13 +77,7 @@ def numbers(seed: int) -> np.ndarray:
 
 def test_it_learns_what_can_be_heard_and_steps_as_it_was_trained() -> None:
     rng, model = np.random.default_rng(0), planner().train()
-    optimizer = torch.optim.Adam(model.parameters(), 0.02)
-    for _ in range(150):
-        loss = torch.stack(list(model.losses(loud_strokes(16, 9, rng)).values())).sum()
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-    model.eval()
+    learn(model, lambda _: torch.stack(list(model.losses(loud_strokes(16, 9, rng)).values())).sum(), 150, 0.02)
     heard = loud_strokes(4, 12, rng)
     assert sum(loss.item() for loss in model.losses(heard).values()) < 0.1, "the sound alone decides"
     state, right = model.start(0), []

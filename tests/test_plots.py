@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from data_module.errors import InputError
 from data_module.motion.motion_beats import beats_of_speed
 from data_module.speech.onsets import merged
 from data_module.types import BeatFlag, Beats, Speech, Word
@@ -193,21 +192,12 @@ def test_overview_shows_its_stretch() -> None:
 # ---------------------------------------------------------------------------------------------------------- saving
 
 def test_the_same_input_gives_the_same_bytes(tmp_path: Path) -> None:
-    rng = np.random.default_rng(7)
-    points, labels = rng.standard_normal((40, 2)), rng.integers(0, 4, 40)
-    made = {"curves": lambda: plots.delta_curves({"ours": [1.0, 2.0, 3.0]}, DELTAS),
-            "panels": lambda: embedding.embedding_panels({"a": (points, labels)}, 4),
-            "overview": lambda: plots.overview(plots.Overview(**performance(), silent=[2]), 0.0, 8.0)}
-    for name, draw in made.items():
-        for suffix in ("svg", "png"):
-            files = [tmp_path / f"{name}{i}.{suffix}" for i in range(2)]
-            for file in files:
-                save_strip(draw(), file)
-            first, second = (file.read_bytes() for file in files)
-            assert first == second and len(first) > 1000
-            assert b"matplotlib.org" not in first and b"<dc:date>" not in first
-    save_strip(made["curves"](), tmp_path / "a.pdf")
-    assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
-    with pytest.raises(InputError, match="picture"):
-        save_strip(made["curves"](), tmp_path / "a.doc")
-    assert not (tmp_path / "a.doc").exists()
+    def saved(name: str) -> bytes:
+        save_strip(plots.overview(plots.Overview(**performance(), silent=[2]), 0.0, 8.0), tmp_path / name)
+        return (tmp_path / name).read_bytes()
+
+    for suffix in ("svg", "png"):
+        first = saved(f"first.{suffix}")
+        assert first == saved(f"second.{suffix}") and len(first) > 1000
+        assert b"matplotlib.org" not in first and b"<dc:date>" not in first
+    assert saved("a.pdf").startswith(b"%PDF")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from learning import learn
 from torch import Tensor
 
 from interpreters.base import BlockFeatures, pose_of
@@ -79,7 +80,6 @@ def test_the_paper_is_blind_to_the_body() -> None:
 def test_a_rule_of_the_hands_is_learned_by_who_sees_them(pose: int, by: str) -> None:
     """Which of two lexemes comes next hangs on the direction of the hand alone: 1 bit, 0.693 nats."""
     student = model(pose_features=pose, reads_by=by)
-    optimiser = torch.optim.Adam(student.parameters(), 1e-2)
     torch.manual_seed(7)
 
     def batch(seed: int) -> dict[str, Tensor]:
@@ -88,11 +88,7 @@ def test_a_rule_of_the_hands_is_learned_by_who_sees_them(pose: int, by: str) -> 
         made["lexeme"] = torch.cat([torch.zeros(16, 1, dtype=torch.long), up[:, :-1].long()], dim=1)
         return made
 
-    for step in range(120):
-        loss = student.losses(batch(step), step / 120)["nll"]
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
+    learn(student, lambda step: student.losses(batch(step), step / 120)["nll"], 120)
     with torch.no_grad():
         nll = float(np.mean([float(student.eval().losses(batch(seed))["nll"]) for seed in range(1000, 1005)]))
     assert nll < 0.2 if pose else nll > 0.65

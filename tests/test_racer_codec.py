@@ -97,21 +97,6 @@ def test_losses_are_the_equations_by_hand() -> None:
     assert codec.weights.keys() == loss.keys()
 
 
-def test_one_batch_is_learned_by_heart() -> None:
-    motion = moving(4, 48)
-    codec = small(width=32, size=32, revive_below=0.2)
-    codec.start_codebook(motion, seed=0)
-    batch = {"motion": motion, "mask": torch.ones(4, WIDTH_M)}
-    optimiser = torch.optim.Adam(codec.parameters(), 3e-3)
-    for _ in range(150):
-        terms = codec.losses(batch)
-        optimiser.zero_grad()
-        sum(codec.weights[key] * term for key, term in terms.items()).backward()  # type: ignore[union-attr]
-        optimiser.step()
-    error = (codec.decode_tokens(codec.label(motion)).flatten(1, 2) - motion).abs().mean()
-    assert error < 0.15 * motion.abs().mean(), f"{error:.3f} of {motion.abs().mean():.3f}"
-
-
 def test_labels_do_not_depend_on_the_batch_size_or_the_mode() -> None:
     codec, motion = small(), moving(13)
     codec.start_codebook(motion, seed=0)

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-import soundfile
+from performances import write_example
 
 ROOT = Path(__file__).resolve().parent.parent
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -52,8 +52,7 @@ def run(line: str, packages: Path, folder: Path) -> str:
 
 def speech(folder: Path) -> None:
     """Two seconds of a voice."""
-    samples, rate = soundfile.read(ROOT / "examples" / "speech.flac", frames=2 * 16000)
-    soundfile.write(folder / "speech.wav", samples, rate)
+    write_example(folder / "speech.wav", 2.0)
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bursts import waving
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -72,15 +73,6 @@ def chained(directions: Array, lengths: Array | float = 0.3) -> Array:
     return points
 
 
-def swaying(frames: int = 60, fps: float = 20.0, seed: int = 0, size: float = 0.5) -> Motion:
-    """Every joint moves slowly about its own axes."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(frames)[:, None, None] / fps
-    rate, phase = rng.uniform(0.1, 0.6, (2, 1, len(JOINTS), 3))
-    maps = size * np.sin(2 * np.pi * (rate * time + phase))
-    return Motion(CHARACTER, rotation.from_exponential_map(maps), rng.normal(size=(frames, 3)), fps)
-
-
 def real(folder: Path, clip: str) -> Motion:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BvhWarning)
@@ -114,7 +106,7 @@ def test_the_rest_pose_is_where_a_ruler_puts_it() -> None:
 
 @pytest.mark.parametrize("own", REPRESENTATIONS.values(), ids=REPRESENTATIONS)
 def test_yaw_and_place_do_not_count_and_the_ends_are_held(own: Representation) -> None:
-    motion = swaying()
+    motion = waving()
     away = motion.rotations.copy()
     away[:, 0] = rotation.multiply(turn([0, 1, 0], 110), away[:, 0])
     walked = Motion(CHARACTER, away, motion.root_positions + np.array([3.0, 0.0, -2.0]), motion.fps)
@@ -146,7 +138,7 @@ def test_a_source_without_a_joint_lacks_what_hangs_on_it() -> None:
 
 
 def test_a_bone_without_length_points_where_it_did() -> None:
-    points = ted_positions(swaying())[:5].copy()
+    points = ted_positions(waving())[:5].copy()
     whole = bone_directions(points)
     for frame in (0, 2, 3):
         points[frame, 6] = points[frame, 5]
@@ -175,7 +167,7 @@ def test_a_head_that_bends_as_heads_do_keeps_all_directions(directions: Array, b
 
 @given(st.integers(0, 99))
 def test_any_pose_of_the_character_keeps_all_directions(seed: int) -> None:
-    motion = swaying(20, seed=seed, size=0.7)
+    motion = waving(frames=20, seed=seed, size=0.7)
     wanted = bone_directions(ted_positions(motion))
     found = bone_directions(ted_positions(rotations_from_positions(ted_positions(motion), motion.fps)))
     assert np.abs(found - wanted).max() < 1e-6
@@ -208,7 +200,7 @@ def test_limbs_turn_as_they_were_turned(seed: int, left: float, right: float) ->
 
 @given(st.integers(0, 30))
 def test_a_mirrored_speaker_makes_mirrored_gestures(seed: int) -> None:
-    points = ted_positions(swaying(seed=seed))
+    points = ted_positions(waving(seed=seed))
     other = points[:, [0, 1, 2, 3, 7, 8, 9, 4, 5, 6]] * [-1.0, 1.0, 1.0]
     swapped = [JOINTS.index(name.replace("Left", "#").replace("Right", "Left").replace("#", "Right"))
                for name in JOINTS]
@@ -218,7 +210,7 @@ def test_a_mirrored_speaker_makes_mirrored_gestures(seed: int) -> None:
 
 
 def test_a_frame_depends_on_those_before_it_alone() -> None:
-    points = ted_positions(swaying(size=0.8))
+    points = ted_positions(waving(size=0.8))
     whole = rotations_from_positions(points, 20.0).rotations
     for count in (1, 2, 17, 40):
         assert np.allclose(rotations_from_positions(points[:count], 20.0).rotations, whole[:count], atol=1e-9)

@@ -9,6 +9,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from learning import learn
 from torch import Tensor
 from torch.nn import functional
 
@@ -116,11 +117,8 @@ def test_a_temperature_at_its_floor_can_rise_again() -> None:
     net = model()
     with torch.no_grad():
         net.log_temperature.fill_(-20.0)
-    optimiser = torch.optim.Adam(net.parameters(), lr=0.02)
-    for step in range(5):  # nothing to be learned from noise: a cold softmax is punished
-        optimiser.zero_grad()
-        net.losses(batch(16, 4, seed=10 * step))["contrast"].backward()
-        optimiser.step()
+    # Nothing to be learned from noise: a cold softmax is punished.
+    learn(net, lambda step: net.losses(batch(16, 4, seed=10 * step))["contrast"], 5, 0.02)
     assert net.temperature > LEAST_TEMPERATURE * 1.02
 
 
@@ -273,17 +271,16 @@ def cut(audio: Tensor, motion: Tensor, starts: np.ndarray, width: int) -> dict[s
 
 
 def test_what_goes_together_is_learned() -> None:
-    audio, motion = recording(2000, seed=1)
     net = model(width=32, projection=16).train()
-    optimiser = torch.optim.Adam(net.parameters(), lr=3e-3)
-    for step in range(150):
+    spoken, shown = recording(2000, seed=1)
+
+    def loss(step: int) -> Tensor:
         rng = np.random.default_rng([7, step])
         torch.manual_seed(step)
-        optimiser.zero_grad()
         starts = 8 * rng.choice(240, 32, replace=False) + rng.integers(8)
-        net.losses(cut(audio, motion, starts, int(rng.integers(2, 9))), step / 150)["contrast"].backward()
-        optimiser.step()
-    net.eval()
+        return net.losses(cut(spoken, shown, starts, int(rng.integers(2, 9))), step / 150)["contrast"]
+
+    learn(net, loss, 150, 3e-3)
     audio, motion = recording(600, seed=2)  # never seen
     figures = net.retrieval(cut(audio, motion, 8 * np.arange(64), 8))
     assert figures["chance_r1"] == pytest.approx(1 / 64)

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from performances import example
 
 from data_module.motion.kinematics import positions_of
-from data_module.speech.audio import SAMPLE_RATE, amplified, load_speech
-from data_module.types import Array, Speech
+from data_module.speech.audio import amplified
+from data_module.types import Array
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.performance import Performance
-
-EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
 
 
 @lru_cache(maxsize=1)
@@ -22,13 +20,9 @@ def system() -> Gesticulator:
     return Gesticulator.from_pretrained()
 
 
-def speech(seconds: float) -> Speech:
-    return Speech(load_speech(EXAMPLE).samples[:round(seconds * SAMPLE_RATE)], SAMPLE_RATE)
-
-
 @lru_cache(maxsize=2)
 def take(seed: int) -> Performance:
-    return system()(speech(6.0), seed=seed)
+    return system()(example(6.0), seed=seed)
 
 
 def hands(made: Performance) -> Array:
@@ -39,7 +33,7 @@ def hands(made: Performance) -> Array:
 
 @pytest.mark.parametrize("decibels", [-0.1, -6.0])
 def test_another_level_is_the_same_take(decibels: float) -> None:
-    first, again = take(0), system()(amplified(speech(6.0), decibels), seed=0)
+    first, again = take(0), system()(amplified(example(6.0), decibels), seed=0)
     assert again.lexemes.tolist() == first.lexemes.tolist()
     assert np.array_equal(again.blocks.edges, first.blocks.edges)
     assert np.linalg.norm(hands(again) - hands(first), axis=-1).max() < 0.005

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import performances
 import pytest
 
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import facing, upper_body
-from data_module.speech.audio import load_speech
 from eval.clip.measure import measure
 from eval.table import load_with_provenance, markdown
 from gesticulator.bundle import bundle as bundles
@@ -18,12 +18,11 @@ from gesticulator.gesticulator import Gesticulator
 from gesticulator.performance import Performance
 
 ROOT = Path(__file__).parent.parent
-EXAMPLE = ROOT / "examples" / "speech.flac"
 
 
 @pytest.fixture(scope="module")
-def example() -> Performance:
-    return Gesticulator.from_pretrained()(load_speech(EXAMPLE))
+def example(system: Gesticulator) -> Performance:
+    return system(performances.example())
 
 
 def test_the_bundle_is_small_and_says_what_it_was_trained_on() -> None:

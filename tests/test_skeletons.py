@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from bursts import waving
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -14,15 +15,6 @@ from data_module.errors import InputError
 from data_module.motion import kinematics, rotation, skeletons
 from data_module.motion.skeletons import CHARACTER, JOINTS, NAME_TABLES, REQUIRED, find_table, to_character
 from data_module.types import Array, Motion, Skeleton
-
-
-def calm(frames: int = 40, seed: int = 0) -> Motion:
-    """The character moving gently, every joint, at 20 fps."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(frames)[:, None, None] / 20.0
-    size, rate, phase = (rng.uniform(low, high, (1, len(JOINTS), 3)) for low, high in ((0, .5), (.2, 1), (0, 6)))
-    vectors = size * np.sin(2 * np.pi * rate * time + phase)
-    return Motion(CHARACTER, rotation.from_exponential_map(vectors), rng.normal(size=(frames, 3)), 20.0)
 
 
 def re_rested(motion: Motion, by: Mapping[str, Array]) -> Motion:
@@ -66,7 +58,7 @@ def renamed(motion: Motion, names: Mapping[str, str], prefix: str = "") -> Motio
 
 @pytest.mark.parametrize("droop", [20.0, 45.0, 80.0])
 def test_an_a_pose_and_a_t_pose_source_agree(droop: float) -> None:
-    motion = calm()
+    motion = waving()
     down = np.radians(droop)
     # The character's left is +X: turning +X down is a negative turn about Z; the right arm mirrors it.
     turns = {side + bone: rotation.from_euler(np.array([sign * down, 0, 0]), "ZXY")
@@ -82,7 +74,7 @@ def test_an_a_pose_and_a_t_pose_source_agree(droop: float) -> None:
 @pytest.mark.parametrize(("euler", "axes"), [((90.0, 0, 0), "z up"), ((0, 180.0, 0), "facing -Z"),
                                              ((90.0, 0, 90.0), "z up, facing X")])
 def test_other_axes_are_brought_onto_ours(euler: tuple[float, float, float], axes: str) -> None:
-    motion = calm()
+    motion = waving()
     change = Rotation.from_euler("xyz", euler, degrees=True).as_quat(scalar_first=True)
     back = rotation.conjugate(change)
     skeleton = Skeleton(JOINTS, CHARACTER.parents, rotation.rotate(change, CHARACTER.offsets))
@@ -97,7 +89,7 @@ def test_other_axes_are_brought_onto_ours(euler: tuple[float, float, float], axe
 @pytest.mark.parametrize("prefix", ["", "mixamorig:", "scene:Actor1:"])
 def test_every_table_of_names_brings_its_joints_back(source: str, prefix: str) -> None:
     names = NAME_TABLES[source]
-    motion = calm()
+    motion = waving()
     there = to_character(renamed(motion, names, prefix))
     lacking = [name for name in JOINTS if name not in names]
     assert list(there.absent) == lacking
@@ -127,7 +119,7 @@ def test_the_unit_is_guessed_from_hips_to_head(unit: float) -> None:
 
 @given(st.integers(0, 10_000))
 def test_vectors_and_motion_go_there_and_back(seed: int) -> None:
-    faced = skeletons.facing(calm(30, seed))
+    faced = skeletons.facing(waving(frames=30, seed=seed))
     vectors = skeletons.to_vector(faced)
     assert vectors.shape == (30, 48)
     back = skeletons.from_vector(vectors, faced.fps)

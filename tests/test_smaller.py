@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
+from performances import example
 
 from data_module.types import Array, Speech
 from gesticulator import Gesticulator
 from gesticulator.directing.strokes import LARGE, StrokeMemory
 from gesticulator.performance import Performance
 
-SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 SEED = 2
 NO_FASTER = 1.05
 """Joints are slowed, and a hand's speed depends on which of them move: up to a twentieth more is left at a peak."""
@@ -29,8 +27,7 @@ def system() -> Gesticulator:
 
 @pytest.fixture(scope="module")
 def speech() -> Speech:
-    samples, rate = soundfile.read(SPEECH, dtype="float32")
-    return Speech(samples, rate)
+    return example()
 
 
 def peaks(performance: Performance) -> Array:

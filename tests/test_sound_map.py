@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
 from hypothesis import given
 from hypothesis import strategies as st
+from performances import example
 
 from data_module.errors import InputError
 from data_module.speech.audio import amplified, resample
@@ -18,13 +17,10 @@ from data_module.speech.fingerprint import RATE, fingerprint, fingerprint_frames
 from data_module.speech.sound_map import GAP, OPEN, SHORTEST, SoundMap, _matches, aligned
 from data_module.types import Speech
 
-SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
-
 
 @pytest.fixture(scope="module")
 def speech() -> Speech:
-    samples, rate = soundfile.read(SPEECH, frames=12 * 16000, dtype="float32")
-    return Speech(samples, rate)
+    return example(12.0)
 
 
 def unlike(frames: np.ndarray, other: np.ndarray) -> float:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from learning import learn
 from scipy.special import erf, logsumexp
 from torch import Tensor, nn
 
@@ -150,11 +151,7 @@ def test_predictive_coding_is_at_chance_untold_and_learns_what_repeats() -> None
         model.predict.bias.zero_()
         assert float(model.losses(crops())["predictive"]) == pytest.approx(np.log(11), abs=1e-5)
     nn.init.normal_(model.predict.weight, std=0.1)
-    optimiser = torch.optim.Adam(model.parameters(), lr=1e-2)
-    for _ in range(40):
-        optimiser.zero_grad()
-        model.losses(crops())["predictive"].backward()
-        optimiser.step()
+    learn(model, lambda _: model.losses(crops())["predictive"], 40)
     assert float(model.accuracy(crops())[0]) > 0.5
     assert float(model.losses(crops())["predictive"].detach()) < 0.75 * np.log(11)
     assert set(model.weights) == set(model.losses(crops()))
@@ -221,11 +218,7 @@ def test_silence_gives_no_anchor_and_the_neighbouring_blocks_no_candidates() -> 
 def test_training_draws_level_8_to_the_words() -> None:
     model, batch = contrast(24), batch_of(2, blocks=6)
     first = float(model.losses(batch)["contrast"].detach())
-    optimiser = torch.optim.Adam(model.parameters(), lr=3e-3)
-    for _ in range(60):
-        optimiser.zero_grad()
-        model.losses(batch)["contrast"].backward()
-        optimiser.step()
+    learn(model, lambda _: model.losses(batch)["contrast"], 60, 3e-3)
     assert float(model.losses(batch)["contrast"].detach()) < 0.8 * first
     best = model.similarities(batch)[batch["word"] >= 0].flatten(1).argmax(1) // FRAMES
     assert float((best == LEVELS - 1).float().mean()) > 0.9

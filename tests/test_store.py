@@ -117,41 +117,29 @@ def test_a_finished_store_and_a_foreign_folder_are_not_overwritten(tmp_path: Pat
     assert (tmp_path / "mine" / "letter.txt").read_text() == "dear"
 
 
-def _break(store: Path, how: str) -> str:
-    listing = store / "store.json"
-    content = json.loads(listing.read_text())
-    if how == "missing":
-        shutil.rmtree(store)
-        return "does not exist"
-    if how == "foreign":
-        listing.unlink()
-        return "not a store"
-    if how == "format":
-        content["format"] = 99
-        listing.write_text(json.dumps(content))
-        return "format 99"
-    if how == "not json":
-        listing.write_text("{")
-        return "is not valid JSON"
-    if how == "a list":
-        listing.write_text("[]")
-        return "not the listing"
-    if how == "edited":
-        content["recordings"][0]["split"] = "test"
-        listing.write_text(json.dumps(content))
-        return "fingerprint"
-    if how == "lacks":
-        del content["licence"]
-        listing.write_text(json.dumps(content))
-        return "has missing or invalid entries"
-    (store / "recordings" / "a.npz").unlink()
-    return "is missing from its store"
+def _edited(change: Callable[[dict[str, Any]], object]) -> Callable[[Path], object]:
+    """Change the listing of a store."""
+    def edit(store: Path) -> None:
+        content = json.loads((store / "store.json").read_text())
+        change(content)
+        (store / "store.json").write_text(json.dumps(content))
+
+    return edit
 
 
-@pytest.mark.parametrize("how", ["missing", "foreign", "format", "not json", "a list", "edited", "lacks", "file"])
-def test_broken_stores_are_refused_in_one_line(tmp_path: Path, how: str) -> None:
+@pytest.mark.parametrize(("damage", "wrong"), [
+    (shutil.rmtree, "does not exist"),
+    (lambda store: (store / "store.json").unlink(), "not a store"),
+    (lambda store: (store / "store.json").write_text("{"), "is not valid JSON"),
+    (lambda store: (store / "store.json").write_text("[]"), "not the listing"),
+    (lambda store: (store / "recordings" / "a.npz").unlink(), "is missing from its store"),
+    (_edited(lambda content: content.update(format=99)), "format 99"),
+    (_edited(lambda content: content["recordings"][0].update(split="test")), "fingerprint"),
+    (_edited(lambda content: content.pop("licence")), "has missing or invalid entries"),
+])
+def test_broken_stores_are_refused_in_one_line(damage: Callable[[Path], object], wrong: str, tmp_path: Path) -> None:
     _store(tmp_path / "s", _recording("a"))
-    wrong = _break(tmp_path / "s", how)
+    damage(tmp_path / "s")
     with pytest.raises(InputError, match=wrong) as caught:
         Store.open(tmp_path / "s")
     assert "\n" not in str(caught.value) and str(tmp_path / "s") in str(caught.value)

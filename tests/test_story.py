@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import soundfile
 from browser import OpenedPage, chromium
+from performances import write_example
 
 from gesticulator.arguments import run_settings_of
 from gesticulator.export import html
@@ -28,7 +28,6 @@ PICTURES = Path(os.environ["PICTURES"]) if "PICTURES" in os.environ else None
 PATIENCE = 180_000
 """Milliseconds that a step may take: without a GPU, on a machine that others use, a picture takes seconds, and a click
 waits for several."""
-SPEECH = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 
 
 def _rotations(page: Any) -> np.ndarray:
@@ -113,9 +112,7 @@ def _pin(page: Any) -> None:
 
 
 def test_gestures_are_seen_tried_taken_dragged_shaped_pinned_and_there_again_tomorrow(tmp_path: Path) -> None:
-    samples, rate = soundfile.read(SPEECH, frames=6 * 16000, dtype="float32")
-    sound, said = tmp_path / "talk.wav", tmp_path / "talk.srt"
-    soundfile.write(sound, samples, rate, subtype="FLOAT")
+    sound, said = write_example(tmp_path / "talk.wav", 6.0, "FLOAT"), tmp_path / "talk.srt"
     said.write_text("1\n00:00:00,200 --> 00:00:04,200\nhello, and welcome this is a voice that was never recorded\n")
     with chromium() as browser:
         with _viewing(sound, "--text", str(said)) as (server, plans):

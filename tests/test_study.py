@@ -8,14 +8,12 @@ import itertools
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import soundfile
-from browser import chromium
 from performances import perform
 from scipy import stats
 
@@ -390,13 +388,6 @@ def test_videos_show_what_the_key_says(films: dict[str, Path], systems: dict[str
 
 
 # ---------------------------------------------------------------- in a browser
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """A headless Chromium."""
-    with chromium() as window:
-        yield window
-
 
 def placed(key: Key, name: str) -> tuple[int, int]:
     """The numbers of an item's clip and system."""

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from performances import example
 from torch import Tensor, nn
 
 from data_module.motion.phases import hand_places
-from data_module.speech.audio import SAMPLE_RATE, load_speech
 from data_module.types import Speech
 from gesticulator import Gesticulator
 from gesticulator.bundle.bundle import Bundle, load
@@ -46,8 +45,7 @@ def bundle() -> Bundle:
 
 @pytest.fixture(scope="module")
 def speech() -> Speech:
-    whole = load_speech(Path(__file__).parent.parent / "examples" / "speech.flac")
-    return Speech(whole.samples[:14 * SAMPLE_RATE], SAMPLE_RATE)
+    return example(14.0)
 
 
 def rendered(bundle: Bundle, speech: Speech, code: tuple[float, ...], *settings: str) -> np.ndarray:

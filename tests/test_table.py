@@ -115,13 +115,6 @@ def test_a_table_comes_back_from_its_file_and_markdown_stands_beside_it(tmp_path
         [ABOUT.markdown(), first.markdown(), second.markdown()])
 
 
-def test_markdown_has_as_many_cells_in_each_line_and_shows_units_digits_marks() -> None:
-    lines = [line for line in TABLE.markdown().splitlines() if line.startswith("|")]
-    assert {line.replace("\\|", "").count("|") for line in lines} == {5}
-    assert "hands, m/s" in lines[0] and "1.2 [1.0, 1.5]" in lines[2] and "2 (!)" in lines[2]
-    assert lines[3].split("|")[2:4] == [" - ", " - "]
-
-
 def test_a_table_is_printed_where_no_file_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
     publish([TABLE], None, ABOUT)
     shown = capsys.readouterr().out

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from learning import learn
 
 from gesticulator.training.stages.heads import RATE, spans, style_of
 from interpreters.base import BlockFeatures
@@ -61,13 +62,7 @@ def effortful(count: int, blocks: int, seed: int) -> dict[str, torch.Tensor]:
 
 def test_what_can_be_heard_is_predicted_at_full_size_and_what_cannot_is_left_at_zero() -> None:
     model = interpreter().train()
-    optimizer = torch.optim.Adam(model.parameters(), 0.01)
-    for step in range(200):
-        loss = model.losses(effortful(32, 6, step))["code"]
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-    model.eval()
+    learn(model, lambda step: model.losses(effortful(32, 6, step))["code"], 200)
     unseen = effortful(64, 6, 999)
     with torch.no_grad():
         predicted, _ = model.predict(unseen["audio_low"], unseen["speaker"])

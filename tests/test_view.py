@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile
+from performances import example, write_example
 from small_characters import write_character
 
 from gesticulator import Gesticulator
@@ -32,10 +33,7 @@ CODE = ("import signal, sys; signal.signal(signal.SIGINT, signal.default_int_han
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four seconds of the example recording, under a name that could be an element."""
-    samples, rate = soundfile.read(ROOT / "examples" / "speech.flac", frames=4 * 16000)
-    path = tmp_path_factory.mktemp("view") / "<img src=x onerror=broken=1>.flac"
-    soundfile.write(path, samples, rate)
-    return path
+    return write_example(tmp_path_factory.mktemp("view") / "<img src=x onerror=broken=1>.flac", 4.0)
 
 
 @pytest.mark.parametrize(("words", "said"), [
@@ -53,9 +51,7 @@ def test_what_cannot_be_viewed_is_told_in_a_line(words: list[str], said: str, re
 
 
 def test_saved_edits_are_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    samples, rate = soundfile.read(ROOT / "examples" / "speech.flac", frames=4 * 16000, dtype="float32")
-    sound = tmp_path / "talk.wav"
-    soundfile.write(sound, samples, rate, subtype="FLOAT")
+    sound = write_example(tmp_path / "talk.wav", 4.0, "FLOAT")
     system = Gesticulator.from_pretrained()
     plan = system(sound, seed=1).plan()
     place = place_of(sound)
@@ -69,7 +65,8 @@ def test_saved_edits_are_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixt
     options = gone_on()
     assert (options.plan, options.retime) == (plan, False) and "are opened" in capsys.readouterr().out
     # The sound was exported again, with a pause at the start.
-    soundfile.write(sound, np.concatenate([np.zeros(rate, np.float32), samples]), rate, subtype="FLOAT")
+    soundfile.write(sound, np.concatenate([np.zeros(16000, np.float32), example(4.0).samples]), 16000,
+                    subtype="FLOAT")
     assert gone_on().retime and "moved onto the new sound" in capsys.readouterr().out
     # What does not fit is put aside, and stays.
     assert gone_on("--speaker", system.speakers[0]).plan is None

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import OpenedPage, chromium
+from browser import OpenedPage
 from gltf_reader import GlbFile
 from performances import perform, write
 from scipy.spatial.transform import Rotation
@@ -23,13 +23,6 @@ from gesticulator.export.clip import ClipLayout
 from gesticulator.export.vrma import vrm_animation
 
 SECONDS = 4.0
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """A headless Chromium; the test is skipped, with the reason, where there is none."""
-    with chromium() as window:
-        yield window
 
 
 @pytest.fixture(scope="module")

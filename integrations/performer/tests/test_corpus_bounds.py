@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from gesticulator_performer.acceptance import bounds as corpus_bounds
 from gesticulator_performer.acceptance import by_source
-from gesticulator_performer.acceptance import command as corpus
 from gesticulator_performer.acceptance.bounds import CLAIMS, FREEZE, MEAN, SEAM, MeasuredTalk, TalkClaim
 from gesticulator_performer.plan import rests_of
 from gesticulator_performer.talks import with_life
@@ -75,21 +74,6 @@ def test_styles_and_readings_do_not_count_among_the_talks() -> None:
     assert verdict.parts["style"].value.mean == 99.0
 
 
-def test_a_part_that_misses_alone_is_marked() -> None:
-    talks = _talks("motion", {"eye_one_handed": 24.0}) + _talks("talk", {"eye_one_handed": 38.0})
-    table = corpus.bounds_table(_Named(), corpus_bounds.judge(talks), talks, 0)  # type: ignore[arg-type]
-    row = table.rows["one-handed share of movement, %"]
-    assert row["holds"] == "yes" and str(row["motion"]).endswith("!") and str(row["talk"]).endswith("!")
-    facts = {own["figure"]: own for own in table.facts["bounds"]}["eye_one_handed"]
-    assert (facts["value"], facts["low"], facts["high"], facts["holds"]) == (31.0, 25.0, 37.0, True)
-    assert facts["parts"] == {"motion": 24.0, "talk": 38.0}
-    assert "the verdicts do not count" in table.notes[-1]
-
-
-class _Named:
-    fingerprint = "none"
-
-
 # --- By source
 
 MIDDLE = {"eye_splay": 5.0, "eye_azimuth": -15.0, "eye_elbow": 70.0}
@@ -142,15 +126,6 @@ def _recording(motion: Motion, truth: Truth | None = None, part: str = "talk", n
 
 def _measured(motion: Motion, truth: Truth | None = None) -> MeasuredTalk:
     return corpus_bounds.measure(_recording(motion, truth), common_body(motion))
-
-
-def test_mirrored_hands_miss_the_correlation_of_heights() -> None:
-    free = [_measured(_motion(seed=seed)) for seed in range(3)]
-    mirrored = [_measured(baselines.mirrored([_motion(seed=seed)])[0]) for seed in range(3)]
-    assert _verdicts(free)["eye_hand_height_correlation"].value.mean < 0.55
-    verdict = _verdicts(mirrored)["eye_hand_height_correlation"]
-    assert verdict.value.mean > 0.9 and verdict.holds is False
-    assert _verdicts(mirrored)["eye_one_handed"].holds is False
 
 
 def test_stillness_counts_only_where_no_rest_is_marked() -> None:

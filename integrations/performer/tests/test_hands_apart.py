@@ -85,13 +85,6 @@ def test_hands_act_apart_and_no_hand_freezes(played: Played) -> None:
     assert moves.min() > 0, "no second in which head and hands stand still"
 
 
-def test_a_performance_is_the_same_twice(played: Played, spoken: Spoken, strokes: StrokeSet) -> None:
-    again = perform_by(spoken, strokes, 1, MANNER)
-    assert np.array_equal(again.motion.rotations, played.motion.rotations)
-    other = perform_by(spoken, strokes, 2, MANNER)
-    assert not np.array_equal(other.motion.rotations, played.motion.rotations)
-
-
 def test_holds_last_through_short_pauses(spoken: Spoken, strokes: StrokeSet, played: Played) -> None:
     order = sorted(spoken.phrases, key=lambda p: p.start)
     pauses = [(a.end, b.start) for a, b in zip(order, order[1:], strict=False) if 0.4 < b.start - a.end < 1.6]

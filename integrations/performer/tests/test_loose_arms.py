@@ -62,6 +62,3 @@ def test_a_hand_hangs_a_little_bent_and_a_raised_one_is_extended() -> None:
     low = wrists.bends(facing_positions(still)[:, hand], level)[0]
     high = wrists.bends(np.tile([0.3, 0.4, 0.3], (60, 1)), level)[0]
     assert 5.0 < low.mean() < 8.5 and -10.5 < high.mean() < -8.0
-
-
-# -------------------------------------------------------------------------------------------------------- hand shapes

@@ -105,16 +105,3 @@ def test_a_talk_made_for_motion_uses_takes_of_its_split_alone(outside_data: Path
     hands = kinematics.positions_of(recording.motion)[:, [11, 15]]
     speed = np.linalg.norm(np.diff(hands, axis=0), axis=-1) * recording.motion.fps
     assert 0.2 < speed.mean() < 1.0
-
-
-def test_talks_are_english_and_every_reading_is_used(outside_data: Path) -> None:
-    pytest.importorskip("pocketsphinx")
-    reader = Performer(outside_data, PerformerOptions())
-    talks = [item for item in reader.items() if item.info.part == "talk"]
-    assert [(item.info.name, item.info.split, item.info.voice) for item in talks[:8]] == [
-        ("talk_0000_brad", "train", "slt"), ("talk_0001_brad2", "train", "rms"), ("talk_0002_connor", "train", "kal"),
-        ("talk_0003_garza", "train", "us_f3"), ("talk_0004_brad", "train", "rms_light"),
-        ("talk_0005_brad2", "train", "gb_m3"), ("talk_0006_brad", "test", "awb"),
-        ("talk_0007_connor", "train", "slt_high")]
-    assert {item.info.language for item in talks} == {"en"}
-    assert {item.info.voice for item in reader.items() if item.info.language != "en"} == {"de_prose_1", "es_prose_1"}
