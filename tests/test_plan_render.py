@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
-from performances import example
+from performances import example, write_example
 
 from data_module.errors import InputError
 from data_module.motion import rotation
@@ -326,9 +325,9 @@ def test_a_plan_of_something_else_is_refused(system: Gesticulator, speech: Speec
 
 
 def test_a_plan_is_written_edited_and_rendered_on_the_command_line(
-        speech: Speech, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sound, out, told = tmp_path / "a.wav", tmp_path / "a.bvh", tmp_path / "plan.json"
-    soundfile.write(sound, speech.samples[:48000], 16000, subtype="FLOAT")
+    write_example(sound, 3.0, "FLOAT")
     assert infer.main([str(sound), "-o", str(out), "--plan-out", str(told), "--quiet"]) == 0
     first, text = out.read_bytes(), told.read_text()
     assert json.loads(text)["sound"]["name"] == "a.wav"
