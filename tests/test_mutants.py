@@ -9,10 +9,12 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from benchmark_files import benchmark
 
-mutants = benchmark("mutants")
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "benchmarks"))
+
+import mutants  # noqa: E402
+
 PACKAGES = {"data_module", "lexicon", "interpreters", "generator", "gesticulator", "eval"}
 
 
@@ -35,9 +37,9 @@ JUDGE = """
 import sys
 from pathlib import Path
 import hypothesis.strategies, pytest  # once, before the forks
-sys.path.insert(0, "tests")
-from benchmark_files import benchmark
-m, tree = benchmark("mutants"), Path(sys.argv[1])
+sys.path.insert(0, "benchmarks")
+import mutants as m
+tree = Path(sys.argv[1])
 wrong = ("a * b", "a + b"), ("a * b", "b * a"), ("a * b", "a *"), ("b", "c"), ("a * b", "a * b.c")
 for fragment, replacement in wrong:
     print(m.tried(m.Mutant("product", "formula.py", fragment, replacement, "test_formula.py"), tree, 60.0).verdict)
