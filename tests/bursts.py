@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.store import Recording, RecordingInfo, Split
-from data_module.types import Motion, Skeleton, Speech
+from data_module.types import Blocks, Motion, Skeleton, Speech
 
 RATE, FPS = 16000, 60.0
 
@@ -34,6 +34,13 @@ def waving(skeleton: Skeleton = CHARACTER, frames: int = 60, fps: float = 20.0, 
         (0.0, size), (0.2, 1.0), (0.0, 2 * np.pi)))
     maps = sizes * np.sin(2 * np.pi * rates * np.arange(frames)[:, None, None] / fps + phases)
     return Motion(skeleton, rotation.from_exponential_map(maps), rng.normal(size=(frames, 3)), fps)
+
+
+def blocks_of(edges: ArrayLike, frames: int = 4) -> Blocks:
+    """Blocks between these edges, seconds, each begun by an onset; 20 frames a second where a block is not warped."""
+    times = np.asarray(edges)
+    count = len(times) - 1
+    return Blocks(times, np.ones(count, np.int8), np.zeros(count, bool), frames, 20.0)
 
 
 def recording(name: str, seed: int, seconds: float = 20.0, split: Split = "train") -> Recording:

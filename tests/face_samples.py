@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from performances import perform
+from performances import perform, turned
 
 from data_module.motion.skeletons import CHARACTER
 from data_module.speech.audio import load_speech
@@ -40,9 +40,7 @@ class VisemeSpan:
 
 def still(seconds: float, fps: float = FPS) -> Motion:
     """The character at rest."""
-    turns = np.zeros((round(seconds * fps), len(CHARACTER), 4))
-    turns[..., 0] = 1.0
-    return Motion(CHARACTER, turns, np.zeros((len(turns), 3)), fps)
+    return turned(CHARACTER, round(seconds * fps), fps)
 
 
 def posed(**parts: float) -> FaceMotion:

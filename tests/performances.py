@@ -9,7 +9,7 @@ import soundfile
 
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
-from data_module.types import BeatFlag, Blocks, Motion, Skeleton, Speech, Word
+from data_module.types import Array, BeatFlag, Blocks, Motion, Skeleton, Speech, Word
 from gesticulator.directing.record import Origin, plan_of
 from gesticulator.export import writers
 from gesticulator.export.clip import ClipLayout
@@ -27,6 +27,15 @@ def example(seconds: float | None = None) -> Speech:
     """The beginning of the example recording, or all of it."""
     samples, rate = soundfile.read(EXAMPLE, frames=-1 if seconds is None else round(seconds * RATE), dtype="float32")
     return Speech(samples, rate)
+
+
+def turned(skeleton: Skeleton, frames: int, fps: float = 60.0, **joints: Array) -> Motion:
+    """A motion at rest but for some joints; joints: their quaternions [T, 4] or exponential maps [T, 3] or [3]."""
+    turns = np.zeros((frames, len(skeleton), 4))
+    turns[..., 0] = 1.0
+    for name, turn in joints.items():
+        turns[:, skeleton.index(name)] = turn if turn.shape[-1] == 4 else rotation.from_exponential_map(turn)
+    return Motion(skeleton, turns, np.zeros((frames, 3)), fps)
 
 
 def write_example(path: Path, seconds: float, subtype: str | None = None) -> Path:

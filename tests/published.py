@@ -60,6 +60,13 @@ def write_beat2(source: Path, name: str, poses: np.ndarray, **arrays: object) ->
     (source / "textgrid" / f"{name}.TextGrid").write_text(textgrid_of([("", 0, 0.5), ("hello", 0.5, 1.0)]))
 
 
+def listed_beat2(folder: Path) -> Path:
+    """A folder of BEAT2 with one take, which its list names; the path of the list."""
+    write_beat2(folder, TAKE, poses_of(45))
+    (folder / "train_test_split.csv").write_text(f"id,type\n{TAKE},test\n")
+    return folder / "train_test_split.csv"
+
+
 def ted_value(name: str, version: str) -> bytes:
     return ted_values.unpacked(getattr(ted_values, f"{name}_{version}"))
 

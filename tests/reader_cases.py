@@ -190,7 +190,6 @@ def _our_network(folder: Path) -> Path:
     return folder / "gesture_features.safetensors"
 
 
-
 def _positions(mutated: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         points = np.random.default_rng(0).normal(size=(6, len(TED_JOINTS), 3))
@@ -260,8 +259,6 @@ def _with_fingerprint(file: Path, data: bytes) -> None:
     file.write_bytes(data)
 
 
-
-
 def _pairs(folder: Path) -> Path:
     motion = skeletons.from_vector(np.zeros((30, 48)), 20.0)
     write_bvh(folder / "a.bvh", motion)
@@ -283,12 +280,6 @@ def _folder_splits(folder: Path) -> Path:
 def _read_pairs(file: Path) -> object:
     reader = open_corpus("folder", file.parent, Options())
     return [reader.read(item) for item in reader.items()]
-
-
-def _beat2(folder: Path) -> Path:
-    published.write_beat2(folder, published.TAKE, published.poses_of(45))
-    (folder / "train_test_split.csv").write_text(f"id,type\n{published.TAKE},test\n")
-    return folder / "train_test_split.csv"
 
 
 def _zeroeggs(folder: Path) -> Path:
@@ -398,7 +389,6 @@ def _gltf(damaged: str, beside: bool) -> Callable[[Path], Path]:
         return folder / damaged
 
     return write
-
 
 
 def _mapping(folder: Path) -> Path:
@@ -666,7 +656,7 @@ READERS: dict[str, Case] = {
     "folder, its splits": Case(_folder_splits, lambda file: open_corpus("folder", file.parent,
                                                                           FolderOptions(split=str(file))).items()),
     "trinity, words": Case(_written("a.json", json.dumps(published_bvh.google(WORDS))), read_words),
-    "beat2, its list": Case(_beat2, lambda file: open_corpus("beat2", file.parent, Options()).items()),
+    "beat2, its list": Case(published.listed_beat2, lambda file: open_corpus("beat2", file.parent, Options()).items()),
     "zeroeggs, its list": Case(_zeroeggs, lambda file: open_corpus("zeroeggs", file.parent, Options()).items()),
     "ted, a value": Case(_ted, lambda file: deserialise(file.read_bytes(), source=file)),
     "fairseq checkpoint": Case(_checkpoint, load_fairseq),

@@ -118,11 +118,6 @@ def test_options_out_of_range_are_input_errors(options: dict[str, Any], said: st
         g(voice(), RATE, **options)
 
 
-def test_an_unknown_option_is_pythons_own_error(g: Gesticulator) -> None:
-    with pytest.raises(TypeError, match="speeed"):
-        g(voice(), RATE, speeed=1)  # type: ignore[call-overload]
-
-
 def test_hands_are_arguments_in_every_form(g: Gesticulator, tmp_path: Path) -> None:
     levels = g.bundle.levels
     assert levels is not None

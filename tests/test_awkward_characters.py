@@ -227,14 +227,6 @@ def test_limbs_that_are_only_numbered_are_counted_from_the_trunk(pattern: str, t
     moved(tmp_path / "rig.glb", figure(name, "T", FINGERS))
 
 
-def test_an_axis_along_which_no_legs_are_found_is_not_surer_for_it(tmp_path: Path) -> None:
-    """Hands by name and all else by shape: the mean over the joints found was greater without the legs."""
-    unknown = unknown_words()
-    body = figure(lambda key: f"Hand_{key[0]}" if key in ("LeftHand", "RightHand") else unknown(key), "T")
-    found = moved(tmp_path / "rig.glb", body).mapping
-    assert found.legs and "legs" not in " ".join(found.doubts)
-
-
 def test_hands_without_arms_are_refused_with_what_is_missing_alone(tmp_path: Path) -> None:
     """Half bodies for headsets: head and hands float, and hips and head are there."""
     body = figure(spelled({}, "{side}{part}"), "A").without("Shoulder", "Arm", "Leg", "Foot", "ToeBase")

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from bursts import waving
+from bursts import blocks_of, waving
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -34,10 +34,9 @@ RATE = 16000
 DURATIONS = st.lists(st.integers(4, 10), min_size=1, max_size=12).map(lambda ticks: np.array(ticks) * 0.05)
 
 
-def blocks_of(durations: Array, frames: int = 10, fps: float = 20.0) -> Blocks:
-    count = len(durations)
-    edges = np.concatenate([[0.0], np.cumsum(durations)])
-    return Blocks(edges, np.ones(count, np.int8), np.zeros(count, bool), frames, fps)
+def lasting(durations: Array) -> Blocks:
+    """Blocks that last so many seconds, one after the other."""
+    return blocks_of(np.concatenate([[0.0], np.cumsum(durations)]), 10)
 
 
 def buzz(seconds: float) -> Samples:
@@ -76,7 +75,7 @@ def test_cut_tiles_the_recording() -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_stretching_keeps_pitch_level_and_length(hertz: float, method: str) -> None:
     time = np.arange(3 * RATE) / RATE
-    blocks = blocks_of(np.array([0.5, 0.2, 0.25, 0.3, 0.45, 0.4, 0.5, 0.4]))
+    blocks = lasting(np.array([0.5, 0.2, 0.25, 0.3, 0.45, 0.4, 0.5, 0.4]))
     out = stretch_speech(Speech(np.sin(2 * np.pi * hertz * time).astype(np.float32), RATE), blocks, method)
     assert out.shape == (8, 8000)
     assert out.dtype == np.float32
@@ -88,7 +87,7 @@ def test_stretching_keeps_pitch_level_and_length(hertz: float, method: str) -> N
 def test_a_block_of_full_length_is_untouched_and_zeros_stay_zeros() -> None:
     sound = np.concatenate([buzz(0.5), np.zeros(8000, np.float32), buzz(0.4)])
     sound[16000 + 1600:16000 + 3200] = 0.0
-    out = stretch_speech(Speech(sound, RATE), blocks_of(np.array([0.5, 0.3, 0.2, 0.4])))
+    out = stretch_speech(Speech(sound, RATE), lasting(np.array([0.5, 0.3, 0.2, 0.4])))
     assert np.array_equal(out[0], sound[:8000])
     assert not out[1:3].any()
     assert not out[3, 2000:4000].any()
@@ -102,7 +101,7 @@ def test_clicks_at_the_beats_stay_at_the_ends_of_their_blocks() -> None:
     centres = []
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        blocks = blocks_of(rng.integers(4, 10, 12) * 0.05)
+        blocks = lasting(rng.integers(4, 10, 12) * 0.05)
         sound = 1e-5 * rng.standard_normal(round(blocks.edges[-1] * RATE))
         for edge in blocks.edges[1:-1]:
             place = round(edge * RATE)
@@ -118,7 +117,7 @@ def test_clicks_at_the_beats_stay_at_the_ends_of_their_blocks() -> None:
 
 def test_a_block_is_stretched_from_its_surroundings_alone() -> None:
     sound = buzz(3.0) * np.linspace(0.2, 1, 3 * RATE, dtype=np.float32)
-    blocks = blocks_of(np.array([0.3, 0.4, 0.25, 0.45, 0.3]))
+    blocks = lasting(np.array([0.3, 0.4, 0.25, 0.45, 0.3]))
     whole = stretch_speech(Speech(sound, RATE), blocks)
     assert np.array_equal(whole, stretch_speech(Speech(sound, RATE), blocks))
     elsewhere = sound.copy()
@@ -138,7 +137,7 @@ def test_windows_hold_three_blocks_and_zeros_outside() -> None:
 
 @given(durations=DURATIONS, seed=st.integers(0, 5))
 def test_motion_comes_back_exactly_on_the_beats(durations: Array, seed: int) -> None:
-    blocks = blocks_of(durations)
+    blocks = lasting(durations)
     motion = waving(frames=round(durations.sum() * 60) + 1, fps=60.0, seed=seed)
     knots = normalise_motion(motion, blocks)
     assert knots.shape == (len(blocks), 10, 48)

@@ -30,10 +30,6 @@ FILLED = WHOLE_BODY.names[16:]
 """Joints that the toy corpus lacks: fingers and legs."""
 
 
-def _command(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "data_module.build", *arguments]
-
-
 def _of(corpus: Path) -> list[str]:
     """The arguments with which the fixture `tiny_store` is built, but for --out."""
     return ["folder", "--source", str(corpus)]
@@ -63,7 +59,7 @@ def test_the_data_set_beside_the_store_gives_the_same_store(tiny_store: Path, tm
 def test_killed_half_way_then_finished_by_two_workers_gives_the_same_bytes(toy_corpus: Path, tiny_store: Path,
                                                                            tmp_path: Path) -> None:
     out = tmp_path / "store"
-    command = _command(*_of(toy_corpus), "--out", str(out), "--workers", "2")
+    command = [sys.executable, "-m", "data_module.build", *_of(toy_corpus), "--out", str(out), "--workers", "2"]
     first = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL)
     finished = tmp_path / "store.partial" / "recordings"
     deadline = time.monotonic() + 120

@@ -1,4 +1,5 @@
-"""Hands of the default character outside its trunk and face, elbows off its back: known answers, speeds, the whole."""
+"""How far a hand is from a trunk, by known answers of an ellipse; hands of the default character outside its trunk and
+face and elbows off its back: known answers, speeds, the whole."""
 
 from __future__ import annotations
 
@@ -8,7 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from performances import example
+from performances import example, turned
+from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
@@ -18,14 +20,8 @@ from eval.metrics.eye.body import common_body
 from eval.metrics.eye.trunk import elbow_behind, fastest_elbow
 from gesticulator import Gesticulator
 from gesticulator.body.clips import mirrored_motion
-from gesticulator.contacts.columns import TRUNK
-from gesticulator.contacts.default_body import (
-    HEM,
-    STEEPEST,
-    cleared,
-    front_at,
-    shirt_at,
-)
+from gesticulator.contacts.columns import TRUNK, Column
+from gesticulator.contacts.default_body import HEM, STEEPEST, cleared, front_at, shirt_at
 from gesticulator.contacts.limbs import pose_of
 
 FPS = 60.0
@@ -33,13 +29,10 @@ FPS = 60.0
 
 def reaching(angles: Array, elbow: Array) -> Motion:
     """An arm swung across the body by `angles` [T] and bent by `elbow` [T], radians, from a T-pose, half lowered."""
-    turns = np.zeros((len(angles), len(FINGERED), 4))
-    turns[..., 0] = 1.0
     down = rotation.from_exponential_map(np.tile([0.0, 0.0, -1.1], (len(angles), 1)))
     across = rotation.from_exponential_map(angles[:, None] * [0.0, -1.0, 0.0])
-    turns[:, FINGERED.index("LeftArm")] = rotation.multiply(across, down)
-    turns[:, FINGERED.index("LeftForeArm")] = rotation.from_exponential_map(elbow[:, None] * [0.0, -1.0, 0.0])
-    return Motion(FINGERED, turns, np.zeros((len(angles), 3)), FPS)
+    return turned(FINGERED, len(angles), LeftArm=rotation.multiply(across, down),
+                  LeftForeArm=elbow[:, None] * [0.0, -1.0, 0.0])
 
 
 def test_a_shirt_hangs_over_hips_that_are_wider_than_the_trunk() -> None:
@@ -78,8 +71,7 @@ def test_a_hand_that_goes_through_the_trunk_passes_in_front_of_it() -> None:
 def test_a_pose_that_is_clear_stays_bit_for_bit() -> None:
     motion = reaching(np.zeros(5), np.zeros(5))
     assert cleared(motion) is motion
-    turns = np.tile([1.0, 0.0, 0.0, 0.0], (4, len(CHARACTER), 1))
-    tee = Motion(CHARACTER, turns, np.zeros((4, 3)), FPS)
+    tee = turned(CHARACTER, 4)
     assert cleared(tee) is tee, "16 joints, without knuckles"
 
 
@@ -100,13 +92,9 @@ def test_both_sides_are_mirror_images() -> None:
 
 def drawn_back(back: Array) -> Motion:
     """A left arm whose hand is beside the belly, with its elbow turned behind the back by `back` [T], radians."""
-    turns = np.zeros((len(back), len(FINGERED), 4))
-    turns[..., 0] = 1.0
     down = rotation.from_exponential_map(np.tile([0.0, 0.0, -1.45], (len(back), 1)))
     behind = rotation.from_exponential_map(back[:, None] * [1.0, 0.0, -0.35])
-    turns[:, FINGERED.index("LeftArm")] = rotation.multiply(behind, down)
-    turns[:, FINGERED.index("LeftForeArm")] = rotation.from_exponential_map(np.tile([0.0, -1.3, 0.0], (len(back), 1)))
-    return Motion(FINGERED, turns, np.zeros((len(back), 3)), FPS)
+    return turned(FINGERED, len(back), LeftArm=rotation.multiply(behind, down), LeftForeArm=np.array([0.0, -1.3, 0.0]))
 
 
 def test_an_elbow_behind_the_back_swings_outward_and_the_hand_stays() -> None:
@@ -138,13 +126,8 @@ def test_an_elbow_behind_the_back_swings_outward_and_the_hand_stays() -> None:
 def test_a_hand_folded_to_its_shoulder_takes_its_knuckles_out_of_the_trunk_by_the_wrist() -> None:
     """A pose of twice the intensity with the hands near the body: the knuckles were 3 cm inside."""
     share = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(60) / 60)
-    turns = np.zeros((60, len(FINGERED), 4))
-    turns[..., 0] = 1.0
-    for joint, turn in (("LeftShoulder", (0.0, -0.1, 0.17)), ("LeftArm", (0.43, -0.88, -1.29)),
-                        ("LeftForeArm", (-0.34, -2.84, 0.1))):
-        turns[:, FINGERED.index(joint)] = rotation.from_exponential_map(np.tile(turn, (60, 1)))
-    turns[:, FINGERED.index("LeftHand")] = rotation.from_exponential_map(share[:, None] * [0.0, 0.7, -1.6])
-    motion = Motion(FINGERED, turns, np.zeros((60, 3)), FPS)
+    motion = turned(FINGERED, 60, LeftShoulder=np.array([0.0, -0.1, 0.17]), LeftArm=np.array([0.43, -0.88, -1.29]),
+                    LeftForeArm=np.array([-0.34, -2.84, 0.1]), LeftHand=share[:, None] * [0.0, 0.7, -1.6])
     free = cleared(motion)
     before, after = (TRUNK.distances(pose_of(one))["Left"] for one in (motion, free))
     assert before.min() < -0.015 and after.min() > -0.01
@@ -185,3 +168,74 @@ def test_no_elbow_jumps_in_the_example(seed: int, system: Gesticulator) -> None:
     """Seeds in which an elbow once jumped at 12 and 9 m/s."""
     motion = system(example(), seed=seed).motion
     assert fastest_elbow(common_body(motion)) < 4.0
+
+
+# ------------------------------------------------------------------------------------------------------------ distances
+
+WIDTH, DEPTH, HEIGHT = 0.2, 0.1, 0.5
+COLUMN = Column(np.array([0.0, 1.0]), np.full(2, WIDTH), np.full(2, DEPTH))
+COUNT = 2000
+
+
+def test_distances_by_hand() -> None:
+    points = np.array([[WIDTH + 0.1, 0.25, 0.0], [0.0, 0.25, -DEPTH - 0.05], [-WIDTH + 0.02, 0.1, 0.0],
+                       [0.0, HEIGHT + 0.1, 0.0], [WIDTH + 0.03, -0.04, 0.0]])
+    neck, upright = np.tile([0.0, HEIGHT, 0.0], (5, 1)), np.tile(np.eye(3), (5, 1, 1))
+    gap, out = COLUMN.distance(points, np.zeros((5, 3)), neck, upright)
+    np.testing.assert_allclose(gap, [0.1, 0.05, -0.02, 0.1, 0.05], atol=1e-12)
+    np.testing.assert_allclose(out[[0, 1, 2]], [[1, 0, 0], [0, 0, -1], [-1, 0, 0]], atol=1e-12)
+
+
+def columns(above: tuple[float, float]) -> tuple[Array, Array, Array, Array, Array]:
+    """Points [COUNT, 3] about leaning columns (hips, neck [COUNT, 3], chest [COUNT, 3, 3]) with their places across
+    and along them [COUNT, 3]: left and ahead in metres, along as a share drawn between `above`."""
+    rng = np.random.default_rng(7)
+    chest = Rotation.random(COUNT, rng=rng).as_matrix()
+    hips, length = rng.normal(size=(COUNT, 3)), rng.uniform(0.3, 0.7, COUNT)
+    across, share = rng.uniform(-0.5, 0.5, (COUNT, 2)), rng.uniform(*above, COUNT)
+    local = np.stack([across[:, 0], share * length, across[:, 1]], axis=1)
+    points = hips + np.einsum("nij,nj->ni", chest, local)
+    return points, hips, hips + length[:, None] * chest[..., 1], chest, np.insert(across, 1, share, axis=1)
+
+
+def radial(local: Array) -> Array:
+    """[COUNT] metres from the surface on the ray from the axis: r (1 - 1 / |(x / width, z / depth)|)."""
+    x, z = local[:, 0], local[:, 2]
+    return np.hypot(x, z) * (1.0 - 1.0 / np.hypot(x / WIDTH, z / DEPTH))
+
+
+def test_between_its_ends_the_distance_is_that_from_the_ellipse() -> None:
+    points, hips, neck, chest, local = columns((0.01, 0.99))
+    gap, out = COLUMN.distance(points, hips, neck, chest)
+    expected = radial(local)
+    # Sums of a few numbers about 1 in double precision. One point in three thought itself beyond an end, and so at
+    # the surface, by 1e-17 m of rounding.
+    np.testing.assert_allclose(gap, expected, atol=1e-12)
+    assert (expected < -0.05).sum() > 30
+    np.testing.assert_allclose(COLUMN.distance(points - gap[:, None] * out, hips, neck, chest)[0], 0.0, atol=1e-12)
+
+
+def test_a_rounding_of_the_pose_moves_the_distance_by_no_more() -> None:
+    points, hips, neck, chest, _ = columns((0.01, 0.99))
+    near = points + np.random.default_rng(8).normal(size=points.shape) * 1e-7
+    change = COLUMN.distance(near, hips, neck, chest)[0] - COLUMN.distance(points, hips, neck, chest)[0]
+    assert np.abs(change).max() < 2e-6
+
+
+def test_beyond_its_ends_the_distance_grows_from_that_of_the_rim() -> None:
+    points, hips, neck, chest, local = columns((1.05, 1.5))
+    length = np.linalg.norm(neck - hips, axis=1)
+    expected = np.hypot(np.maximum(radial(local), 0.0), (local[:, 1] - 1.0) * length)
+    np.testing.assert_allclose(COLUMN.distance(points, hips, neck, chest)[0], expected, atol=1e-12)
+
+
+def test_a_pose_of_some_joints_has_them_and_those_above_as_that_of_all() -> None:
+    turns = Rotation.random(5 * len(CHARACTER), rng=np.random.default_rng(1)).as_quat(scalar_first=True)
+    motion = Motion(CHARACTER, turns.reshape(5, -1, 4), np.random.default_rng(2).normal(size=(5, 3)), 60.0)
+    some, every = pose_of(motion, ("LeftHand", "Head")), pose_of(motion)
+    assert {"Hips", "LeftArm", "LeftForeArm", "LeftHand", "Neck", "Head"} <= set(some.places)
+    assert "RightArm" not in some.places
+    for name, place in some.places.items():
+        assert np.array_equal(place, every.places[name]) and np.array_equal(some.turns[name], every.turns[name])
+    np.testing.assert_allclose(every.places["LeftHand"], positions_of(motion)[:, CHARACTER.index("LeftHand")],
+                               atol=1e-12)

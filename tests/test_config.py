@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 
 import pytest
-import torch
 
 from data_module.errors import InputError
-from generator.model import PERCEPTUAL, RECONSTRUCTION, STYLE, Generator, GeneratorWidths
+from generator.model import PERCEPTUAL, RECONSTRUCTION, STYLE
 from gesticulator.bundle.config import Config, from_dict, to_dict, with_settings
 from gesticulator.training.presets import PRESETS, preset
-from lexicon.autoencoder import Lexicon
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -65,19 +63,3 @@ def test_unknown_preset_and_foreign_settings_are_refused() -> None:
         preset("large")
     with pytest.raises(InputError, match="surprise"):
         from_dict(Config, {**to_dict(preset("tiny")), "surprise": 1})
-
-
-def test_the_papers_sizes_run_through_one_step_of_training() -> None:
-    config = preset("paper-trinity")
-    frames, width, audio = config.rhythm.frames, 48, config.encoder.width + 3
-    lexicon = Lexicon(config.lexicon, frames, width).eval()
-    widths = GeneratorWidths(frames, width, audio, config.lexicon.code_width)
-    model = Generator(config.generator, widths, style_blocks=4)
-    batch = {"motion": torch.randn(2, 3, frames, width), "audio": torch.randn(2, 3, 3 * frames, audio),
-             "lexeme": lexicon.vectors[torch.randint(50, (2, 3))], "style": torch.tensor([[1, 2, 3], [2, 3, 4]]),
-             "mask": torch.ones(2, width), "valid": torch.ones(2, 3)}
-    terms = model.losses(batch, 0.5, lexicon.encode)
-    total = sum(model.weights[key] * term for key, term in terms.items())
-    assert isinstance(total, torch.Tensor) and torch.isfinite(total)
-    total.backward()
-    assert model.codes.logits.out_features == 64 * 128 and model.lstm.hidden_size == 1024

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bursts import turned
+from bursts import blocks_of, turned
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,7 +26,7 @@ from data_module.controls import (
 )
 from data_module.errors import InputError
 from data_module.motion.skeletons import CHARACTER
-from data_module.types import Array, Blocks, Motion
+from data_module.types import Array, Motion
 
 SHOULDER = np.array([-0.18, 0.49, -0.035])
 """The right shoulder joint over the hips at rest, added up from the table of the character's bones."""
@@ -89,11 +89,6 @@ def test_the_average_is_that_of_the_frames_in_the_window(frames: int, fps: float
 def test_an_impossible_window_is_refused(window: float) -> None:
     with pytest.raises(InputError, match="window"):
         measure(arm(np.zeros(5), 20.0), window)
-
-
-def blocks_of(edges: list[float], frames: int = 4) -> Blocks:
-    n = len(edges) - 1
-    return Blocks(np.array(edges), np.ones(n, np.int8), np.zeros(n, bool), frames, 20.0)
 
 
 def test_knots_are_read_on_the_recordings_own_clock() -> None:

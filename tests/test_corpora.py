@@ -45,12 +45,6 @@ def _beat(root: Path) -> Path:
     return root
 
 
-def _beat2(root: Path) -> Path:
-    published.write_beat2(root, published.TAKE, published.poses_of(45))
-    (root / "train_test_split.csv").write_text(f"id,type\n{published.TAKE},test\n")
-    return root
-
-
 def _ted(root: Path) -> Path:
     published.write_ted(root)
     return root
@@ -62,7 +56,7 @@ SAMPLES: dict[str, Callable[[Path], Reader]] = {
     "zeroeggs": lambda root: open_corpus("zeroeggs", published_bvh.zeroeggs(root), Options()),
     "mocca": lambda root: open_corpus("mocca", published_bvh.mocca(root), Options()),
     "beat": lambda root: open_corpus("beat", _beat(root), Options()),
-    "beat2": lambda root: open_corpus("beat2", _beat2(root), Options()),
+    "beat2": lambda root: open_corpus("beat2", published.listed_beat2(root).parent, Options()),
     "ted": lambda root: open_corpus("ted", _ted(root), Options()),
 }
 """A small instance of every reader; a new reader brings its own."""

@@ -71,16 +71,13 @@ def test_racer_in_the_papers_steps_with_a_lexicon_and_with_a_codec(recording: Pa
         assert np.abs(np.diff(motion.rotations, axis=0)).max() > 1e-4
 
 
-def test_a_file_to_bvh(recording: Path, tmp_path: Path) -> None:
-    example("file_to_bvh")(str(recording), str(tmp_path / "g.bvh"), str(tmp_path / "g.html"))
-    assert read_bvh(tmp_path / "g.bvh").duration == pytest.approx(SECONDS, abs=0.02)
-    assert (tmp_path / "g.html").stat().st_size > 100_000
-
-
-def test_samples(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    example("samples")(str(tmp_path / "g.bvh"))
-    assert read_bvh(tmp_path / "g.bvh").duration == pytest.approx(4.0, abs=0.02)
+def test_a_file_and_samples_to_bvh(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example("file_to_bvh")(str(recording), str(tmp_path / "file.bvh"), str(tmp_path / "file.html"))
+    assert (tmp_path / "file.html").stat().st_size > 100_000
+    example("samples")(str(tmp_path / "samples.bvh"))
     assert "240 frames at 60" in capsys.readouterr().out
+    for name in ("file", "samples"):
+        assert read_bvh(tmp_path / f"{name}.bvh").duration == pytest.approx(SECONDS, abs=0.02)
 
 
 def test_a_folder(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from performances import turned
 
 from data_module.errors import InputError
-from data_module.motion import rotation, skeletons
+from data_module.motion.skeletons import CHARACTER
 from data_module.types import Motion
 from gesticulator.face.life import RATE, FaceLife
 from gesticulator.face.lips import (
@@ -181,11 +182,7 @@ def test_brows_rise_on_some_beats_and_only_after_them() -> None:
 
 
 def _head(degrees: float, frames: int = 5) -> Motion:
-    skeleton = skeletons.CHARACTER
-    turns = np.zeros((frames, len(skeleton), 4))
-    turns[..., 0] = 1.0
-    turns[:, skeleton.index("Head")] = rotation.from_exponential_map(np.array([0.0, np.radians(degrees), 0.0]))
-    return Motion(skeleton, turns, np.zeros((frames, 3)), 60.0)
+    return turned(CHARACTER, frames, Head=np.array([0.0, np.radians(degrees), 0.0]))
 
 
 def test_eyes_hold_their_target_while_the_head_turns() -> None:

@@ -38,6 +38,11 @@ class Model(nn.Module):
         return {"error": (made - batch["y"]).pow(2).mean(), "ignored": made.sum() * progress}
 
 
+def check_same(one: Model, other: Model) -> None:
+    for (name, a), b in zip(one.state_dict().items(), other.state_dict().values(), strict=True):
+        assert torch.equal(a, b), name
+
+
 def make_batch(rng: np.random.Generator, size: int) -> Batch:
     x = torch.as_tensor(rng.normal(size=(size, 3)), dtype=torch.float32)
     return {"x": x, "y": x[:, :1] * 2 + 1, "row": torch.as_tensor(rng.integers(9, size=size))}
@@ -58,8 +63,7 @@ def run(folder: Path, stops: tuple[int | None, ...] = (None,)) -> Model:
 @pytest.mark.parametrize("stops", [(7, None), (1, 2, 29, None), (0, 15, 15, None)])
 def test_stopped_and_resumed_is_bit_for_bit_unbroken(tmp_path: Path, stops: tuple[int | None, ...]) -> None:
     whole, broken = run(tmp_path / "a"), run(tmp_path / "b", stops)
-    for (name, a), b in zip(whole.state_dict().items(), broken.state_dict().values(), strict=True):
-        assert torch.equal(a, b), name
+    check_same(whole, broken)
     assert (tmp_path / "a/stage.jsonl").read_text() == (tmp_path / "b/stage.jsonl").read_text()
 
 
@@ -102,8 +106,7 @@ def test_a_damaged_checkpoint_begins_the_stage_anew(tmp_path: Path, damage: byte
     data = file.read_bytes()
     file.write_bytes(data[:len(data) // 2] if damage is None else damage)
     again = run(tmp_path / "b")
-    for (name, a), b in zip(whole.state_dict().items(), again.state_dict().values(), strict=True):
-        assert torch.equal(a, b), name
+    check_same(whole, again)
 
 
 # ------------------------------------------------------------------------------------------------------ stopping early
@@ -152,8 +155,7 @@ def test_stopping_early_is_the_same_when_it_was_resumed(tmp_path: Path, stops: t
     whole, figures = watched(tmp_path / "a", 4)
     broken, again = watched(tmp_path / "b", 4, stops)
     assert again == figures
-    for (name, a), b in zip(whole.state_dict().items(), broken.state_dict().values(), strict=True):
-        assert torch.equal(a, b), name
+    check_same(whole, broken)
     assert (tmp_path / "a/stage.jsonl").read_text() == (tmp_path / "b/stage.jsonl").read_text()
 
 

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from learning import learn
 
 from data_module.motion.movement import MovementBasis, pasts_of
 from generator.flow import CIRCUMSTANCES, FlowGenerator, FlowInputs, FlowTime, _fade
@@ -67,14 +68,12 @@ def trained(heard: bool, named: bool, steps: int = 250, config: GeneratorConfig 
             return torch.randint(0, 2, (len(y),))
         return torch.cdist(y, codes).argmin(-1)
 
-    optimiser = torch.optim.Adam(generator.parameters(), 5e-3)
-    for step in range(steps):
+    def loss(step: int) -> torch.Tensor:
         torch.manual_seed(step)
-        loss = generator.losses(swings(32, heard, step), step / steps, nearest)["flow"]
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-    return generator.eval()
+        return generator.losses(swings(32, heard, step), step / steps, nearest)["flow"]
+
+    learn(generator, loss, steps, 5e-3)
+    return generator
 
 
 def drawn(generator: FlowGenerator, lexeme: int, side: float, gains: tuple[float, float] = (0.0, 0.0), count: int = 200

@@ -107,19 +107,9 @@ def test_roll_out_is_the_same_as_stepping_block_by_block() -> None:
         past, state, _ = model.step(past, model.encode_audio(b["audio"][:, i + 1]), b["lexeme"][:, i + 1], style[:, i],
                                     state)
         torch.testing.assert_close(past, made[:, i])
-
-
-def test_a_block_depends_on_its_own_audio_window_and_not_on_later_ones() -> None:
-    model, b = make().eval(), batch()
-    style = model.styles(b["style"][:, 1:])
-
-    def run(audio: torch.Tensor) -> torch.Tensor:
-        return model.roll_out(b["motion"][:, 0], BlockInputs(audio, b["lexeme"][:, 1:], style))[0]
-
-    changed = b["audio"][:, 1:].clone()
-    changed[:, 2] += 1.0
-    a, c = run(b["audio"][:, 1:]), run(changed)
-    assert torch.equal(a[:, :2], c[:, :2]) and not torch.equal(a[:, 2], c[:, 2])
+    silent = torch.zeros_like(b["audio"][:, 1:])
+    without, _ = model.roll_out(b["motion"][:, 0], BlockInputs(silent, b["lexeme"][:, 1:], style))
+    assert (without - made).abs().amax((0, 2, 3)).min() > 1e-4, "it hears in every block"
 
 
 def test_teacher_forcing_sees_the_truth_and_the_own_past_does_not() -> None:

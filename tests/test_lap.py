@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from performances import example
+from performances import example, turned
 from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
@@ -37,15 +37,10 @@ WAY = 0.3 - 0.9 * np.cos(2.0 * np.pi * np.arange(120) / 120)
 
 def swung(ahead: Array, across: float = -1.75, elbow: float = 0.1) -> Motion:
     """A left arm that hangs over the thigh and is swung ahead by `ahead` [T], radians; on the fingered skeleton."""
-    turns = np.zeros((len(ahead), len(FINGERED), 4))
-    turns[..., 0] = 1.0
     down = rotation.from_exponential_map(np.tile([0.0, 0.0, across], (len(ahead), 1)))
     swing = rotation.from_exponential_map(ahead[:, None] * [-1.0, 0.0, 0.0])
-    turns[:, FINGERED.index("LeftArm")] = rotation.multiply(swing, down)
-    turns[:, FINGERED.index("LeftForeArm")] = rotation.from_exponential_map(np.tile([0.0, -elbow, 0.0],
-                                                                                    (len(ahead), 1)))
-    turns[:, FINGERED.index("RightArm")] = rotation.from_exponential_map(np.tile([0.0, 0.0, 0.6], (len(ahead), 1)))
-    return Motion(FINGERED, turns, np.zeros((len(ahead), 3)), FPS)
+    return turned(FINGERED, len(ahead), LeftArm=rotation.multiply(swing, down),
+                  LeftForeArm=np.array([0.0, -elbow, 0.0]), RightArm=np.array([0.0, 0.0, 0.6]))
 
 
 def out_of_thighs(places: Array, at: dict[str, int], radii: tuple[float, float] = OUR_RADII) -> Array:
@@ -101,9 +96,7 @@ def test_a_hand_that_lies_on_a_thigh_stays_near_it() -> None:
 
 
 def test_hands_that_are_clear_of_the_thighs_stay_bit_for_bit() -> None:
-    turns = np.zeros((4, len(CHARACTER), 4))
-    turns[..., 0] = 1.0
-    tee = Motion(CHARACTER, turns, np.zeros((4, 3)), FPS)
+    tee = turned(CHARACTER, 4)
     assert cleared(tee, sits=True) is tee, "16 joints, without knuckles"
     folded = swung(np.full(4, 1.4))
     assert cleared(folded, sits=True) is cleared(folded) or (

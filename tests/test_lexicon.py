@@ -9,6 +9,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from learning import learn
 
 from lexicon.autoencoder import Lexicon, LexiconConfig
 from lexicon.inventory import count, nearest_silent, silent_lexemes
@@ -104,23 +105,21 @@ def test_a_lexicon_learns_to_tell_four_gestures_apart() -> None:
     shapes = torch.sin(torch.linspace(0, 3, 10)[None, :, None] * torch.arange(1, 5)[:, None, None]
                        + torch.linspace(0, 2, 6))
     rng = torch.Generator().manual_seed(6)
-    optimiser = torch.optim.Adam(lexicon.parameters(), 3e-3)
 
     def batch() -> tuple[torch.Tensor, torch.Tensor]:
         which = torch.randint(4, (64,), generator=rng)
         return shapes[which] + 0.05 * torch.randn(64, 10, 6, generator=rng), which
 
-    for step in range(150):
+    def loss(step: int) -> torch.Tensor:
         if step == 45:
             lexicon.start_codebook(batch()[0], seed=0)
         terms = lexicon.losses({"motion": batch()[0], "mask": torch.ones(64, 6)}, step / 150)
-        optimiser.zero_grad()
-        sum(lexicon.weights[k] * v for k, v in terms.items()).backward()
-        optimiser.step()
+        return sum((lexicon.weights[k] * v for k, v in terms.items()), torch.zeros(()))
+
+    learn(lexicon, loss, 150, 3e-3)
     motion, which = batch()
     labels = lexicon.label(motion)
     assert len({(int(a), int(b)) for a, b in zip(which, labels, strict=True)}) == 4, "one lexeme for each gesture"
-    lexicon.eval()
     error = (lexicon.decode(lexicon.vectors[labels]) - shapes[which]).pow(2).mean()
     assert error < 0.1 * shapes.var()
 

@@ -284,10 +284,7 @@ def test_the_verb_lists_all_gestures(capsys: pytest.CaptureFixture[str]) -> None
         assert {name, *row["also"]} <= set(GESTURES)
     assert rows["shrug"]["mark"] == "[shrug]" and rows["number three"]["mark"] == "[count:3]"
     assert rows["big spread"]["mark"] == "[size:big]" and mark_of("point left") == "[point:left]"
-    assert main(["gestures"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == len(REPERTOIRE)
-    assert any(line.startswith("wave hello (or wave): A speaker waves") for line in lines)
+    assert main(["gestures"]) == 0 and len(capsys.readouterr().out.splitlines()) == len(REPERTOIRE)
 
 
 # ------------------------------------------------------------------------------------------- head and speed

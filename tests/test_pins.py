@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from performances import example, perform
+from performances import perform, write_example
 from test_editing import Page, Plain, edited, first, frames_of_take, speech, system  # noqa: F401
 
 from data_module.errors import InputError
@@ -226,8 +225,7 @@ def test_the_page_and_the_command_play_the_same_and_undo_costs_nothing(
 
 
 def test_a_plan_with_pins_is_rendered_on_the_command_line(tmp_path: Path) -> None:
-    sound = example(3.0)
-    soundfile.write(tmp_path / "talk.wav", sound.samples, sound.sample_rate, subtype="FLOAT")
+    write_example(tmp_path / "talk.wav", 3.0, "FLOAT")
     talk, plan, out = (str(tmp_path / name) for name in ("talk.wav", "plan.json", "out.bvh"))
     assert main(["infer", talk, "-o", str(tmp_path / "first.bvh"), "--plan-out", plan]) == 0
     plain = json.loads(Path(plan).read_text())

@@ -6,7 +6,6 @@ import copy
 
 import pytest
 import torch
-from learning import learn
 from torch import Tensor, nn
 
 from lexicon.racer import FRAMES, RacerCodec, RacerConfig
@@ -96,17 +95,6 @@ def test_losses_are_the_equations_by_hand() -> None:
     assert torch.isclose(loss["commitment"], (latents - chosen).pow(2).mean(), rtol=1e-5)
     assert codec.weights == {"reconstruction": 1, "velocity": 1, "acceleration": 1, "commitment": 0.1}
     assert codec.weights.keys() == loss.keys()
-
-
-def test_one_batch_is_learned_by_heart() -> None:
-    motion = moving(4, 48)
-    codec = small(width=32, size=32, revive_below=0.2)
-    codec.start_codebook(motion, seed=0)
-    batch = {"motion": motion, "mask": torch.ones(4, WIDTH_M)}
-    learn(codec, lambda _: sum((codec.weights[key] * term for key, term in codec.losses(batch).items()),
-                               torch.zeros(())), 150, 3e-3)
-    error = (codec.decode_tokens(codec.label(motion)).flatten(1, 2) - motion).abs().mean()
-    assert error < 0.15 * motion.abs().mean(), f"{error:.3f} of {motion.abs().mean():.3f}"
 
 
 def test_labels_do_not_depend_on_the_batch_size_or_the_mode() -> None:

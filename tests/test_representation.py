@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bursts import waving
+from bursts import blocks_of, waving
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -255,8 +255,7 @@ def regular(motion: Motion, seed: int = 0) -> Blocks:
     last = (len(motion) - 1) / motion.fps
     edges = np.concatenate([[0.0], np.cumsum(rng.uniform(0.2, 0.5, 1000))])
     edges = np.append(edges[edges < last - 0.2], last)
-    count = len(edges) - 1
-    return Blocks(edges, np.ones(count, np.int8), np.zeros(count, bool), 10, 20.0)
+    return blocks_of(edges, 10)
 
 
 @pytest.mark.parametrize("clip", ["brad/brad_Idle01_IndicateLeftBt01.bvh", "garza/garza_IdleStand01_ChopRt01.bvh"])

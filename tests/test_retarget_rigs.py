@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from performances import example
+from performances import example, turned
 from scipy.spatial.transform import Rotation
 
 from data_module.motion import kinematics, rotation
@@ -145,11 +145,8 @@ def test_hands_stay_outside_a_trunk_of_any_width(near: Motion, size: float, stou
 def test_twist_bones_take_their_share_of_a_hands_roll(style: str, pose: str) -> None:
     rig = next(rig for rig in (draw(seed, style, pose) for seed in range(20)) if _twist_bones(rig))
     degrees_rolled = np.linspace(0.0, 80.0, 9)
-    turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(degrees_rolled), len(WHOLE_BODY), 1))
-    for side in ("Left", "Right"):  # about the arm, which points to the side at rest
-        turns[:, WHOLE_BODY.index(side + "Hand")] = Rotation.from_euler(
-            "X", degrees_rolled[:, None], degrees=True).as_quat(scalar_first=True)
-    motion = Motion(WHOLE_BODY, turns, np.zeros((len(turns), 3)), 30.0)
+    roll = np.radians(degrees_rolled)[:, None] * [1.0, 0.0, 0.0]  # about the arm, which points to the side at rest
+    motion = turned(WHOLE_BODY, len(roll), 30.0, LeftHand=roll, RightHand=roll)
     moved = Retargeter(rig.character, contacts=False)(motion)
     world = moved.world_matrices()[..., :3, :3]
     world = world / np.linalg.norm(world[0, :, :, 0], axis=-1)[:, None, None]
@@ -159,9 +156,9 @@ def test_twist_bones_take_their_share_of_a_hands_roll(style: str, pose: str) -> 
         way = places[0, hand] - places[0, fore]
         way = way / np.linalg.norm(way)
         for one, expected in ((node, share), (hand, 1.0), (fore, 0.0)):
-            turned = Rotation.from_matrix(world[:, one] @ world[0, one].T).as_rotvec(degrees=True)
-            np.testing.assert_allclose(np.abs(turned @ way), expected * degrees_rolled, atol=0.5)
-            np.testing.assert_allclose(np.linalg.norm(turned, axis=1), np.abs(turned @ way), atol=0.5)
+            spin = Rotation.from_matrix(world[:, one] @ world[0, one].T).as_rotvec(degrees=True)
+            np.testing.assert_allclose(np.abs(spin @ way), expected * degrees_rolled, atol=0.5)
+            np.testing.assert_allclose(np.linalg.norm(spin, axis=1), np.abs(spin @ way), atol=0.5)
 
 
 def _twist_bones(rig: Rig) -> list[tuple[int, str, float]]:
@@ -173,16 +170,14 @@ def _twist_bones(rig: Rig) -> list[tuple[int, str, float]]:
 
 def test_a_hand_that_goes_all_the_way_round_makes_no_twist_bone_jump() -> None:
     rig = next(rig for rig in (draw(seed, "manny", "T") for seed in range(20)) if _twist_bones(rig))
-    turns = np.tile([1.0, 0.0, 0.0, 0.0], (721, len(WHOLE_BODY), 1))
-    turns[:, WHOLE_BODY.index("LeftHand")] = Rotation.from_euler(
-        "X", np.linspace(-360.0, 360.0, 721)[:, None], degrees=True).as_quat(scalar_first=True)
-    motion = Motion(WHOLE_BODY, turns, np.zeros((721, 3)), 30.0)
+    turns = Rotation.from_euler("X", np.linspace(-360.0, 360.0, 721)[:, None], degrees=True)
+    motion = turned(WHOLE_BODY, 721, 30.0, LeftHand=turns.as_quat(scalar_first=True))
     moved = Retargeter(rig.character, contacts=False)(motion)
     node = _twist_bones(rig)[0][0]
     steps = Rotation.from_quat(moved.rotations[1:, node], scalar_first=True) * Rotation.from_quat(
         moved.rotations[:-1, node], scalar_first=True).inv()
     assert np.degrees(steps.magnitude()).max() < 4.0, "half of a degree a frame, and faster past 149 degrees"
     part = Retargeter(rig.character, contacts=False)(replace(
-        motion, rotations=turns[100:101], root_positions=np.zeros((1, 3))))
+        motion, rotations=motion.rotations[100:101], root_positions=np.zeros((1, 3))))
     apart = np.abs(np.sum(part.rotations[0] * moved.rotations[100], axis=-1))
     np.testing.assert_allclose(apart, 1.0, atol=1e-9, err_msg="one frame alone is as it is in the whole")

@@ -8,8 +8,6 @@ import numpy as np
 import performances
 import pytest
 
-from data_module.motion.kinematics import positions_of
-from data_module.motion.skeletons import facing, upper_body
 from eval.clip.measure import measure
 from eval.table import load_with_provenance, markdown
 from gesticulator.bundle import bundle as bundles
@@ -46,22 +44,6 @@ def test_the_example_is_gestured_in_speech_and_rests_in_its_pause(example: Perfo
     assert speech > 0.15, "m/s"
     assert rest < 0.1, "m/s"
     assert rest < 0.4 * speech
-
-
-def test_the_example_looks_like_a_person(example: Performance) -> None:
-    clip = measure(example.motion, example.speech)
-    assert np.percentile(clip.hand_speed, 99) < 4.0, "no faster than the fastest real take (3.1 m/s), give or take"
-    character = upper_body(example.motion)
-    heights = positions_of(facing(character))[..., 1]
-    hands = heights[:, [character.skeleton.index(name) for name in ("RightHand", "LeftHand")]] - heights[:, :1]
-    assert hands.max() < 0.9, "hands below the top of the head"
-    assert len(set(example.lexemes.tolist())) >= 8
-    longest = max(len(list(run)) for run in _runs(example.lexemes[~example.blocks.silent]))
-    assert longest <= 12, "blocks of one lexeme in a row while speaking"
-
-
-def _runs(values: np.ndarray) -> list[np.ndarray]:
-    return np.split(values, np.flatnonzero(np.diff(values)) + 1)
 
 
 def test_the_stored_figures_are_those_of_the_shipped_weights() -> None:

@@ -116,22 +116,6 @@ def test_a_call_in_steps_gives_the_same_bytes_a_block_at_a_time() -> None:
         assert (stepped.time, stepped.made, stepped.state) == (whole.time, whole.made, whole.state)
 
 
-def test_idling_that_is_closed_ends_at_its_last_frame_and_speech_goes_on_from_there() -> None:
-    stream = system().stream(seed=3)
-    before = [stream.feed(example()[:30_000])]
-    steps = stream.steps("idle", 60.0)
-    for _ in range(12):
-        before.append(next(steps))
-    steps.close()
-    assert stream.time == stream.made / FPS < 12.0
-    after = [stream.feed(example()[30_000:60_000]), stream.finish()]
-    assert stream.made == round((stream.time) * FPS)
-    rotations = joined([*before, *after])
-    hands = positions_of(Motion(stream.skeleton, rotations, np.zeros((len(rotations), 3)), FPS))
-    wrists = hands[:, [stream.skeleton.index(f"{side}Hand") for side in ("Left", "Right")]]
-    assert np.linalg.norm(np.diff(wrists, axis=0), axis=-1).max() * FPS < FASTEST
-
-
 @pytest.mark.parametrize("asked", [{"legs": True, "fps": 25.0}, {"variation": 2, "hand_height": "low"},
                                    {"interpreter": "statistical", "gain": -6.0}], ids=["legs", "variation", "gain"])
 def test_what_is_asked_of_a_file_is_asked_of_a_stream(asked: dict) -> None:

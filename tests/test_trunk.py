@@ -19,6 +19,7 @@ from gesticulator.contacts.limbs import MARGIN, OURS, TrunkAxes, pose_of
 from gesticulator.contacts.other_bodies import HandLimit, HandPoint, Obstacle, displacement, spread
 from gesticulator.contacts.surfaces import Outline, ellipse
 from tests.awkward import figure, write
+from tests.performances import turned
 from tests.rig_errors import inside, places_of
 from tests.rigs import Rig, draw
 
@@ -129,14 +130,10 @@ def test_thighs_that_stand_leave_room_to_give(tmp_path: Path, monkeypatch: pytes
 def swung() -> Motion:
     """Two seconds in which the left hand is quickly swung across the body and back, in front of our trunk."""
     time = np.arange(120) / FPS
-    turns = np.zeros((len(time), len(WHOLE_BODY), 4))
-    turns[..., 0] = 1.0
     down = rotation.from_exponential_map(np.tile([0.0, 0.0, -1.1], (len(time), 1)))
     swing = rotation.from_exponential_map((1.2 + 0.9 * np.tanh(3.0 * np.sin(np.pi * time)))[:, None] * [0.0, -1.0, 0.0])
-    turns[:, WHOLE_BODY.index("LeftArm")] = rotation.multiply(swing, down)
-    turns[:, WHOLE_BODY.index("LeftForeArm")] = rotation.from_exponential_map(np.tile([0.0, -1.9, 0.0], (120, 1)))
-    turns[:, WHOLE_BODY.index("RightArm")] = rotation.from_exponential_map(np.tile([0.0, 0.0, 0.8], (120, 1)))
-    return cleared(Motion(WHOLE_BODY, turns, np.zeros((len(time), 3)), FPS))
+    return cleared(turned(WHOLE_BODY, 120, LeftArm=rotation.multiply(swing, down),
+                          LeftForeArm=np.array([0.0, -1.9, 0.0]), RightArm=np.array([0.0, 0.0, 0.8])))
 
 
 def peaks(rig: Rig, moved: CharacterMotion) -> tuple[float, float]:

@@ -7,21 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bursts import blocks_of
 from hypothesis import given
 from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from data_module.text.word_vectors import WordEncoder, sentences, word_frames
-from data_module.types import Blocks, Word
+from data_module.types import Word
 
 
 def _words(text: str, start: float = 0.0, step: float = 0.3) -> list[Word]:
     return [Word(part, start + step * n, start + step * (n + 1)) for n, part in enumerate(text.split())]
-
-
-def _blocks(edges: list[float], frames: int = 4) -> Blocks:
-    n = len(edges) - 1
-    return Blocks(np.array(edges), np.zeros(n, np.int8), np.zeros(n, np.bool_), frames, 20.0)
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +99,7 @@ def test_sentences_end_at_pauses_marks_and_forty_words() -> None:
 
 def test_frames_by_hand() -> None:
     """Three blocks of four frames: (0, 0.4] by 0.1, (0.4, 1.2] by 0.2, (1.2, 1.6] by 0.1."""
-    blocks = _blocks([0.0, 0.4, 1.2, 1.6])
+    blocks = blocks_of([0.0, 0.4, 1.2, 1.6])
     words = [
         Word("one", 0.15, 0.3),   # frames 0.2 and 0.3 (0.3 closes it)
         Word("", 0.3, 0.42),      # a gap of 0.12 is bridged: 0.4 is nearer to "two"
@@ -123,7 +119,7 @@ def test_frames_by_hand() -> None:
 def test_frames_agree_with_a_plain_search(drawn: list[tuple[str, float, float]], bridge: float) -> None:
     """Frame by frame over all words; each frame's word is sounding, or it is the nearer one over a short gap."""
     words = [Word(text, start, start + length) for text, start, length in drawn]
-    blocks = _blocks([0.0, 0.31, 1.0, 1.9, 3.3], frames=5)
+    blocks = blocks_of([0.0, 0.31, 1.0, 1.9, 3.3], 5)
     spoken = [n for n, word in enumerate(words) if word.text]
     for time_, number in zip(blocks.knot_times - 1e-9, word_frames(words, blocks, bridge).ravel(), strict=True):
         sounding = [n for n in spoken if words[n].start < time_ <= words[n].end]
