@@ -336,7 +336,8 @@ def test_a_small_problem_is_solved_and_cloning_alone_does_not_solve_it() -> None
         torch.manual_seed(0)
         config = replace(SMALL, decisions=HORIZON, gamma=DISCOUNT, copy_every=40, temporal=temporal,
                          conservative=conservative)
-        learner = ConservativeQ(QNetwork(config, FRAMES, AUDIO, CHOICES, 1))  # without dropout: the answer is exact
+        learner = ConservativeQ(QNetwork(config, FRAMES, AUDIO, CHOICES, 1))
+        learner.eval()  # without dropout the answer is exact
         optimiser = torch.optim.Adam(learner.online.parameters(), 3e-3)
         for step in range(400):
             learner.before_step(step)

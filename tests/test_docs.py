@@ -64,8 +64,11 @@ CALLS = sorted({(of(page), " ".join(map(shlex.quote, call))) for page in GUIDE f
 
 @cache
 def verbs() -> dict[str, str]:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    points: dict[str, str] = project["entry-points"]["gesticulator.commands"]
+    """The verbs of this checkout and those of the maker of the corpus."""
+    points: dict[str, str] = {}
+    for folder in (ROOT, ROOT / "integrations" / "performer"):
+        project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+        points |= project["entry-points"]["gesticulator.commands"]
     return points
 
 

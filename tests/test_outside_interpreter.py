@@ -92,7 +92,7 @@ def _train(run, model, folder):
         return {"nll": sum(float(model.losses(batch)["nll"].detach()) for batch in checks) / len(checks)}
 
     batch = run.schedule(LOUD).batch
-    return run.fit(LOUD, model, fitting.Task(lambda rng: windows.sample(rng, batch), validate=validate), folder)
+    return run.fit(LOUD, model, fitting.Task(windows.sample, validate=validate), folder)
 
 
 LOUD = Stage("loud", settings=("others.loud", "window"), needs=lambda config: (CORPUS, LABELS), part="loud",

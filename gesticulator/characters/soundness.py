@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,14 +19,26 @@ from scipy.spatial.transform import Rotation
 from data_module.errors import InputError, shown
 from data_module.motion.skeletons import WHOLE_BODY
 from data_module.types import Array, Motion
-from gesticulator.characters.mapping import ARM_PARTS, LEG_PARTS, SIDES, ancestors, node_keys
+from gesticulator.characters.frames import Body
+from gesticulator.characters.mapping import ARM_PARTS, LEG_PARTS, SIDES, RigMapping, ancestors, node_keys
 from gesticulator.characters.names import label, words
-from gesticulator.characters.rig import UPS
+from gesticulator.characters.rig import UPS, Character, CharacterMotion
 from gesticulator.characters.shape import bind_matrices
 from gesticulator.contacts.limbs import pose_of
 
-if TYPE_CHECKING:
-    from gesticulator.characters.retarget import Retargeter
+
+class Mover(Protocol):
+    """A function that moves one character, such as a `Retargeter`, which imports this file. legs: whether it moves hips
+    and legs."""
+
+    character: Character
+    mapping: RigMapping
+    body: Body
+    legs: bool
+
+    def __call__(self, motion: Motion) -> CharacterMotion:
+        """The motion on the character."""
+
 
 _LEANS = 40.0
 """Largest angle of the line from hips to head from the vertical, degrees: hunched monsters reach 35."""
@@ -100,7 +112,7 @@ def probe_motion() -> Motion:
     return Motion(WHOLE_BODY, turns, np.zeros((len(poses), 3)), 30.0)
 
 
-def require_sound(retargeter: Retargeter) -> Findings:
+def require_sound(retargeter: Mover) -> Findings:
     """The findings for a sound character; `InputError` with the reason and the line of the mapping to correct, for a
     fault."""
     findings = examine(retargeter)
@@ -116,7 +128,7 @@ def require_sound(retargeter: Retargeter) -> Findings:
     return findings
 
 
-def examine(retargeter: Retargeter) -> Findings:
+def examine(retargeter: Mover) -> Findings:
     """Check the character in the poses of `probe_motion`; returns its problems."""
     probed = _Probe(retargeter)
     problems = [list(check()) for check in (
@@ -130,7 +142,7 @@ def examine(retargeter: Retargeter) -> Findings:
 class _Probe:
     """A character in the poses of the probe, measured with Y up, facing +Z, in metres."""
 
-    def __init__(self, retargeter: Retargeter) -> None:
+    def __init__(self, retargeter: Mover) -> None:
         self.body, self.character = retargeter.body, retargeter.character
         self.mapping, self.joints = retargeter.mapping, retargeter.mapping.joints
         self.stands = retargeter.legs and retargeter.mapping.legs

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from gesticulator.face.motion import FaceMotion
 
 
+__all__ = ["write_comparison", "write_preview"]
+
+
 class HasScene(Protocol):
     """An object with a scene, such as a performance."""
 
