@@ -5,13 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from data_module.blocks import BlockSettings, cut
+from data_module.errors import InputError
 from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Speech
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 STEP = 0.05
 LONGEST = 2.0
@@ -65,3 +69,26 @@ def _counts(seconds: Array) -> tuple[int, ...]:
     # Beats lie on a grid of 10 ms, so many intervals fall on the edge of a bin, up to rounding errors.
     places = np.minimum(np.floor(seconds / STEP + 1e-6).astype(int), _BINS - 1)
     return tuple(np.bincount(places, minlength=_BINS).tolist())
+
+
+def drawn(intervals: Intervals, title: str = "") -> Figure:
+    """The histogram as a picture like RG Fig. 5, with the default bounds; `InputError` without matplotlib."""
+    try:
+        from matplotlib.figure import Figure as NewFigure
+    except ImportError:
+        raise InputError("the histogram", "needs matplotlib, which is not installed",
+                         "pip install 'gesticulator[figures]'") from None
+    beats = BlockSettings().beats
+    figure = NewFigure(figsize=(8, 4), layout="constrained")
+    axes = figure.subplots()
+    edges = np.arange(_BINS) * STEP
+    for kind, colour in zip(KINDS, ("tab:blue", "tab:orange"), strict=True):
+        counts = np.array(getattr(intervals, kind), dtype=np.float64)
+        # Shares, because onsets and beats differ in number.
+        axes.bar(edges, counts / max(1.0, counts.sum()), STEP, align="edge", alpha=0.5, color=colour,
+                 label=f"between {kind} ({int(counts.sum())})")
+    for bound, name in ((beats.d_min, "d_min"), (beats.d_max, "d_max")):
+        axes.axvline(bound, color="black", linestyle=":", label=f"{name} {bound:g} s")
+    axes.set(title=title, xlabel=f"seconds (the last bar: {LONGEST:g} and longer)", ylabel="share of the intervals")
+    axes.legend()
+    return figure

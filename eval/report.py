@@ -63,11 +63,11 @@ def _figures(folder: Path, name: str, out: Path) -> dict[str, list[str]]:
     """Name -> lines of the figures of an ablation with their captions; InputError where the file holds no figures."""
     file = folder / f"{name}.json"
     try:
-        drawn = {figure: (f"{facts['figure']}: {facts['title']}", str(facts["caption"]))
-                 for figure, facts in loads(read_text(file, "draw them again")).items()}
+        drawn = [(file.with_name(figure), f"{facts['figure']}: {facts['title']}", str(facts["caption"]))
+                 for figure, facts in loads(read_text(file, "draw them again")).items()]
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(file, "holds no figures of an ablation", "draw them again") from error
-    return {figure: _figure(file.with_name(figure), title, caption, out) for figure, (title, caption) in drawn.items()}
+    return {place.name: _figure(place, title, caption, out) for place, title, caption in drawn}
 
 
 def _figure(place: Path, title: str, caption: str, out: Path) -> list[str]:

@@ -42,8 +42,9 @@ SITE = "http://tests.invalid/"
 
 
 @contextmanager
-def package_page(name: str, package: Path, *folders: Path) -> Iterator[Any]:
-    """A page that says when it is ready, of the first of the folders that has it; a package lies at `package/`."""
+def package_page(browser: Any, name: str, package: Path, *folders: Path) -> Iterator[Any]:
+    """A page of a browser that says when it is ready, of the first of the folders that has it; a package lies at
+    `package/`. Playwright has one driver at a time in a process, so the pages of a module share a browser."""
 
     def serve(route: Any) -> None:
         asked = route.request.url.removeprefix(SITE)
@@ -56,13 +57,13 @@ def package_page(name: str, package: Path, *folders: Path) -> Iterator[Any]:
         kind = mimetypes.guess_type(path.name)[0] or "application/octet-stream"
         route.fulfill(body=path.read_bytes(), content_type="text/javascript" if path.suffix == ".js" else kind)
 
-    with chromium() as browser:
-        window = browser.new_page()
-        window.set_default_timeout(120_000)
-        window.route("**/*", serve)
-        window.goto(SITE + name)
-        window.wait_for_function("window.ready === true")
-        yield window
+    window = browser.new_page()
+    window.set_default_timeout(120_000)
+    window.route("**/*", serve)
+    window.goto(SITE + name)
+    window.wait_for_function("window.ready === true")
+    yield window
+    window.close()
 
 
 class OpenedPage:

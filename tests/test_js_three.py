@@ -53,12 +53,12 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Performance, P
 
 
 @pytest.fixture(scope="module")
-def page(made: tuple[Path, Performance, Performance]) -> Iterator[Any]:
+def page(browser: Any, made: tuple[Path, Performance, Performance]) -> Iterator[Any]:
     """A page without a network: what it loads comes from the disk."""
     if not (JS / "node_modules" / "three").is_dir():
         pytest.skip("three.js is not installed: npm ci --prefix tests/js")
 
-    with package_page("package_page.html", FOLDER, made[0], JS) as window:
+    with package_page(browser, "package_page.html", FOLDER, made[0], JS) as window:
         yield window
 
 
@@ -142,12 +142,12 @@ def talk(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FaceMotion, li
 
 
 @pytest.fixture(scope="module")
-def face_page(talk: tuple[Path, FaceMotion, list[VisemeSpan]]) -> Iterator[Any]:
+def face_page(browser: Any, talk: tuple[Path, FaceMotion, list[VisemeSpan]]) -> Iterator[Any]:
     """A page without a network: what it loads comes from the disk."""
     if not (JS / "node_modules" / "@pixiv" / "three-vrm-animation").is_dir():
         pytest.skip("three-vrm is not installed: npm ci --prefix tests/js")
 
-    with package_page("face_page.html", FOLDER, talk[0], JS) as window:
+    with package_page(browser, "face_page.html", FOLDER, talk[0], JS) as window:
         yield window
 
 
