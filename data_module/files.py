@@ -238,7 +238,7 @@ def lock(folder: str | os.PathLike[str], what: str, *, beside: bool = False, wai
             file.write_text(f"{what} (process {os.getpid()} on {socket.gethostname()})", encoding="utf-8")
         yield
     finally:
-        # Removed while it is locked: whoever opened it before the removal sees that its name is gone, and tries again.
+        # Removed while it is locked: a process that opened it before sees that the name is gone, and retries.
         with contextlib.suppress(OSError):  # Windows removes no open file, and filelock leaves none there
             file.unlink()
         held.release()

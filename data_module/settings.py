@@ -25,10 +25,6 @@ from data_module.files import parse_json
 
 T = TypeVar("T")
 
-PRIVATE_MARK = "private"
-PRIVATE = {PRIVATE_MARK: True}
-"""Metadata of a dataclass field that is not written to files."""
-
 
 @dataclass(frozen=True)
 class SettingRange:

@@ -183,7 +183,7 @@ class StoreWriter:
                                  "delete it, or use what it was begun with")
         elif strange:
             raise InputError(self.partial, "stands in the way", "delete it or choose another folder")
-        # Folder first: another process that looks in between finds an empty folder, which is in nobody's way.
+        # Folder first: another process that looks in between finds an empty folder, which blocks nothing.
         (self.partial / _FOLDER).mkdir(parents=True, exist_ok=True)
         if not begun.is_file():
             write_text(begun, json.dumps(self._head, indent=1))

@@ -43,7 +43,7 @@ class Mocca(TakeReader):
         if not takes:
             raise InputError(source, "holds no speakerNN_clipNN.bvh with a .wav of the same name",
                              "name the folder that MOCCA was unpacked into")
-        # The published split is not in the files; folders named by whoever unpacked them are the better source.
+        # The published split is not in the files; folders that the user named after splits are the better source.
         named = {name: _folder_split(source, take) for name, take in takes.items()}
         if None in named.values():
             notes.append("the test recordings are not published: here "

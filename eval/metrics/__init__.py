@@ -31,7 +31,7 @@ class Metric(RegistryEntry):
     unit: "" for a figure without one. digits: behind the point, in tables. part: the table it stands in. inputs:
     "truth" (the speaker's own motion of the clip), "speech", "set" (several clips), "bundle" (a lexicon and a model
     that judges), "edges" (of the system's own blocks), "reference" (the frozen space of the Frechet distance).
-    fooled_by: the controls (`eval.baselines`) that it cannot tell from good motion, whoever moves: where less is
+    fooled_by: the controls (`eval.baselines`) that it cannot tell from good motion, for any performer: where less is
     better, they are better than a real person's motion at another moment; else they are as good as the truth, or as
     near to it. Of the figures of lexemes, over a lexicon of postures: among movements jitter does not pass.
     """

@@ -138,7 +138,7 @@ def write_map(bundle: Bundle, store: Store, infos: Sequence[RecordingInfo], out:
     figure = embedding_panels({caption: (flat, labels[few])}, size, silent)
     for suffix in ("png", "svg"):
         save_strip(figure, out / f"latents.{suffix}")
-    # The most used first, and none that nobody performs.
+    # The most used first, without lexemes that the motion never uses.
     order = np.argsort(-total, kind="stable")[:min(MOST, used)].tolist()
     save_strip(sheet(order, motions, does, silent), out / "lexemes.png", dpi=100)
     write_text(out / "lexicon.csv", as_csv(counts.table(silent, does)))

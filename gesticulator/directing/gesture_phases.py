@@ -145,7 +145,7 @@ def smooth(s: Array) -> Array:
 
 
 def _gentle(s: Array) -> Array:
-    """A step like `smooth` whose change of acceleration begins and ends at zero, too, so that nobody sees the seam."""
+    """A step like `smooth` whose change of acceleration begins and ends at zero, too, so that the seam is invisible."""
     u: Array = np.clip(s, 0.0, 1.0)
     return u ** 4 * (35.0 - u * (84.0 - u * (70.0 - 20.0 * u)))
 
@@ -174,7 +174,7 @@ def hand_turns(draw: GestureDraw, which: int, seconds: Array) -> tuple[Array, Ar
         places, turned, fingers = _repeated(part.repeat, draw, seconds, (places, turned, fingers))
     if not part.touches:
         places, turned = places + draw.place[which], Rotation.from_rotvec(draw.turn[which]) * turned
-        # A hand that is held up sinks a little: nobody holds one still.
+        # A hand that is held up sinks a little: people do not hold it still.
         places = places + smooth(seconds / draw.phases.hold)[:, None] * (_SINKS - 0.5 * draw.place[which])
     wrists = places - part.point * turned.apply([1.0, 0.0, 0.0])
     return np.stack(arm_turns(wrists, turned, _mixed(swings, begin, end, share)), axis=1), fingers
