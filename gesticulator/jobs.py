@@ -324,12 +324,10 @@ class Worker:
         spent = time.perf_counter() - begin
         written = tuple(performance.save(target, unit=job.unit if target.suffix.lower() == ".bvh" else "cm")
                         for target in job.targets)
-        notes = performance.notes
-        if performance.retiming is not None:
-            notes += tuple(performance.retiming.lines()[1:])
         lexemes = performance.lexemes.tolist()
         return Outcome(job.name, speech.duration, len(lexemes) - 1, len(set(lexemes)),
-                       len(self.gesticulator.bundle.vectors), spent / speech.duration, written, notes)
+                       len(self.gesticulator.bundle.vectors), spent / speech.duration, written,
+                       performance.notes)
 
     def perform_together(self, jobs: Sequence[Job]) -> str:
         """Process recordings and write them as clips of one file for each target; returns the summary. An error of one

@@ -32,6 +32,18 @@ class TimedCue:
     lexeme: int | None = None
     broken_off: float | None = None
 
+    @property
+    def span(self) -> tuple[float, float]:
+        """Seconds at which the gesture begins and ends."""
+        from gesticulator.directing.named_gestures import span_of_gesture
+
+        before, after = span_of_gesture(self.cue.gesture)
+        return self.time - before, self.time + after
+
+    def ended(self, at: float) -> TimedCue:
+        """The cue after an interruption at a time, seconds."""
+        return self if self.span[1] <= at else replace(self, broken_off=min(self.broken_off or at, at))
+
 
 def stroke_of_word(word: Word) -> float:
     """Seconds at which the stroke of a word's gesture falls: just before its stressed vowel, as far as the times of the

@@ -79,22 +79,8 @@ _SHIFTS, _STAYS = np.linspace(-1.0, 1.0, 7), 0.1
 """Shares of the most shift of a block's middle that are tried; and what the whole of it must be worth in timing."""
 
 
-@dataclass(frozen=True)
-class CandidateWeights:
-    """The weights of the terms, relative to `timing`; chosen on the validation split."""
-
-    lexeme: float = 2.0
-    """A candidate that is a twentieth nearer to another lexeme loses 0.2."""
-    timing: float = 1.0
-    seam: float = 0.25
-    body: float = 16.0
-    together: float = 1.0
-    pitch: float = 1.5
-    controls: float = 2.0
-    """Per standard deviation of the training data."""
-
-
-WEIGHTS = CandidateWeights()
+LEXEME, SEAM, BODY, TOGETHER, PITCH, CONTROLS = 2.0, 0.25, 16.0, 1.0, 1.5, 2.0
+"""The weights of the terms, relative to timing; chosen on the validation split."""
 
 
 @dataclass(frozen=True)
@@ -121,8 +107,8 @@ class CandidateMotion:
 class CandidateChooser:
     """Chooses among the candidates of a block for one speaker."""
 
-    def __init__(self, bundle: Bundle, speaker: int, weights: CandidateWeights = WEIGHTS) -> None:
-        self._weights, self._statistics, self._speaker = weights, bundle.statistics, speaker
+    def __init__(self, bundle: Bundle, speaker: int) -> None:
+        self._statistics, self._speaker = bundle.statistics, speaker
         self._representation = representation_of(bundle.config)
         skeleton = self._representation.motion(self._statistics.rest_pose[speaker][None], 1.0).skeleton
         # The joint above the shoulders, by whatever name the skeleton has for it.
@@ -154,21 +140,21 @@ class CandidateChooser:
         # A stream in a hurry samples one candidate; there is nothing to weigh.
         if len(motion) == 1:
             return 0
-        weights, poses, places = self._weights, motion.poses, motion.places
+        poses, places = motion.poses, motion.places
         times = self._times(speech, poses.shape[1] - _BEFORE)
         allowed = slow_enough(motion.shown[:, :, :4], times)
         hands = places[allowed, :, :2]
-        score = -weights.lexeme * np.log(apart[allowed].astype(np.float64))
-        score -= weights.body * depth(places[allowed, _BEFORE:])
+        score = -LEXEME * np.log(apart[allowed].astype(np.float64))
+        score -= BODY * depth(places[allowed, _BEFORE:])
         if len(speech.onsets) > 0:
-            score += weights.timing * in_time(hands, times, speech.start, speech.onsets)
-        score -= weights.together * apart_from_hands(poses[allowed][..., self._head], hands, times)
+            score += in_time(hands, times, speech.start, speech.onsets)
+        score -= TOGETHER * apart_from_hands(poses[allowed][..., self._head], hands, times)
         if speech.pitch is not None:
-            score += weights.pitch * with_pitch(poses[allowed][..., self._trunk], times, speech.pitch)
+            score += PITCH * with_pitch(poses[allowed][..., self._trunk], times, speech.pitch)
         # Bounded, because a block that begins at rest has a large ratio and nothing wrong.
-        score -= weights.seam * jolt(hands, times)
+        score -= SEAM * jolt(hands, times)
         if control is not None:
-            score -= weights.controls * self._control_error(hands, times, control)
+            score -= CONTROLS * self._control_error(hands, times, control)
         return int(allowed[score.argmax()])
 
     def retimed(self, speech: SpeechBlock, past: Array, block: Array) -> Array:

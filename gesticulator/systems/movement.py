@@ -112,8 +112,10 @@ def style(sizes: Sizes, reads: bool) -> UnitStyleInterpreter:
 def begin(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
     """The state before the first block: the body at rest, nothing planned, nothing sampled."""
     state = at_rest(bundle, setup, text, keys)
+    sampler = FlowSampler(bundle, setup.speaker)
+    style_state = None if sampler.style is None else sampler.style.start(setup.speaker)
     return replace(state, planner=None if bundle.planner is None else bundle.planner.start(setup.speaker),
-                   generator=FlowState.start(bundle, setup.speaker))
+                   generator=FlowState(sampler, style=style_state))
 
 
 def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
@@ -144,9 +146,9 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     keys = request.keys or state.keys
     offset = None if state.offset is None else state.offset.at(speech.span.times)
     shift = None if offset is None else torch.cat([(state.past - state.generated)[0], offset])
-    block, code, generator = state.generator.sample(
-        BlockToSample(speech, features, lexeme, unit, keys, shift, fast=request.fast,
-                      hidden=rest is not None and rest.rests_wholly, biased=request.bias is not None),
+    block, code, generator = state.generator.sampler.sample(
+        state.generator, BlockToSample(speech, features, lexeme, unit, keys, shift, request.fast,
+                                       rest is not None and rest.rests_wholly, request.bias is not None),
         state.generated)
 
     # 5. What is shown: rest, idle motion, and the offset that joins it to what was shown before.
@@ -363,19 +365,9 @@ class FlowState:
     style: UnitStyleState | None = None
     set_out: float = 0.0
 
-    @classmethod
-    def start(cls, bundle: Bundle, speaker: int) -> FlowState:
-        """Before the first block."""
-        sampler = FlowSampler(bundle, speaker)
-        return cls(sampler, style=None if sampler.style is None else sampler.style.start(speaker))
-
     def restarted(self, time: float) -> FlowState:
         """Without the blocks before, but for how long speech or silence has lasted; time: seconds."""
         return replace(self, lstm=None, past=None, base=None, set_out=time)
-
-    def sample(self, block: BlockToSample, past: Tensor) -> tuple[Tensor, Tensor, FlowState]:
-        """A block [1, K, D_m] after the motion past [1, K, D_m], its style code [1, d_z], and the state after it."""
-        return self.sampler.sample(self, block, past)
 
 
 class FlowSampler:
@@ -401,7 +393,7 @@ class FlowSampler:
                           for factor, width in zip(factors, basis.widths, strict=True)]).to(self.device)
 
     def sample(self, state: FlowState, block: BlockToSample, past: Tensor) -> tuple[Tensor, Tensor, FlowState]:
-        """See `FlowState.sample`."""
+        """A block [1, K, D_m] after the motion past [1, K, D_m], its style code [1, d_z], and the state after it."""
         speech, basis = block.speech, self.generator.basis
         added = past.new_zeros(1, basis.width)
         if state.past is not None and state.base is not None:  # the motion may differ from what was sampled: rest
