@@ -333,8 +333,10 @@ class Gesticulator:
     def _stream(self, sample_rate: float, latency: str, text: bool, checked: InferenceOptions) -> Stream:
         from gesticulator.stream import Stream
 
-        cutter = partial(BlockCutter, self.bundle.config, self._front_end, self.word_encoder if text else None, latency)
-        return Stream(self.bundle, self.resolver.setup(checked, text), checked, cutter, sample_rate)
+        cutter = partial(BlockCutter, self.bundle.config, self._front_end, self.word_encoder if text else None)
+        stream = Stream(self.bundle, self.resolver.setup(checked, text), checked, cutter, sample_rate)
+        stream.latency = latency
+        return stream
 
 
 def _prepared(speech: Speech, options: InferenceOptions) -> Speech:

@@ -116,20 +116,20 @@ def without_mismatches(options: InferenceOptions, words: Sequence[Word], duratio
     """
     for begin, end in options.hold_still:
         if end > duration:
-            effect = "has no effect" if begin >= duration else "is cut there"
-            _warn(f"hold_still {begin:g}-{end:g} goes beyond the end of the recording ({duration:.2f} s) and {effect}")
+            _warn(f"hold_still {begin:g}-{end:g} goes beyond the end of the recording ({duration:.2f} s)")
     spoken = _spoken([word for word in words if word.text.strip()])
     if not spoken:
         return options
     # A folder of recordings gets the same cues: one that a recording cannot satisfy must not stop the others.
-    counts = [cue.occurrence if cue.word is None else len(spoken.get(plain_word(cue.word), ())) for cue in options.cues]
-    for cue, count in zip(options.cues, counts, strict=True):
-        if count < cue.occurrence:
-            _warn(f"the cue {cue.word}={cue.gesture} is left out: " + (
-                f"the word is spoken {count} times, and occurrence {cue.occurrence} is asked for" if count
-                else "the word is never spoken"))
-    return replace(options, cues=tuple(cue for cue, count in zip(options.cues, counts, strict=True)
-                                       if count >= cue.occurrence))
+    cues = []
+    for cue in options.cues:
+        count = cue.occurrence if cue.word is None else len(spoken.get(plain_word(cue.word), ()))
+        if count >= cue.occurrence:
+            cues.append(cue)
+        else:
+            _warn(f"the cue {cue.word}={cue.gesture}, occurrence {cue.occurrence}, is left out: the word is spoken "
+                  f"{count} times")
+    return replace(options, cues=tuple(cues))
 
 
 def warn_of_losses(lines: Sequence[str]) -> None:

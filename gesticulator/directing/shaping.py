@@ -180,7 +180,7 @@ class Shaper:
             result[at] = self._scaled(poses, times, levels, at)
         at = np.flatnonzero(levels.mirrored)
         turned = result[at].reshape(len(at), len(self._swapped), 3)[:, self._swapped] * _FLIP
-        result[at] = _towards(result[at], turned.reshape(len(at), -1), levels.mirrored[at][:, None])
+        result[at] = _towards(result[at], turned.reshape(len(at), poses.shape[1]), levels.mirrored[at][:, None])
         return result
 
     def _scaled(self, poses: Array, times: Array, scales: ShapeLevels, at: NDArray[np.int64]) -> Array:
