@@ -94,4 +94,4 @@ STUDY = verb("make a user study, or analyse its ratings", "eval.study.command",
              "study analyse --key FOLDER/key.json ratings-*.json --out study.json")
 PLOT = choice("plot", "plot a strip of motion or the lexicon (--list shows them)", PLOTS, _name_files,
               lambda parser: None, ("plot strip gesture.bvh --sound speech.wav",
-                                    "plot lexicon --data STORE --out FOLDER"))
+                                    "plot lexicon --data STORE --out lexemes.png"))
