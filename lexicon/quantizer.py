@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from data_module.layers import full_precision
-
 __all__ = ["Quantised", "Quantizer"]
 
 DECAY = 0.99
@@ -83,14 +81,13 @@ class Quantizer(nn.Module):
 
     def forward(self, latents: Tensor) -> Quantised:
         """Quantise latents [B, D]; in training mode an EMA codebook also follows them."""
-        # In half precision neighbouring codes tie, and their order would decide.
-        labels = full_precision(self.labels)(latents)
+        labels = self.labels(latents)
         chosen = self.vectors[labels]
         commitment = (latents - chosen.detach()).pow(2).mean()
         # Straight-through: the value is the chosen vector, the gradient that of the latents.
         codes = latents + (chosen - latents).detach()
         if self.training:
-            full_precision(self._follow)(latents.detach(), labels)
+            self._follow(latents.detach(), labels)
         return Quantised(codes, labels, commitment)
 
     @torch.no_grad()
