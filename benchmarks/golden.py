@@ -47,7 +47,7 @@ from gesticulator import Gesticulator, InputError
 
 ROOT = Path(__file__).resolve().parents[1]
 SPEECH, TEXT = ROOT / "examples" / "speech.flac", ROOT / "examples" / "speech.txt"
-SUFFIXES = (".bvh", ".glb", ".vrma", ".usda", ".npz", ".csv", ".parquet", ".json", ".html", ".g1.csv")
+SUFFIXES = (".bvh", ".glb", ".vrma", ".usda", ".npz", ".csv", ".json", ".html", ".g1.csv")
 """Formats whose bytes depend on nothing but the input; .fbx, films and .usdc are left out."""
 KINDS = {"json": "plan"}
 """Suffix -> kind of a name, where it is not the suffix."""

@@ -13,7 +13,7 @@ KEYS = 0.1
 """Default bound on the error of reduced keys, degrees: a tenth of the smallest turn of a limb that is noticed."""
 MOST_KEYS = 5.0
 """Largest bound, degrees: beyond, gestures lose their shape."""
-CLIPS = (".bvh", ".csv", ".fbx", ".glb", ".parquet", ".usda", ".usdc", ".vrma")
+CLIPS = (".bvh", ".csv", ".fbx", ".glb", ".usda", ".usdc", ".vrma")
 """Suffixes of formats for which loop, mask, layer, root and sound have a meaning."""
 _LONGEST_NAME = 100
 
