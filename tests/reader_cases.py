@@ -458,23 +458,21 @@ def _read_request(file: Path) -> object:
 
 def _manifest(name: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
-        from gesticulator.manifest import FAILED, ManifestRow, write_manifest
+        from gesticulator.manifest import ManifestRow, opened_manifest
 
-        rows = [ManifestRow("a.wav", "12", 3.25, ("x.bvh", "y.glb"), FAILED, "cut short", 0.125, "1", "2", "3", "h"),
-                ManifestRow("b.wav", "13", 1.0, ("b.bvh",))]
-        write_manifest(folder / name, rows)
+        with opened_manifest(folder / name) as manifest:
+            manifest.add(ManifestRow("a.wav", "12", 3.25, ("x.bvh", "y.glb"), "cut short", 0.125, "1", "2", "3", "h"))
+            manifest.add(ManifestRow("b.wav", "13", 1.0, ("b.bvh",)))
         return folder / name
 
     return write
 
 
 def _read_manifest(file: Path) -> object:
-    """The rows, written back."""
-    from gesticulator.manifest import read_manifest, table, write_manifest
+    """The rows as they would be written."""
+    from gesticulator.manifest import read_manifest
 
-    rows = read_manifest(file)
-    write_manifest(file.with_name("back.jsonl"), rows.values())
-    return table(list(rows.values()))
+    return [row.line for row in read_manifest(file).values()]
 
 
 _KEY = {"study": "s", "systems": ["ours", "truth"], "aspects": ["beat_match"], "clips": [{}], "scale": [1, 5],

@@ -50,12 +50,12 @@ def test_what_is_nearer_is_drawn_later(view: str) -> None:
     """In the rest pose, arms to the sides."""
     turns = np.zeros((2, len(CHARACTER), 3))
     motion = Motion(CHARACTER, rotation.from_exponential_map(turns), np.zeros((2, 3)), 30.0)
-    parts = figure.seen(figure.figure_points(motion, np.zeros(1)), figure.VIEWS[view])
+    parts = figure.seen(figure.figure_points(motion, np.zeros(1)), figure.VIEWS[view], "white")
     order = [part.hand for part in parts if part.hand]
-    assert sorted(order) == ["Left", "Right"] and parts[0].limbs[0].colour == figure.TROUSERS
+    assert sorted(order) == ["Left", "Right"] and parts[0].polygons[-1][1] == figure.INK
     assert [part.near[0] for part in parts[1:]] == sorted(part.near[0] for part in parts[1:])
     # From her left, the right hand is far and the left one near; from the front, her left is at the right.
-    places = {part.hand: part.limbs[-1].end[0] for part in parts if part.hand}
+    places = {part.hand: part.polygons[-1][0][0].mean(axis=0) for part in parts if part.hand}
     assert order == ["Right", "Left"] if view == "side" else places["Left"][0] > 0 > places["Right"][0]
 
 

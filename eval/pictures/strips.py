@@ -147,8 +147,8 @@ def _draw_figure(axis: Axes, points: dict[str, Array], view: str, centre: float,
     """The pose at the last of the moments, [T, 3] each, and each hand's trail over its arm."""
     from matplotlib.patches import Polygon
 
-    for level, part in enumerate(seen({name: path[-1:] for name, path in points.items()}, VIEWS[view]), order):
-        for corners, colour in part.polygons("white"):
+    for level, part in enumerate(seen({name: path[-1:] for name, path in points.items()}, VIEWS[view], "white"), order):
+        for corners, colour in part.polygons:
             axis.add_patch(Polygon(corners[0] + [centre, 0.0], facecolor=colour, edgecolor="none", zorder=level))
         if part.hand:
             path, _, _ = VIEWS[view].look(points[f"{part.hand}HandTip"])
