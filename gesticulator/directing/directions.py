@@ -147,7 +147,7 @@ def with_planned_words(speech: Speech, plan: GesturePlan) -> Speech:
 
 def check_bundle_of(bundle: Bundle, plan: GesturePlan) -> None:
     """`InputError` for a plan of another bundle."""
-    made_with = plan.made_by.get("bundle")
+    made_with: Any = plan.made_by.get("bundle")
     if not isinstance(made_with, dict) or made_with.get("lexicon") != lexicon_hash(bundle.vectors):
         raise plan.error(("made_by", "bundle"), "is another bundle than this one",
                          "render the plan with the bundle that made it")

@@ -47,8 +47,6 @@ def laid_over(poses: Array, times: Array, cues: Sequence[tuple[GestureCue, float
     out = poses.copy()
     for cue, at in cues:
         before, after = span_of_gesture(cue.gesture)
-        if not len(times) or at - before >= times[-1] or at + after <= times[0]:
-            continue
         near = np.flatnonzero((times > at - before) & (times < at + after))
         if len(near):
             out[near] = _with_gesture(out[near], times[near] - at, cue, drawn_gesture(cue, at, seed))
@@ -63,9 +61,8 @@ def _with_gesture(poses: Array, seconds: Array, cue: GestureCue, draw: GestureDr
     swapped = exchanged_joints(names)
     vectors = poses.reshape(len(poses), -1, 3).copy()
     targets = _targets(draw, seconds)
-    added = {name: turns for name, turns in _added(draw, seconds, weight).items() if name not in targets}
     # Scripts are right-handed: a flipped gesture goes to the joints of the other side, as its mirror image.
-    for name, turns in (targets | added).items():
+    for name, turns in (_added(draw, seconds, weight) | targets).items():
         if name in names:
             joint, turns = names.index(name), turns * _FLIP if flipped else turns
             joint = int(swapped[joint]) if flipped else joint
@@ -126,15 +123,14 @@ def _led_around(poses: Array, before: Array, weight: Array, moved: Sequence[str]
     in a gesture at `MARGIN`, or on the body if it touches it. Where nothing has to move, nothing changes."""
     if not moved:
         return poses
-    motion, first = _motion_of(poses), pose_of(_motion_of(before))
-    freed = motion
-    touches = any(part.touches for part in script.hands)
+    freed, first = _motion_of(poses), pose_of(_motion_of(before))
+    rotations, touches = freed.rotations, any(part.touches for part in script.hands)
     for part, gap in ((TRUNK, _TOUCH if touches else MARGIN), (HEAD, 0.0 if script.faces else MARGIN)):
         now = part.distances(first)
         freed = part.kept_out(freed, {side: (1.0 - weight) * np.minimum(now[side], MARGIN) + weight * gap
                                       if side in moved else np.full(len(poses), -np.inf) for side in SIDES})
     # Joints that did not have to move keep their bits: exponential maps of the same rotation may differ.
-    changed = (freed.rotations != motion.rotations).any(axis=-1, keepdims=True)
+    changed = (freed.rotations != rotations).any(axis=-1, keepdims=True)
     reference = poses.reshape(len(poses), -1, 3)
     turned = nearest_turn(rotation.to_exponential_map(freed.rotations), reference)
     out: Array = np.where(changed, turned, reference).reshape(poses.shape)
@@ -142,6 +138,5 @@ def _led_around(poses: Array, before: Array, weight: Array, moved: Sequence[str]
 
 
 def _motion_of(poses: Array) -> Motion:
-    skeleton = CHARACTERS[poses.shape[1] // 3]
     rotations = rotation.from_exponential_map(poses.reshape(len(poses), -1, 3))
-    return Motion(skeleton, rotations, np.zeros((len(poses), 3)), 60.0)
+    return Motion(CHARACTERS[rotations.shape[1]], rotations, np.zeros((len(poses), 3)), 60.0)
