@@ -78,8 +78,7 @@ def _rendered(block: Block, generated: BlockMotion) -> Block:
     """A planned block with the decisions of its generation."""
     now = generated.block
     return replace(block, lexeme=generated.lexeme if block.lexeme is None else block.lexeme, gate=now.gate,
-                   alternatives=now.alternatives, score=now.score, rank=now.rank, chosen=now.chosen,
-                   runner_up=now.runner_up)
+                   alternatives=now.alternatives, score=now.score, rank=now.rank)
 
 
 def fingerprinted(plan: GesturePlan, speech: Speech) -> GesturePlan:

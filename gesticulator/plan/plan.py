@@ -123,10 +123,6 @@ class LexemeChoice:
     """Its name in `lexicon`."""
     score: float
     """Its score by the interpreter; `score_is` names the kind."""
-    prior: float | None = None
-    """Of the interpreter "advantage": its probability under the behaviour policy."""
-    advantage: float | None = None
-    """Of the interpreter "advantage": its expected reward above the mean, in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -174,11 +170,6 @@ class Block:
     """The score of its lexeme, as those of `alternatives`; null without scores."""
     rank: Annotated[int, Meta(ge=1, le=2**16)] | None = None
     """How many lexemes have a score as high as its lexeme, with itself; null without scores."""
-    chosen: dict[str, float] | None = None
-    """Of the interpreter "advantage": prior and advantage of the lexeme that was played."""
-    runner_up: dict[str, int | float] | None = None
-    """Of the interpreter "advantage": the best other lexeme (id), and by how much its advantage is higher
-    (worth_more)."""
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import Flags, Span, SpeechBlock, control_rows, representation_of
 from gesticulator.plan.plan import Block, BlockDraw, Flag, LexemeChoice
 from gesticulator.sampling.noise import Keys
-from interpreters.base import BlockFeatures, Explanation, Interpreter, select
+from interpreters.base import BlockFeatures, Interpreter, select
 
 if TYPE_CHECKING:
     from interpreters.planner import UnitDecision
@@ -329,27 +329,15 @@ def shown(bundle: Bundle, rest: Rest | None, block: Tensor, offset: Tensor | Non
     return past, rest.alive(past[0].cpu().numpy()).astype(np.float32)
 
 
-def decided(speech: SpeechBlock, lexeme: int, scores: Scores, explanation: Explanation | None, keys: Keys,
-            gate: float = math.nan) -> Block:
-    """The block of a plan that records the choice of a lexeme.
-
-    scores: [S] of the interpreter; alternatives are ordered by score, equal ones by number. explanation: of the scores,
-    by interpreters that have one. gate: the gate's probability, NaN without a gate.
-    """
+def decided(speech: SpeechBlock, lexeme: int, scores: Scores, keys: Keys, gate: float = math.nan) -> Block:
+    """The block of a plan that records the choice of a lexeme. scores: [S] of the interpreter; alternatives are ordered
+    by score, equal ones by number; gate: the gate's probability, NaN without a gate."""
     # Stable, so equal scores come in the order of their numbers on every machine.
     best = np.argsort(-scores, kind="stable")[:BEST].tolist()
     draw = BlockDraw(keys.seed, keys.variation, speech.number)
     block = Block(speech.start, speech.end, lexeme, speech.silent[1], draw, cast(Flag, speech.flag.name.lower()),
-                  gate=None if math.isnan(gate) else gate)
-    if np.isfinite(scores[lexeme]):  # an edit may ask for a lexeme that the interpreter rules out
-        block = replace(block, score=float(scores[lexeme]), rank=int(np.sum(scores >= scores[lexeme])))
-    if explanation is None:
-        return replace(block, alternatives=tuple(LexemeChoice(n, "", float(scores[n])) for n in best))
-    lexemes = [*best, lexeme]
-    prior, advantage = np.exp(explanation.log_prior[lexemes]).tolist(), explanation.advantage[lexemes].tolist()
-    other = next((rank for rank, n in enumerate(best) if n != lexeme), 0)
-    return replace(
-        block, alternatives=tuple(LexemeChoice(n, "", float(scores[n]), prior[rank], advantage[rank])
-                                  for rank, n in enumerate(best)),
-        chosen={"prior": prior[-1], "advantage": advantage[-1]},
-        runner_up={"id": best[other], "worth_more": advantage[other] - advantage[-1]})
+                  gate=None if math.isnan(gate) else gate,
+                  alternatives=tuple(LexemeChoice(n, "", float(scores[n])) for n in best))
+    # An edit may ask for a lexeme that the interpreter rules out.
+    return replace(block, score=float(scores[lexeme]), rank=int(np.sum(scores >= scores[lexeme]))) \
+        if np.isfinite(scores[lexeme]) else block

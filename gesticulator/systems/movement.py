@@ -154,7 +154,7 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     # 5. What is shown: rest, idle motion, and the offset that joins it to what was shown before.
     past, motion = shown(bundle, rest, block, offset)
     faded = state.offset is None or state.offset.over(speech.end)
-    record = decided(speech, lexeme, scores, setup.interpreter.explain(interpreter), keys, rested.probability)
+    record = decided(speech, lexeme, scores, keys, rested.probability)
     after = replace(state, lexeme=lexeme, past=past, generated=past if offset is None else past - offset,
                     interpreter=interpreter, unguided=unguided, generator=generator, gate=rested.gate, unit=unit,
                     rest=rest, until=speech.end, offset=None if faded else state.offset)

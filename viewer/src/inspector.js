@@ -138,9 +138,6 @@ export class Inspector {
     $("card-name").textContent = many ? "" : block.name ?? "";
     const flag = $("card-flag"), kind = plan.blocks[last].flag ?? "edited";
     flag.replaceChildren(signPicture(kind), `ends on: ${TITLES[kind] ?? kind}${block.silent ? " · silent" : ""}`);
-    const worth = many ? null : worthInWords(block);
-    $("worth").hidden = !worth;
-    $("worth").textContent = worth ?? "";
     $("score-is").textContent = `score: ${plan.score_is ?? "log-probability"}`;
   }
 
@@ -200,14 +197,4 @@ export class Inspector {
 
 function removable(text, remove) {
   return element("li", {}, element("span", {}, text), element("button", { "type": "button", "aria-label": `Remove ${text}`, "onclick": remove }, "×"));
-}
-
-/** What the reward weighed, in a sentence: how likely people make the lexeme, what it is worth, and the runner-up. */
-function worthInWords({ lexeme, chosen, runner_up: other }) {
-  if (!chosen || !other) return null;
-  const percent = chosen.prior < 0.01 ? "under 1 %" : `${Math.round(chosen.prior * 100)} %`;
-  const sized = (value) => (Math.abs(value) < 0.05 ? "as much" : `${Math.abs(value).toFixed(1)} sd ${value > 0 ? "more" : "less"}`);
-  const usual = Math.abs(chosen.advantage) < 0.05 ? "as much as the usual choice" : `${sized(chosen.advantage)} than the usual choice`;
-  return `Lexeme ${lexeme}: people choose it here in ${percent} of cases; by the reward it is worth ${usual}. `
-    + `Runner-up ${other.id}: it would have been worth ${sized(other.worth_more)}.`;
 }
