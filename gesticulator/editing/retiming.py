@@ -1,8 +1,8 @@
 """A plan on another export of its sound (`retimed`): blocks keep their decisions where their beats still fit.
 
 The sounds are aligned by their fingerprints, and every beat is moved (`moved_beats`). A block is kept, with its lexeme,
-random keys and edits, if both of its beats have a place, its length stays within `moved_beats.RATIOS` of what it was,
-and its sound was not replaced. Between the blocks that are kept, the new sound is cut at its own beats, and the bundle
+random keys and edits, if both of its beats have a place, and its length stays within `moved_beats.RATIOS` of what it
+was. Between the blocks that are kept, the new sound is cut at its own beats, and the bundle
 decides. Decisions and edits are moved together: what was edited stays edited, what was not is replayed.
 """
 
@@ -21,7 +21,7 @@ from data_module.speech.fingerprint import fingerprint, fingerprint_frames, fing
 from data_module.speech.sound_map import SoundMap, aligned
 from data_module.types import BeatFlag, Blocks, Speech
 from gesticulator.bundle.features import SpeechFeatures
-from gesticulator.editing.moved_beats import BeatMap
+from gesticulator.editing.moved_beats import BeatMap, fits
 from gesticulator.editing.moved_sections import lost, moved_knobs, moved_sections
 from gesticulator.plan.checks import LONGEST, SHORTEST
 from gesticulator.plan.plan import (
@@ -153,7 +153,7 @@ class _Cutter:
         pieces: list[_Piece] = []
         for at, start, end in blocks:
             first, last = (self._beats.place(edge, edge in self._onsets) for edge in (start, end))
-            if first is None or last is None or not self._beats.keeps(start, end, end in self._onsets):
+            if first is None or last is None or not last.fits or not fits(last.end - first.start, end - start):
                 return None
             begin = pieces[-1].end if pieces else _exact(first.start, start)
             pieces.append(_Piece(begin, _exact(last.end, end), flags[at], at))
