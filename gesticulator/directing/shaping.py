@@ -145,10 +145,6 @@ class _ScaledArm:
         lift = ((poses - self.rest) * up).sum(axis=1) / max(float(up @ up), 1e-9)
         return smooth_step((lift - _HANGS) / (_LIFTED - _HANGS))
 
-    def calmly_lifted(self, times: Array) -> Array:
-        """[M] the mean of h over `CALM` seconds before each of the times [M] of poses that were pushed."""
-        return self.large.averaged(times, CALM, self.lifted)
-
 
 class Shaper:
     """Applies the knobs for one speaker. Poses are exponential maps [M, 3 J], radians; all poses of a performance must
@@ -201,7 +197,7 @@ class Shaper:
             lifted = arm.lifted(pose)[:, None]
             if (step < 0.0).any():
                 large = large + arm.fine.at(times[at]) * np.minimum(step, 0.0) * FINER
-                lifted = np.where(step < 0.0, arm.calmly_lifted(times[at])[:, None], lifted)
+                lifted = np.where(step < 0.0, arm.large.averaged(times[at], CALM, arm.lifted)[:, None], lifted)
             changed = self._within(pose, echo + lifted * large, arm.columns)
             out[:, arm.columns] = _towards(arm.rest, changed, share)
             out[:, arm.fingers] = _towards(arm.resting_fingers, before[:, arm.fingers], share)

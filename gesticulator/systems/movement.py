@@ -292,7 +292,8 @@ def set_out(bundle: Bundle, setup: Setup, state: State, speech: SpeechBlock) -> 
     return replace(state, offset=Offset(speech.start, past[-1] - first, velocity),
                    generated=first.expand_as(past)[None], lexeme=lexeme, interpreter=interpreter, unguided=interpreter,
                    planner=None if state.planner is None else state.planner.begins(),
-                   generator=state.generator.restarted(speech.start))
+                   # Without the blocks before, but for how long speech or silence has lasted.
+                   generator=replace(state.generator, lstm=None, past=None, base=None, set_out=speech.start))
 
 
 # --------------------------------------------------------------------------------------------------- the flow generator
@@ -364,10 +365,6 @@ class FlowState:
     place: Circumstances = field(default_factory=Circumstances)
     style: UnitStyleState | None = None
     set_out: float = 0.0
-
-    def restarted(self, time: float) -> FlowState:
-        """Without the blocks before, but for how long speech or silence has lasted; time: seconds."""
-        return replace(self, lstm=None, past=None, base=None, set_out=time)
 
 
 class FlowSampler:
