@@ -209,7 +209,7 @@ class Gesticulator:
             return [Request(block, control) for block, control in parts]
         from gesticulator.directing.directions import Director
 
-        # Directions are resolved to block times once: cues, stillness and handedness.
+        # Directions are resolved to block times once: cues and stillness.
         director = Director(self.bundle, options, speech.words or (), float(encoded.blocks.edges[-1]))
         return [director.request(block, knots, control)
                 for (block, control), knots in zip(parts, times, strict=True)]

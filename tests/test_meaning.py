@@ -48,7 +48,7 @@ def labels(text: str, language: str = "en", score: float = 0.7) -> dict[str, str
 def test_a_pattern_marks_the_word_that_carries_the_stroke(pattern: str, text: str, stroke: str) -> None:
     spoken = spoken_text(text.split())
     *_, last = cue_pattern(pattern).regex.finditer(spoken.text)
-    assert last["stroke"].strip() == stroke
+    assert last["stroke"].split()[0] == stroke
 
 
 @pytest.mark.parametrize(("pattern", "text"), [

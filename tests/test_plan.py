@@ -79,7 +79,7 @@ BROKEN: list[tuple[tuple[str | int, ...], Any]] = [
     (("seed",), -1), (("seed",), 1.5), (("seed",), True), (("speaker",), 3), (("blocks", 1, "intensity"), 2.01),
     (("blocks", 1, "mirror"), 1), (("blocks", 1, "lexeme"), "up"), (("blocks", 1, "flag"), "loud"),
     (("blocks", 1, "draw"), None), (("blocks", 1, "extra"), 1), (("knobs", "energy"), "wild"),
-    (("knobs", "hold_still"), [[1.0]]), (("knobs", "handedness"), "none"), (("words", 0, "start"), -0.1),
+    (("knobs", "hold_still"), [[1.0]]), (("words", 0, "start"), -0.1),
     (("cues", 0, "occurrence"), 0), (("drawn", "lexemes", 0), None), (("lexicon", 0, "silent"), "no"),
     (("blocks",), {}),
 ]

@@ -18,7 +18,6 @@ from gesticulator.directing.lexeme_names import lexeme_names
 from gesticulator.directing.shaping import (
     FADE,
     MIRROR_FADE,
-    OTHER_HAND,
     REST_FADE,
     ShapeLevels,
     Shaper,
@@ -29,7 +28,6 @@ from gesticulator.directing.shaping import (
 )
 from gesticulator.directing.strokes import smooth_step
 from gesticulator.options import InferenceOptions
-from gesticulator.plan.plan import PlanKnobs
 
 MeantCues = Callable[[float], Sequence[TimedCue]]
 """Gives the gestures that the words call for, or that are marked in them, and that begin up to a time."""
@@ -48,12 +46,12 @@ class Shaping:
         enough. meant: called with the last of the seconds."""
         representation = representation_of(bundle.config)
         if representation.name != "rotations":
-            raise InputError("intensity, energy, handedness, cues and plans", "need a bundle of joint rotations, and "
-                             "this one has joint positions", "leave them out")
+            raise InputError("intensity, energy, cues and plans", "need a bundle of joint rotations, and this "
+                             "one has joint positions", "leave them out")
         self._edges, self._meant, self._seed = edges, meant, options.seed or 0
-        self._sizes, self._both, self._mirrored, self._locked = _levels(options, len(edges) - 1)
+        self._sizes, self._mirrored, self._locked = _levels(options, len(edges) - 1)
         self._curve = None if options.plan is None else options.plan.curve("intensity")
-        self._shares = [eased_levels(edges, rest_share(side), REST_FADE, self._locked) for side in self._sizes.T]
+        self._shares = eased_levels(edges, rest_share(self._sizes), REST_FADE, self._locked)
         cues = cues_at(options.cues, words, float(edges[-1]), lambda: lexeme_names(bundle))
         self._cues = sorted((cue for cue in cues if cue.lexeme is None), key=_TIME)
         self._shaper = Shaper(bundle.statistics, representation, speaker)
@@ -61,16 +59,15 @@ class Shaping:
     def levels(self, times: Array) -> ShapeLevels:
         """The levels at `times` [M]."""
         edges, locked = self._edges, self._locked
-        intensity = np.stack([levels_at(edges, side, times, FADE, locked) for side in self._sizes.T], axis=1)
-        share = np.stack([levels_at(edges, side, times, REST_FADE, locked) for side in self._shares], axis=1)
+        intensity = levels_at(edges, self._sizes, times, FADE, locked)
+        share = levels_at(edges, self._shares, times, REST_FADE, locked)
         if self._curve is not None:
             factor = np.interp(times, self._curve.times, self._curve.values)
             # Locked blocks keep the size of the first generation, which had no curves.
             factor = 1.0 + (factor - 1.0) * levels_at(edges, 1.0 - locked, times, FADE, locked)
-            intensity = np.minimum(intensity * factor[:, None], 2.0)
-            share = share * rest_share(np.minimum(factor, 1.0))[:, None]
-        return ShapeLevels(intensity, share, levels_at(edges, self._both, times, REST_FADE, locked),
-                           levels_at(edges, self._mirrored, times, MIRROR_FADE, locked))
+            intensity = np.minimum(intensity * factor, 2.0)
+            share = share * rest_share(np.minimum(factor, 1.0))
+        return ShapeLevels(intensity, share, levels_at(edges, self._mirrored, times, MIRROR_FADE, locked))
 
     def named(self, times: Array) -> list[TimedCue]:
         """The gestures that may be made within `times`, by the times of their strokes."""
@@ -121,25 +118,15 @@ def _with_gestures(poses: Array, times: Array, cues: Sequence[TimedCue], seed: i
     return laid_over(poses, times, [(cue.cue, cue.time) for cue in played], seed)
 
 
-def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Of N blocks: [N, 2] intensities of the left and the right hand; [N] 1.0 where each hand joins in the other's
-    strokes; [N] 1.0 where the block is mirrored; [N] whether it is locked."""
+def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Of N blocks: [N] intensities; [N] 1.0 where the block is mirrored; [N] whether it is locked."""
     # Without a plan all blocks are alike, and a stream has no blocks yet.
     if options.plan is None:
-        both = np.full(count, float(options.handedness == "both"))
-        return np.array([_hands(options.knobs)] * count), both, np.zeros(count), np.zeros(count, bool)
+        return np.full(count, options.knobs.size), np.zeros(count), np.zeros(count, bool)
     blocks, now, first = options.plan.blocks, options.plan.knobs, options.plan.drawn.knobs
     locked = np.array([block.locked for block in blocks])
-    hands = np.where(locked[:, None], _hands(first), _hands(now))
-    sizes = np.minimum(np.array([block.intensity for block in blocks])[:, None] * hands, 2.0)
+    sizes = np.minimum(np.array([block.intensity for block in blocks]) * np.where(locked, first.size, now.size), 2.0)
     # Where the whole motion is mirrored at the end, the knob has been seen to already.
     whole = options.mirrored
     mirrored = [block.mirror != (not whole and (first if block.locked else now).mirror) for block in blocks]
-    both = np.where(locked, float(first.handedness == "both"), float(now.handedness == "both"))
-    return sizes, both, np.array(mirrored, dtype=np.float64), locked
-
-
-def _hands(knobs: PlanKnobs) -> tuple[float, float]:
-    """Intensities of the left and the right hand."""
-    return (knobs.size * (OTHER_HAND if knobs.handedness == "right" else 1.0),
-            knobs.size * (OTHER_HAND if knobs.handedness == "left" else 1.0))
+    return sizes, np.array(mirrored, dtype=np.float64), locked

@@ -1,4 +1,4 @@
-"""Knobs applied to the generated poses: the size of gestures, and which hand makes them.
+"""Knobs applied to the generated poses: the size of gestures, and their mirror image.
 
 All functions depend only on the poses so far and their times, so a stream gives the frames of a file. Knobs that affect
 lexemes or rest are applied while blocks are generated (`gesticulator.editing.render`).
@@ -18,9 +18,6 @@ arms and fingers approach the resting pose, which they reach at 0: r + 2 i (x - 
 
 Movement towards the bounds of the training data (`Statistics.bounds`) is limited smoothly. Head and spine are scaled
 about their mean pose. Hands are kept out of the trunk afterwards (`gesticulator.contacts.default_body`).
-
-**Both hands**: each arm takes over a share of the other arm's strokes, mirrored and a little later, in exchange for its
-own: x + e (M S'(t - lag) - 0.9 S), with S' of the other arm, M the mirror image and e = `ECHO`.
 """
 
 from __future__ import annotations
@@ -45,12 +42,6 @@ RESTING = 0.5
 """Intensity below which the arms approach the resting pose: still smaller strokes would be smaller than people's."""
 TRUNK, TRUNK_LEAST = 0.25, 0.2
 """Head and spine: exponent of their gain above 1, and share of their movement at 0, so that idle motion remains."""
-OTHER_HAND = 0.45
-"""Intensity of the hand that is not preferred."""
-ECHO, LOSS, LAG = 0.4, 0.9, 0.1
-"""Share of the other hand's strokes that a hand takes over; share of that by which its own strokes shrink; delay,
-seconds. With these, both hands are as fast as before, and their speeds correlate as people's do (0.7, of at most 0.83).
-"""
 FADE, MIRROR_FADE, REST_FADE = 0.15, 0.3, 0.6
 """Seconds to both sides of a beat over which intensity, mirroring, and the approach to rest (intensity below 0.5)
 change. In 0.6, a hand half a metre from rest gets there at 0.6 m/s."""
@@ -109,20 +100,17 @@ def eased_levels(edges: Array, levels: NDArray[np.floating], fade: float, locked
 
 @dataclass(frozen=True)
 class ShapeLevels:
-    """What the knobs ask for at M times. intensity: [M, 2] of the left and the right arm; share: [M, 2] of the way from
-    rest to the pose (`rest_share`); both: [M] how much each hand joins in the other's strokes, 0 to 1; mirrored: [M]
-    the way to the mirror image."""
+    """What the knobs ask for at M times. intensity: [M]; share: [M] of the way from rest to the pose (`rest_share`);
+    mirrored: [M] the way to the mirror image."""
 
     intensity: Array
     share: Array
-    both: Array
     mirrored: Array
 
     @property
     def changed(self) -> NDArray[np.int64]:
         """[n] indices of the times at which poses change."""
-        return np.flatnonzero((self.intensity != 1.0).any(axis=1) | (self.share != 1.0).any(axis=1)
-                              | (self.both != 0.0))
+        return np.flatnonzero((self.intensity != 1.0) | (self.share != 1.0))
 
 
 def rest_share(intensity: NDArray[np.floating]) -> Array:
@@ -161,7 +149,6 @@ class Shaper:
             fingers = [j for j, name in enumerate(names) if name.startswith(side + "Hand") and name not in arm]
             joints = [names.index(name) for name in arm if name in names]
             self._arms.append(_ScaledArm(_columns(joints), _columns(fingers), mean, rest))
-        self._mirror = np.tile(_FLIP, len(self._arms[0].columns) // 3)
         self._trunk = _columns([j for j, name in enumerate(names) if name.startswith(("Spine", "Neck", "Head"))])
         self._mean = mean
 
@@ -183,27 +170,21 @@ class Shaper:
         """The poses `at` [n] of [M, 3 J], scaled."""
         # Only the poses that change are computed; the others keep their bits, which edits of a plan rely on.
         before, out = poses[at], poses[at].copy()
-        intensity, both = scales.intensity[at], scales.both[at, None]
-        strokes = [arm.large.at(times[at]) for arm in self._arms]
-        echoes = [np.zeros_like(stroke) for stroke in strokes]
-        if both.any():
-            echoes = [ECHO * both * (other.large.at(times[at] - LAG) * self._mirror - LOSS * stroke)
-                      for stroke, other in zip(strokes, self._arms[::-1], strict=True)]
-        for side, (arm, stroke, echo) in enumerate(zip(self._arms, strokes, echoes, strict=True)):
-            pose, share = before[:, arm.columns], scales.share[at, side, None]
-            # Below `RESTING` strokes shrink no further: the share below leads the arm to rest instead.
-            step = np.maximum(intensity[:, side, None], RESTING) - 1.0
-            large = (stroke + echo) * step * np.where(step > 0.0, STRONGER, WEAKER)
+        intensity, share = scales.intensity[at, None], scales.share[at, None]
+        # Below `RESTING` strokes shrink no further: the share leads the arm to rest instead.
+        step = np.maximum(intensity, RESTING) - 1.0
+        for arm in self._arms:
+            pose = before[:, arm.columns]
+            large = arm.large.at(times[at]) * step * np.where(step > 0.0, STRONGER, WEAKER)
             lifted = arm.lifted(pose)[:, None]
             if (step < 0.0).any():
                 large = large + arm.fine.at(times[at]) * np.minimum(step, 0.0) * FINER
                 lifted = np.where(step < 0.0, arm.large.averaged(times[at], CALM, arm.lifted)[:, None], lifted)
-            changed = self._within(pose, echo + lifted * large, arm.columns)
+            changed = self._within(pose, lifted * large, arm.columns)
             out[:, arm.columns] = _towards(arm.rest, changed, share)
             out[:, arm.fingers] = _towards(arm.resting_fingers, before[:, arm.fingers], share)
-        # The trunk belongs to both arms and follows the larger gesture.
-        most = intensity.max(axis=1, keepdims=True)
-        gain = np.where(most > 1.0, np.maximum(most, 1.0) ** TRUNK, TRUNK_LEAST + (1.0 - TRUNK_LEAST) * most)
+        gain = np.where(intensity > 1.0, np.maximum(intensity, 1.0) ** TRUNK,
+                        TRUNK_LEAST + (1.0 - TRUNK_LEAST) * intensity)
         trunk = before[:, self._trunk]
         out[:, self._trunk] = self._within(trunk, (gain - 1.0) * (trunk - self._mean[self._trunk]), self._trunk)
         return out

@@ -1,7 +1,7 @@
 """Motion of edited plans: unchanged blocks are replayed, edited ones are generated again.
 
 Every block has a source. With the knobs of the first generation, unedited blocks are replayed from it. Where knobs were
-changed that influence generation (activity, handedness), the recording is generated again with the new ones, from the
+changed that influence generation (activity), the recording is generated again with the new ones, from the
 seed and without edits, and unedited blocks are those of this generation; locked blocks are still those of the first.
 Each run of edited blocks is generated from the pose and the state before it. Where a source takes over from another
 one, its motion x(t) continues with the difference at that beat b added, which fades out within `BLEND` seconds:
@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from data_module.types import Array, BeatFlag, Blocks, Samples
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, SpeechFeatures
-from gesticulator.directing.directions import bias_of, still_frames
+from gesticulator.directing.directions import still_frames
 from gesticulator.editing.recut import Recutter, window
 from gesticulator.plan.plan import Block, GesturePlan, PlanKnobs, edited_themselves
 from gesticulator.sampling import loop
@@ -92,8 +92,6 @@ class PlanRenderer:
         edits are ignored here. generation: the first one; it is sampled again where it is missing."""
         self._bundle, self._setup, self._samples, self._encode = bundle, setup, samples, encode
         self._original, self._keys = plan.drawn, Keys(plan.seed, plan.variation)
-        self.bias = cache(partial(bias_of, bundle))
-        """Handedness -> [S] its addition to the scores of lexemes; None for none."""
         self.noise_times = dict(zip(plan.drawn.numbers or range(len(plan.drawn.lexemes)),
                                     plan.drawn.keyed_at or plan.drawn.edges, strict=False))
         """Number of a block in `draw` -> seconds that key its random numbers."""
@@ -132,7 +130,7 @@ class PlanRenderer:
         total after each block that is sampled, and may raise an error to abandon the rendering: what was sampled until
         then is remembered."""
         edited = edited_themselves(plan)
-        if not any(edited) and plan.knobs.manner == self._original.knobs.manner:
+        if not any(edited) and plan.knobs.share == self._original.knobs.share:
             # Without edits the plan is its first generation, which needs no fades and no second one.
             blocks, bundle = self.generation(on_block).blocks, self._bundle
             return GeneratedMotion(self.cut(plan), blocks, bundle.system.motion_of(bundle, self._setup, blocks))
@@ -142,14 +140,14 @@ class PlanRenderer:
 
     def steps(self, knobs: PlanKnobs, on_block: OnBlock | None) -> list[SampledBlock]:
         """[N + 1] the recording generated with these knobs, without edits: the state before it, and its blocks."""
-        if knobs.manner != self._original.knobs.manner:
-            steps = [self._remembered(("beginning", knobs.manner), lambda: self._beginning(knobs))]
+        if knobs.share != self._original.knobs.share:
+            steps = [self._remembered(("beginning", knobs.share), lambda: self._beginning(knobs))]
             for at in range(len(self._cut)):
                 steps.append(self.sampled(steps[-1], ("knobs", at), lambda at=at: replace(  # type: ignore[misc]
-                    self._request(at, knobs.handedness), keys=self._keys), on_block, at + 1))
+                    self._request(at), keys=self._keys), on_block, at + 1))
             return steps
         for at in range(len(self._first) - 1, len(self._cut)):
-            request = replace(self._request(at, knobs.handedness), lexeme=self._original.lexemes[at])
+            request = replace(self._request(at), lexeme=self._original.lexemes[at])
             self._first.append(self._sample(self._first[-1], request))
             if on_block is not None:
                 on_block(at + 1, len(self._cut))
@@ -164,12 +162,12 @@ class PlanRenderer:
         block, after = loop.step(self._bundle, before.setup, before.state, request)
         return SampledBlock(before.setup, after, block)
 
-    def _request(self, at: int, hand: str | None) -> Request:
+    def _request(self, at: int) -> Request:
         """The request for a block of the first generation, whose lexeme is chosen."""
         number = self._original.numbers[at] if self._original.numbers else at
         still = still_frames(self._original.knobs, self._times[at], float(self._cut.edges[at]))
         return Request(replace(self._speech.block(at), number=number, key=self.noise_times[number]),
-                       self.control(self._times[at]), still=still, bias=self.bias(hand))
+                       self.control(self._times[at]), still=still)
 
     def control(self, times: Array) -> loop.ControlRows | None:
         """[K, 2 F] rows of the hand controls at `times` [K] seconds, or None."""
@@ -246,7 +244,7 @@ class _PlanRun:
                  ) -> None:
         """edited: [N] whether a block is sampled and not replayed."""
         self._renderer, self._plan, self._edited, self._on_block = renderer, plan, edited, on_block
-        self._alike = plan.knobs.manner == plan.drawn.knobs.manner
+        self._alike = plan.knobs.share == plan.drawn.knobs.share
         self._edges = [0.0, *(block.end for block in plan.blocks)]
         self._flags = flag_numbers([block.flag for block in plan.blocks])
         self._speech = renderer.speech(self._edges, self._flags, np.flatnonzero(edited).tolist())
@@ -330,10 +328,10 @@ class _PlanRun:
         last, count = min(at + 1, len(plan.blocks) - 1), len(plan.blocks)
         silence = plan.blocks[max(at - 1, 0)].silent, block.silent, plan.blocks[last].silent
         removed = self._removed[at], self._removed[last]
-        hand, draw = (plan.knobs if self._anew(block) else plan.drawn.knobs).handedness, block.draw
+        draw = block.draw
         place, spoken = self._speech[at]
         key = (place, at + 1 == count, silence, removed, self._flags[at], chosen,
-               (draw.seed, draw.variation, draw.block), None if still is None else still.tobytes(), hand)
+               (draw.seed, draw.variation, draw.block), None if still is None else still.tobytes())
 
         def request() -> Request:
             quiet, ahead = spoken.quiet & (not removed[0]), spoken.ahead
@@ -341,8 +339,7 @@ class _PlanRun:
             noise_time = self._renderer.noise_times.get(draw.block, float(draw.block))
             speech = replace(spoken, number=draw.block, key=noise_time, flag=self._flags[at], silent=silence,
                              quiet=quiet, ahead=None if ahead is None else ahead & (not removed[1]))
-            return Request(speech, self._renderer.control(times), chosen, Keys(draw.seed, draw.variation), still,
-                           self._renderer.bias(hand))
+            return Request(speech, self._renderer.control(times), chosen, Keys(draw.seed, draw.variation), still)
 
         return key, request
 

@@ -80,7 +80,7 @@ class Request:
 
     control: rows [K, 2 F], or None. lexeme: the lexeme to show; None lets the interpreter choose. keys: of the noise
     and the choice of an edited block; None for those of the performance. still: [K] frames in which the hands are to
-    rest, or None. bias: [S] added to the interpreter's scores, or None. fast: sample at lower cost, if the system can.
+    rest, or None. fast: sample at lower cost, if the system can.
     """
 
     speech: SpeechBlock
@@ -88,7 +88,6 @@ class Request:
     lexeme: int | None = None
     keys: Keys | None = None
     still: Flags | None = None
-    bias: Scores | None = None
     fast: bool = False
 
 
@@ -308,8 +307,7 @@ def choose(setup: Setup, request: Request, scores: Scores, allowed: NDArray[np.i
         return request.lexeme
     # A variation has the lexemes of the first performance, unless the block was edited.
     keys = request.keys or Keys(setup.seed)
-    return select(scores if request.bias is None else scores + request.bias, allowed=allowed,
-                  temperature=setup.temperature,
+    return select(scores, allowed=allowed, temperature=setup.temperature,
                   noise=keys.gumbel(request.speech.keyed_at, len(scores)))
 
 

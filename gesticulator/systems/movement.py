@@ -148,7 +148,7 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     shift = None if offset is None else torch.cat([(state.past - state.generated)[0], offset])
     block, code, generator = state.generator.sampler.sample(
         state.generator, BlockToSample(speech, features, lexeme, unit, keys, shift, request.fast,
-                                       rest is not None and rest.rests_wholly, request.bias is not None),
+                                       rest is not None and rest.rests_wholly),
         state.generated)
 
     # 5. What is shown: rest, idle motion, and the offset that joins it to what was shown before.
@@ -330,7 +330,7 @@ _NEAREST = 1e-6
 class BlockToSample:
     """What one block is sampled for. keys: of its noise; shift: [2 K, D_m] what will be added to the past and to the
     block where they are shown, or None; fast: at lower cost; hidden: rest will take the block's place, so any motion
-    will do; biased: its lexeme was chosen with a bias, so that the arms should be seen to follow it."""
+    will do."""
 
     speech: SpeechBlock
     features: BlockFeatures
@@ -340,7 +340,6 @@ class BlockToSample:
     shift: Tensor | None = None
     fast: bool = False
     hidden: bool = False
-    biased: bool = False
 
 
 class _Style(NamedTuple):
@@ -423,7 +422,7 @@ class FlowSampler:
                 return only
         # What is requested of the hands can only be followed by a choice among different arms; otherwise all candidates
         # share the arms of the first. A choice of arms would turn every small change of sound into another gesture.
-        same = block.features.control is None and not block.biased
+        same = block.features.control is None
         noise = self._noise(block, CANDIDATES, code)
         coefficients, blocks = self._drawn(base, context, pull, steps, noise, same)
         motion = self._motion(past, blocks, block.shift)

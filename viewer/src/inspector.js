@@ -29,9 +29,7 @@ export class Inspector {
     this.slide("intensity", (value) => edits.setIntensity(this.session.plan, ...this.stretch, value));
     this.slide("knob-intensity", (value) => edits.setKnob(this.session.plan, "intensity", value));
     this.slide("knob-activity", (value) => edits.setKnob(this.session.plan, "activity", value));
-    for (const name of ["energy", "handedness"]) {
-      $(`knob-${name}`).addEventListener("change", (event) => this.session.edit(edits.setKnob(this.session.plan, name, event.target.value || null)));
-    }
+    $("knob-energy").addEventListener("change", (event) => this.session.edit(edits.setKnob(this.session.plan, "energy", event.target.value)));
     $("knob-mirror").addEventListener("click", () => this.session.edit(edits.setKnob(this.session.plan, "mirror", !this.session.plan.knobs?.mirror)));
     $("hold-still").addEventListener("click", () => this.holdStill());
     $("lexeme").addEventListener("change", (event) => this.choose(Number(event.target.value)));
@@ -180,7 +178,6 @@ export class Inspector {
     this.setSlider("knob-intensity", knobs.intensity ?? 1);
     this.setSlider("knob-activity", knobs.activity ?? 1);
     $("knob-energy").value = knobs.energy ?? "neutral";
-    $("knob-handedness").value = knobs.handedness ?? "";
     $("knob-mirror").setAttribute("aria-pressed", String(Boolean(knobs.mirror)));
     const { plan } = this.session, still = knobs.hold_still ?? [];
     $("still").replaceChildren(...still.map(([from, to], k) => removable(`still ${minutes(from, 1)} to ${minutes(to, 1)}`, () => (
