@@ -77,8 +77,8 @@ def test_beta_0_is_the_behaviour_policy_to_the_last_bit() -> None:
 @pytest.mark.parametrize("beta", [0.5, 2.0])
 def test_the_policy_is_the_tempered_prior_times_exp_beta_advantage(beta: float, temperature: float) -> None:
     plain = AdvantageInterpreter(Always(prior()), critics())
+    # Up to a constant, which no policy feels.
     advantage = plain.step(plain.start(0, 1), heard(), 1)[0] - prior()
-    assert (np.exp(prior()) * advantage).sum() == pytest.approx(0, abs=1e-5)
     system = plain.steered(beta, temperature)
     scores, _ = system.step(system.start(0, 1), heard(), 1)
     weights = np.exp(prior()) ** (1 / temperature) * np.exp(beta * advantage)

@@ -140,18 +140,17 @@ class PlanRenderer:
 
     def steps(self, knobs: PlanKnobs, on_block: OnBlock | None) -> list[SampledBlock]:
         """[N + 1] the recording generated with these knobs, without edits: the state before it, and its blocks."""
-        if knobs.share != self._original.knobs.share:
-            steps = [self._remembered(("beginning", knobs.share), lambda: self._beginning(knobs))]
-            for at in range(len(self._cut)):
+        first = knobs.share == self._original.knobs.share
+        steps = self._first if first else [self._remembered(("beginning", knobs.share), lambda: self._beginning(knobs))]
+        for at in range(len(steps) - 1, len(self._cut)):
+            if first:
+                steps.append(self._sample(steps[-1], replace(self._request(at), lexeme=self._original.lexemes[at])))
+                if on_block is not None:
+                    on_block(at + 1, len(self._cut))
+            else:
                 steps.append(self.sampled(steps[-1], ("knobs", at), lambda at=at: replace(  # type: ignore[misc]
                     self._request(at), keys=self._keys), on_block, at + 1))
-            return steps
-        for at in range(len(self._first) - 1, len(self._cut)):
-            request = replace(self._request(at), lexeme=self._original.lexemes[at])
-            self._first.append(self._sample(self._first[-1], request))
-            if on_block is not None:
-                on_block(at + 1, len(self._cut))
-        return self._first
+        return steps
 
     def _beginning(self, knobs: PlanKnobs) -> SampledBlock:
         setup = replace(self._setup, activity=knobs.share)
@@ -200,19 +199,20 @@ class PlanRenderer:
                ) -> dict[int, tuple[Hashable, SpeechBlock]]:
         """Number -> speech of the wanted blocks (rising) of N blocks with edges [N + 1] and flags [N], and what its
         numbers depend on."""
-        # Blocks whose window was there before have the features of the first encoding; only the others are cut again.
-        places: dict[int, Hashable] = {at: window(edges, at) for at in wanted}
-        moved = [at for at, place in places.items() if place not in self._windows]
         if len(self._recut) > self._most:
             self._recut.clear()
-        if moved:
-            courses = self._recutter.courses(edges, moved)
-            places |= courses
-            missing = [at for at in moved if courses[at] not in self._recut]
-            self._recut |= {courses[at]: block
-                            for at, block in self._recutter.blocks(edges, flags, missing).items()}
-        return {at: (place, self._recut[place] if place in self._recut else self._speech.block(self._windows[place]))
-                for at, place in places.items()}
+        out: dict[int, tuple[Hashable, SpeechBlock]] = {}
+        for at in wanted:
+            # A block whose window was there before has the features of the first encoding; others are cut again.
+            place, known = window(edges, at), self._windows.get(window(edges, at))
+            if known is not None:
+                out[at] = place, self._speech.block(known)
+                continue
+            course = self._recutter.course(edges, at)
+            if course not in self._recut:
+                self._recut[course] = self._recutter.block(edges, flags, at)
+            out[at] = course, self._recut[course]
+        return out
 
     @cached_property
     def _recutter(self) -> Recutter:
