@@ -82,24 +82,13 @@ class Shaping:
     def __call__(self, poses: Array, times: Array) -> Array:
         """The next poses."""
         poses = self._shaper.shaped(poses, times, self.levels(times))
-        return _with_gestures(poses, times, self.named(times), self._seed)
-
-
-def gestures_over(meant: MeantCues, seed: int) -> Callable[[Array, Array], Array]:
-    """A function that lays named gestures over generated poses [M, 3 J] at seconds [M] and changes nothing else.
-
-    meant: called with the last of the seconds, gives the gestures; seed: of their variation.
-    """
-    def shape(poses: Array, times: Array) -> Array:
-        return _with_gestures(poses, times, meant(float(times[-1])), seed) if len(times) else poses
-
-    return shape
+        return with_gestures(poses, times, self.named(times), self._seed)
 
 
 _TIME = attrgetter("time")
 
 
-def _with_gestures(poses: Array, times: Array, cues: Sequence[TimedCue], seed: int) -> Array:
+def with_gestures(poses: Array, times: Array, cues: Sequence[TimedCue], seed: int) -> Array:
     """Poses [M, D] at seconds [M] with named gestures, and with those that were broken off as they end; seed: of their
     variation."""
     if not cues:

@@ -36,7 +36,7 @@ class MarkWarning(UserWarning):
 def gesture_of_mark(name: str) -> str | None:
     """The gesture of `plan.GESTURES` that a mark names, in any spelling (`mark_name`); None for an unknown one."""
     plain = mark_name(name)
-    return plain if plain in GESTURES else next((gesture for gesture in GESTURES if mark_name(gesture) == plain), None)
+    return plain if plain in GESTURES else None
 
 
 def expression_of_mark(name: str) -> str | None:
