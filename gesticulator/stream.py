@@ -130,13 +130,13 @@ class Stream:
         # Imported where it is needed: a plain stream starts faster without it.
         if options.shaped or options.directed or self._meanings is not None:
             from gesticulator.directing.directions import Director
-            from gesticulator.directing.knobs import Shaping
+            from gesticulator.directing.shaping import Shaping
 
             self._director = Director(bundle, options, (), math.inf)
             shaping = Shaping(bundle, options, setup.speaker, (), np.array([0.0, math.inf]), self._meant)
         if self._text:
-            from gesticulator.directing.knobs import with_gestures
             from gesticulator.directing.marks import StreamMarks
+            from gesticulator.directing.shaping import with_gestures
 
             self._marks = StreamMarks(representation_of(bundle.config).name == "rotations")
             shaping = shaping or (lambda poses, times: with_gestures(

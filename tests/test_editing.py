@@ -19,8 +19,8 @@ from performances import example
 from data_module.errors import InputError
 from data_module.types import Speech
 from gesticulator import Gesticulator
-from gesticulator.directing.knobs import LONGEST_GESTURE
 from gesticulator.directing.named_gestures import span_of_gesture
+from gesticulator.directing.shaping import LONGEST_GESTURE
 from gesticulator.export.html import describe
 from gesticulator.page.server import AbandonedError
 from gesticulator.page.session import EditSession

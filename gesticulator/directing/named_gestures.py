@@ -19,9 +19,8 @@ from data_module.types import Array, Motion
 from gesticulator.body.clips import exchanged_joints
 from gesticulator.contacts.columns import HEAD, TRUNK
 from gesticulator.contacts.limbs import MARGIN, pose_of
-from gesticulator.directing.gesture_parts import GestureScript
 from gesticulator.directing.gesture_phases import GestureDraw, drawn_gesture, hand_turns, longest
-from gesticulator.directing.shaping import nearest_turn
+from gesticulator.directing.gesture_scripts import GestureScript
 from gesticulator.plan.plan import GestureCue
 
 _FLIP = np.array([1.0, -1.0, -1.0])
@@ -115,6 +114,11 @@ def _blended(now: Array, target: Array, share: Array) -> Array:
     # The shortest turn from where the joint is: blending exponential maps would bend the way.
     turn = (begin.inv() * Rotation.from_rotvec(target)).as_rotvec()
     return nearest_turn((begin * Rotation.from_rotvec(share[:, None] * turn)).as_rotvec(), now)
+
+
+def nearest_turn(vectors: Array, reference: Array) -> Array:
+    """Exponential maps [..., 3] of the same rotations that are nearest to a reference [..., 3], by full turns."""
+    return rotation.unroll(np.stack([reference, vectors]))[1]
 
 
 def _led_around(poses: Array, before: Array, weight: Array, moved: Sequence[str], script: GestureScript

@@ -1,4 +1,4 @@
-"""Knobs applied to the generated poses: the size of gestures, and their mirror image.
+"""Knobs, curves and named gestures, applied to the generated poses: size, mirror image, overlays.
 
 All functions depend only on the poses so far and their times, so a stream gives the frames of a file. Knobs that affect
 lexemes or rest are applied while blocks are generated (`gesticulator.editing.render`).
@@ -22,18 +22,25 @@ about their mean pose. Hands are kept out of the trunk afterwards (`gesticulator
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.motion import rotation
+from data_module.errors import InputError
 from data_module.motion.representation import Representation
 from data_module.motion.skeletons import SIDES
-from data_module.types import Array
+from data_module.types import Array, Word
 from gesticulator.body.clips import exchanged_joints
-from gesticulator.bundle.features import Statistics
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.features import Statistics, representation_of
+from gesticulator.directing.cues import TimedCue, cues_at
+from gesticulator.directing.lexeme_names import lexeme_names
 from gesticulator.directing.strokes import FINE, LARGE, StrokeMemory, smooth_step
+from gesticulator.options import InferenceOptions
 
 STRONGER, WEAKER, FINER = 0.8, 0.5, 0.8
 """Gain of strokes per unit of intensity above 1; loss of strokes, and of small movements, per unit below 1. With these,
@@ -51,6 +58,94 @@ _HANGS, _LIFTED = 0.1, 0.7
 """Lift s (see the module) up to which an arm hangs, and from which on it is up."""
 CALM = 0.8
 """Seconds over which h is averaged for smaller gestures: longer than a stroke."""
+LONGEST_GESTURE = 4.0
+"""Seconds from the start of a named gesture to its apex, or from there to its end, at most (a test measures it)."""
+_BROKEN_OFF = 1.2
+"""Seconds in which a gesture ends that an interruption breaks off: so long the hands take to hang."""
+_TIME = attrgetter("time")
+MeantCues = Callable[[float], Sequence[TimedCue]]
+"""Gives the gestures that the words call for, or that are marked in them, and that begin up to a time."""
+
+
+class Shaping:
+    """Applies intensity, mirroring and named gestures to generated poses [M, D_m] at rising seconds [M]."""
+
+    def __init__(self, bundle: Bundle, options: InferenceOptions, speaker: int, words: Sequence[Word], edges: Array,
+                 meant: MeantCues | None = None) -> None:
+        """edges: [N + 1] seconds of the blocks; without a plan, the start and the end (infinity for a stream) are
+        enough. meant: called with the last of the seconds."""
+        representation = representation_of(bundle.config)
+        if representation.name != "rotations":
+            raise InputError("intensity, energy, cues and plans", "need a bundle of joint rotations, and this "
+                             "one has joint positions", "leave them out")
+        self._edges, self._meant, self._seed = edges, meant, options.seed or 0
+        self._sizes, self._mirrored, self._locked = _levels(options, len(edges) - 1)
+        self._curve = None if options.plan is None else options.plan.curve("intensity")
+        self._shares = eased_levels(edges, rest_share(self._sizes), REST_FADE, self._locked)
+        cues = cues_at(options.cues, words, float(edges[-1]), lambda: lexeme_names(bundle))
+        self._cues = sorted((cue for cue in cues if cue.lexeme is None), key=_TIME)
+        self._shaper = Shaper(bundle.statistics, representation, speaker)
+
+    def levels(self, times: Array) -> ShapeLevels:
+        """The levels at `times` [M]."""
+        edges, locked = self._edges, self._locked
+        intensity = levels_at(edges, self._sizes, times, FADE, locked)
+        share = levels_at(edges, self._shares, times, REST_FADE, locked)
+        if self._curve is not None:
+            factor = np.interp(times, self._curve.times, self._curve.values)
+            # Locked blocks keep the size of the first generation, which had no curves.
+            factor = 1.0 + (factor - 1.0) * levels_at(edges, 1.0 - locked, times, FADE, locked)
+            intensity = np.minimum(intensity * factor, 2.0)
+            share = share * rest_share(np.minimum(factor, 1.0))
+        return ShapeLevels(intensity, share, levels_at(edges, self._mirrored, times, MIRROR_FADE, locked))
+
+    def named(self, times: Array) -> list[TimedCue]:
+        """The gestures that may be made within `times`, by the times of their strokes."""
+        if not len(times):
+            return []
+        # A stroke outside of these times may still reach into them with its preparation or its hold.
+        begin, end = float(times[0]) - LONGEST_GESTURE, float(times[-1]) + LONGEST_GESTURE
+        cues = self._cues[bisect_left(self._cues, begin, key=_TIME):bisect_right(self._cues, end, key=_TIME)]
+        called = self._meant(float(times[-1])) if self._meant else ()
+        return sorted([*cues, *(cue for cue in called if begin <= cue.time <= end)], key=_TIME)
+
+    def __call__(self, poses: Array, times: Array) -> Array:
+        """The next poses."""
+        poses = self._shaper.shaped(poses, times, self.levels(times))
+        return with_gestures(poses, times, self.named(times), self._seed)
+
+
+def with_gestures(poses: Array, times: Array, cues: Sequence[TimedCue], seed: int) -> Array:
+    """Poses [M, D] at seconds [M] with named gestures, and with those that were broken off as they end; seed: of their
+    variation."""
+    if not cues:
+        return poses
+    from gesticulator.directing.named_gestures import laid_over, nearest_turn
+
+    for cue in cues:
+        if cue.broken_off is None:
+            continue
+        whole = laid_over(poses, times, [(cue.cue, cue.time)], seed)
+        share = smooth_step((times - cue.broken_off) / _BROKEN_OFF)[:, None]
+        # Between two turns of the same joint, the nearer representation: the other would whirl the arm around.
+        target = nearest_turn(poses.reshape(len(poses), -1, 3), whole.reshape(len(poses), -1, 3)).reshape(poses.shape)
+        poses = np.where(share == 1.0, poses, np.where(share == 0.0, whole, whole + share * (target - whole)))
+    played = sorted((cue for cue in cues if cue.broken_off is None), key=_TIME)
+    return laid_over(poses, times, [(cue.cue, cue.time) for cue in played], seed)
+
+
+def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Of N blocks: [N] intensities; [N] 1.0 where the block is mirrored; [N] whether it is locked."""
+    # Without a plan all blocks are alike, and a stream has no blocks yet.
+    if options.plan is None:
+        return np.full(count, options.knobs.size), np.zeros(count), np.zeros(count, bool)
+    blocks, now, first = options.plan.blocks, options.plan.knobs, options.plan.drawn.knobs
+    locked = np.array([block.locked for block in blocks])
+    sizes = np.minimum(np.array([block.intensity for block in blocks]) * np.where(locked, first.size, now.size), 2.0)
+    # Where the whole motion is mirrored at the end, the knob has been seen to already.
+    whole = options.mirrored
+    mirrored = [block.mirror != (not whole and (first if block.locked else now).mirror) for block in blocks]
+    return sizes, np.array(mirrored, dtype=np.float64), locked
 
 
 def levels_at(edges: Array, levels: NDArray[np.floating], times: Array, fade: float,
@@ -205,8 +300,3 @@ def _columns(joints: list[int]) -> NDArray[np.int64]:
 def _towards(rest: Array, poses: Array, share: Array) -> Array:
     """Poses [M, D] a share [M, 1] of the way from the pose `rest` [D]; the same bit for bit where it is 1."""
     return np.where(share == 1.0, poses, rest + share * (poses - rest))
-
-
-def nearest_turn(vectors: Array, reference: Array) -> Array:
-    """Exponential maps [..., 3] of the same rotations that are nearest to a reference [..., 3], by full turns."""
-    return rotation.unroll(np.stack([reference, vectors]))[1]

@@ -20,8 +20,7 @@ from gesticulator.body.motion_path import MotionPath
 from gesticulator.body.pins import pinned
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.directing.cues import TimedCue
-from gesticulator.directing.knobs import Shaping
-from gesticulator.directing.shaping import CALM
+from gesticulator.directing.shaping import CALM, Shaping
 from gesticulator.directing.strokes import REMEMBERED
 from gesticulator.options import InferenceOptions
 from gesticulator.plan.plan import GesturePlan
