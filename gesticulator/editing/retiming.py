@@ -2,8 +2,8 @@
 
 The sounds are aligned by their fingerprints, and every beat is moved (`moved_beats`). A block is kept, with its lexeme,
 random keys and edits, if both of its beats have a place, and its length stays within `moved_beats.RATIOS` of what it
-was. Between the blocks that are kept, the new sound is cut at its own beats, and the bundle
-decides. Decisions and edits are moved together: what was edited stays edited, what was not is replayed.
+was. Between the blocks that are kept, the new sound is cut at its own beats, and the bundle decides. Decisions and
+edits are moved together: what was edited stays edited, what was not is replayed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from data_module.controls import FEATURES
 from data_module.speech.fingerprint import fingerprint, fingerprint_frames, fingerprint_text
-from data_module.speech.sound_map import SoundMap, aligned
+from data_module.speech.sound_map import aligned
 from data_module.types import BeatFlag, Blocks, Speech
 from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.editing.moved_beats import BeatMap, fits
@@ -79,22 +79,6 @@ class _Piece:
 def _exact(time: float, before: float) -> float:
     """A moved time in microseconds; the old one, to the last bit, if it was not moved."""
     return before if abs(time - before) < 1e-9 else round(time, 6)
-
-
-# ------------------------------------------------------------------------------------------------------ the sounds
-
-def map_of(plan: GesturePlan, speech: Speech) -> SoundMap:
-    """The map of the plan's sound onto another one. `InputError` for a plan without a fingerprint, and if the sounds
-    have too little speech in common."""
-    if plan.fingerprint is None:
-        raise plan.error(("fingerprint",), "is missing, so the new sound cannot be compared with the old one",
-                         "make a new plan")
-    sounds = aligned(fingerprint_frames(plan.fingerprint), fingerprint(speech))
-    if sounds.speech < LEAST_SPEECH:
-        raise plan.error(("sound",), f"is {plan.sound.name or 'another sound'}, {plan.sound.duration:.2f} s, and the "
-                         f"one that was given has {100 * sounds.speech:.0f} % of its speech",
-                         "give another export of it, or make a new plan")
-    return sounds
 
 
 # ------------------------------------------------------------------------------------------------------ the blocks
@@ -197,9 +181,17 @@ class _Cutter:
 def drafted(plan: GesturePlan, speech: Speech, features: SpeechFeatures, words: Sequence[PlanWord] | None) -> Retimed:
     """The plan on a new sound, with blocks that are still to be decided (`decided`): their lexemes are None.
 
-    features: of the sound, cut at its beats; words: of a new transcript, or None. Errors as in `map_of`.
+    features: of the sound, cut at its beats; words: of a new transcript, or None. `InputError` for a plan without a
+    fingerprint, and if the sounds have too little speech in common.
     """
-    sounds = map_of(plan, speech)
+    if plan.fingerprint is None:
+        raise plan.error(("fingerprint",), "is missing, so the new sound cannot be compared with the old one",
+                         "make a new plan")
+    sounds = aligned(fingerprint_frames(plan.fingerprint), fingerprint(speech))
+    if sounds.speech < LEAST_SPEECH:
+        raise plan.error(("sound",), f"is {plan.sound.name or 'another sound'}, {plan.sound.duration:.2f} s, and the "
+                         f"one that was given has {100 * sounds.speech:.0f} % of its speech",
+                         "give another export of it, or make a new plan")
     beats = BeatMap(sounds, plan.drawn, np.unique(np.concatenate(features.onsets)) if features.onsets else np.zeros(0))
     cut = _Cutter(plan, beats, features.blocks)
     drawn = _drawn(plan, cut.drawn, beats)
@@ -254,15 +246,9 @@ def decided(draft: GesturePlan, generated: Sequence[BlockMotion]) -> GesturePlan
 
 def _lost_edits(plan: GesturePlan, gone: Sequence[int]) -> list[str]:
     """A line for each edited block among those that are gone."""
-    edited, out = edited_blocks(plan), []
-    for at in gone:
-        block = plan.blocks[at]
-        done = {"lock": block.locked, "edit": edited[at], "intensity": block.intensity != 1.0,
-                "mirroring": block.mirror}
-        if any(done.values()):
-            names = " and ".join(name for name, is_so in done.items() if is_so)
-            out.append(_lost(f"{names} of the block", block.start))
-    return out
+    edited = edited_blocks(plan)
+    return [_lost("edit of the block", block.start) for at, block in enumerate(plan.blocks) if at in gone
+            and (edited[at] or block.locked or block.mirror or block.intensity != 1.0)]
 
 
 # ------------------------------------------------------------------------------------------------- the other times

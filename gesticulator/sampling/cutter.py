@@ -390,7 +390,7 @@ def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None,
     """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, its text too.
 
     blocks: cut the speech into these instead of detecting beats. cutters: receives a copy of the cutter before every
-    `CUTTER_EVERY` samples, from which parts can be cut again (`gesticulator.editing.recut`).
+    `CUTTER_EVERY` samples, from which parts can be cut again (`editing.render.Recutter`).
     """
     # Without words the audio-only models are used, which take no rows of text.
     read = words if speech.words is not None else None
