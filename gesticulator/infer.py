@@ -49,9 +49,6 @@ def run(args: argparse.Namespace) -> int:
             with limited_threads(settings.threads):
                 worker = Worker(_loaded(settings), retargeter, settings.quiet)
                 check_options(worker.gesticulator, jobs[0].options)
-                if args.one_file:
-                    _say(worker.perform_together(jobs), settings)
-                    return 0
 
                 def process(job: Job) -> None:
                     _say(worker.perform(job), settings)
@@ -138,7 +135,7 @@ COMMAND = Command(
         "infer recordings/ -o out/ --format fbx",
         "infer speech.wav --character rig.glb -o talk.glb",
         "infer silence.wav --character rig.glb -o idle.glb --loop --clip-name idle",
-        "infer hello.wav bye.wav --character rig.glb -o rig_talking.glb --one-file --mask upper",
+        "infer hello.wav --character rig.glb -o rig_talking.glb --mask upper",
         "infer speech.wav -o gesture.bvh --hand-height low --hand-speed 0.3 --activity 0.6",
         "infer speech.wav -o gesture.bvh --plan-out plan.json --energy calm",
         "infer speech.wav -o again.bvh --plan plan.json --intensity 1.3",

@@ -14,14 +14,14 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError, complain, printable
 from gesticulator.cli import PROGRAM
-from gesticulator.export.clip import NAME, ClipLayout
+from gesticulator.export.clip import ClipLayout
 from gesticulator.export.writers import suffix_of
 from gesticulator.options import InferenceOptions
 
@@ -59,8 +59,8 @@ class Job:
 
     source: its file; None is standard input. targets: the output files. text: its transcript, if any. options: of the
     performance. clip: how files for animation tools are laid out; None: by default. character: None for the default
-    skeleton. unit: of length in BVH files. any_length: whether it may last longer than an hour. fault: why it
-    cannot be processed, if that is already known.
+    skeleton. any_length: whether it may last longer than an hour. fault: why it cannot be processed, if that is already
+    known.
     """
 
     source: Path | None
@@ -69,7 +69,6 @@ class Job:
     options: InferenceOptions = field(default_factory=InferenceOptions)
     clip: ClipLayout | None = None
     character: CharacterRequest | None = None
-    unit: str = "cm"
     any_length: bool = False
     fault: InputError | None = None
 
@@ -146,11 +145,9 @@ class Outcome:
         return "\n".join([line, *(f"  {note}" for note in self.notes), *pages])
 
 
-def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None = None, together: bool = False
-             ) -> list[Job]:
+def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None = None) -> list[Job]:
     """The jobs of a command. names: files, folders, patterns, or "-". outputs: suffix (".bvh") -> the file or folder
-    to write to. text: a transcript, or a folder of transcripts named like the recordings. together: one file holds all
-    recordings.
+    to write to. text: a transcript, or a folder of transcripts named like the recordings.
 
     A path that ends in a slash, or that is a folder, means a folder; anything else is a file. `InputError` for an
     output with the wrong suffix, one file for several recordings, two recordings of one name, or a place that cannot be
@@ -160,10 +157,7 @@ def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None 
     if not outputs:
         raise InputError("output", "is missing", "name a file or a folder with -o")
     for suffix, given in outputs.items():
-        # A file of clips has one name; a folder would need one for each recording.
-        if together and is_folder(given):
-            raise InputError(given, "is a folder, and --one-file writes one file", f"name a file that ends in {suffix}")
-        _check_output(given, suffix, 1 if together else len(sources))
+        _check_output(given, suffix, len(sources))
     if text is not None:
         _check_text(text, len(sources))
     # Two recordings of one name in different folders would overwrite each other's output.
@@ -174,7 +168,7 @@ def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None 
         targets = tuple(Path(given) / f"{stem}{suffix}" if is_folder(given) else Path(given)
                         for suffix, given in outputs.items())
         for target in targets:
-            if target in written_by and not together:
+            if target in written_by:
                 raise InputError(source or STDIN, f"would be written to {target}, like {written_by[target] or STDIN}",
                                  "rename one of them, or give them folders of their own")
             written_by[target] = source
@@ -322,33 +316,13 @@ class Worker:
         begin = time.perf_counter()
         performance = self._laid_out(job, self.performed(job, speech))
         spent = time.perf_counter() - begin
-        written = tuple(performance.save(target, unit=job.unit if target.suffix.lower() == ".bvh" else "cm")
-                        for target in job.targets)
+        written = tuple(performance.save(target) for target in job.targets)
         notes = performance.notes
         if performance.retiming is not None:
             notes += tuple(performance.retiming.lines()[1:])
         lexemes = performance.lexemes.tolist()
         return Outcome(job.name, speech.duration, len(lexemes) - 1, len(set(lexemes)),
                        len(self.gesticulator.bundle.vectors), spent / speech.duration, written, notes)
-
-    def perform_together(self, jobs: Sequence[Job]) -> str:
-        """Process recordings and write them as clips of one file for each target; returns the summary. An error of one
-        is an error of all, and nothing is written."""
-        from gesticulator.export.glb import write_clips
-
-        clips: list[Performance] = []
-        names = clip_names(jobs)
-        for job, name in zip(jobs, names, strict=True):
-            check_job(job)
-            # A clip of a shared file is named after its recording.
-            named = replace(job, clip=replace(job.clip or ClipLayout(), name=name))
-            clips.append(self._laid_out(named, self.performed(named, load(named))))
-        seconds = sum(clip.duration for clip in clips)
-        for target in jobs[0].targets:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            write_clips(target, [clip.scene() for clip in clips])
-        return "\n".join(f"{len(jobs)} recordings, {seconds:.1f} s -> {target}: {', '.join(names)}"
-                         for target in jobs[0].targets)
 
     def performed(self, job: Job, speech: Speech) -> Performance:
         """The performance of a recording, on the default skeleton, with a progress bar on the terminal; with legs, too,
@@ -370,21 +344,8 @@ class Worker:
     def _laid_out(self, job: Job, performance: Performance) -> Performance:
         """The performance as the clip of the job, on the character."""
         if job.clip is not None:
-            # The sound beside an output must not replace the recording itself.
-            beside = job.source is not None and any(target.with_suffix(".wav").resolve() == job.source.resolve()
-                                                    for target in job.targets)
-            performance = performance.as_clip(replace(job.clip, sound=job.clip.sound and not beside))
+            performance = performance.as_clip(job.clip)
         return performance if self.retargeter is None else performance.moved_by(self.retargeter)
-
-
-def clip_names(jobs: Sequence[Job]) -> list[str]:
-    """The names of recordings without suffix, with a number appended to repeated ones."""
-    # Animation tools find clips by name, so names in one file must differ.
-    names: list[str] = []
-    for job in jobs:
-        stem = "stdin" if job.source is None else Path(job.name).stem[:90] or NAME
-        names.append(stem if stem not in names else f"{stem} {len(names) + 1}")
-    return names
 
 
 def load(job: Job) -> Speech:

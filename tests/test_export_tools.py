@@ -150,11 +150,11 @@ def in_blender(path: Path, fps: float, settings: dict[str, Any]) -> dict[str, An
 
 
 @pytest.mark.usefixtures("blender")
-@pytest.mark.parametrize(("suffix", "unit", "settings"), [
-    (".bvh", "cm", IN_CENTIMETRES), (".bvh", "m", {}), (".fbx", "cm", {}), (".glb", "cm", {}), (".usdc", "cm", {})])
-def test_blender_puts_our_joints_where_we_do(tmp_path: Path, suffix: str, unit: str, settings: dict[str, Any]) -> None:
+@pytest.mark.parametrize(("suffix", "settings"), [
+    (".bvh", IN_CENTIMETRES), (".fbx", {}), (".glb", {}), (".usdc", {})])
+def test_blender_puts_our_joints_where_we_do(tmp_path: Path, suffix: str, settings: dict[str, Any]) -> None:
     made = perform(0.6, 30.0, skeleton=WHOLE_BODY)
-    scene = in_blender(write(tmp_path / f"a{suffix}", made, unit=unit), 30.0, settings)
+    scene = in_blender(write(tmp_path / f"a{suffix}", made), 30.0, settings)
     places = np.array([[frame[joint] for joint in made.joints] for frame in scene["frames"]])
     np.testing.assert_allclose(places, made.positions(), atol=1e-3)
     np.testing.assert_allclose(scene["scale"], 1.0, atol=1e-5)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from data_module.errors import InputError, shown
@@ -14,9 +14,7 @@ KEYS = 0.1
 MOST_KEYS = 5.0
 """Largest bound, degrees: beyond, gestures lose their shape."""
 CLIPS = (".bvh", ".csv", ".fbx", ".glb", ".usda", ".usdc", ".vrma")
-"""Suffixes of formats for which loop, mask, layer, root and sound have a meaning."""
-TOGETHER = (".glb",)
-"""Suffixes of formats that hold several clips."""
+"""Suffixes of formats for which loop, mask and layer have a meaning."""
 _LONGEST_NAME = 100
 
 
@@ -27,8 +25,7 @@ class ClipLayout:
     name: of the animation in the file. keys: largest error of a rotation in degrees that leaving out keys may cause, 0
     to write every frame. loop: the end passes into the beginning without a seam. upper: the upper body alone; hips and
     legs have no tracks and stay at rest. additive: rotations are written relative to the resting pose, to be added to
-    another clip; of the upper body alone. root: the hips travel; False: they stay in place, and the feet where they
-    are. sound: a WAV file is written beside the motion.
+    another clip; of the upper body alone.
     """
 
     name: str = NAME
@@ -36,8 +33,6 @@ class ClipLayout:
     loop: bool = False
     upper: bool = False
     additive: bool = False
-    root: bool = True
-    sound: bool = False
 
     def __post_init__(self) -> None:
         if not self.name or len(self.name) > _LONGEST_NAME or not self.name.isprintable():
@@ -55,20 +50,15 @@ class ClipLayout:
     @property
     def changes_motion(self) -> bool:
         """Whether more than names and keys is other than in the plain motion."""
-        return self.loop or self.bare or not self.root
+        return self.loop or self.bare
 
 
-def check_clip_outputs(clip: ClipLayout, suffixes: Sequence[str], together: bool) -> None:
-    """`InputError` for a clip that none of the outputs can follow. together: several clips are written to one file."""
+def check_clip_outputs(clip: ClipLayout, suffixes: Iterable[str]) -> None:
+    """`InputError` for a clip that one of the outputs cannot follow."""
     # A plan (.json) may accompany any clip: it holds no motion.
-    other = [suffix for suffix in suffixes if suffix not in CLIPS]
-    if clip.additive and [suffix for suffix in other if suffix != ".json"]:
+    other = [suffix for suffix in suffixes if suffix not in (*CLIPS, ".json")]
+    if clip.additive and other:
         raise InputError("--layer additive", f"makes no sense in {other[0]}", f"write {', '.join(CLIPS)}")
-    if clip.sound and not set(suffixes) & set(CLIPS):
-        raise InputError("--sound", "is for formats without sound of their own", f"write {', '.join(CLIPS)}")
-    unfit = [suffix for suffix in suffixes if suffix not in TOGETHER]
-    if together and unfit:
-        raise InputError("--one-file", f"is not for {unfit[0]}", f"write {' or '.join(TOGETHER)}")
 
 
 def parse_keys(text: str) -> float:

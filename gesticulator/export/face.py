@@ -1,4 +1,4 @@
-"""The face in files: tracks of glTF and VRM animations, tables in ARKit's names, and the jaw of SMPL-X."""
+"""The face in files: tracks of glTF and VRM animations, and tables in ARKit's names."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_module.files import write_text
 from data_module.motion import rotation
@@ -26,14 +25,12 @@ from gesticulator.export.gltf import (
 from gesticulator.export.writers import Scene
 from gesticulator.face.motion import FaceMotion, at_rest
 from gesticulator.face.rig import find_face
-from gesticulator.face.shapes import ARKIT, arkit, jaw_angles, vrm
+from gesticulator.face.shapes import ARKIT, arkit, vrm
 
 _EYES = tuple(f"{side}Eye{axis}" for side in ("Left", "Right") for axis in ("Yaw", "Pitch", "Roll"))
 LIVE_LINK = ("Timecode", "BlendShapeCount", *(name[0].upper() + name[1:] for name in ARKIT),
              "HeadYaw", "HeadPitch", "HeadRoll", *_EYES)
 """Columns of Live Link Face: 61 values beside the time; rotations in radians."""
-_JAW, _LEFT_EYE, _RIGHT_EYE = 22, 23, 24
-"""Joints of SMPL-X."""
 
 
 class FaceWarning(UserWarning):
@@ -95,17 +92,6 @@ def eye_turns(face: FaceMotion) -> Array:
     turns = rotation.multiply(rotation.from_exponential_map(face.gaze[:, :1] * np.array([0.0, 1.0, 0.0])),
                               rotation.from_exponential_map(face.gaze[:, 1:] * np.array([-1.0, 0.0, 0.0])))
     return rotation.continuous(turns[:, None])[:, 0]
-
-
-def smplx_face(poses: NDArray[np.float32], face: FaceMotion, fps: float) -> NDArray[np.float32]:
-    """[T, 165] SMPL-X poses with the jaw and the eyes of a face, at `fps`."""
-    out = poses.copy().reshape(len(poses), -1, 3)
-    times = np.minimum(np.arange(len(poses)) / fps, face.times[-1])
-    out[:, _JAW, 0] = np.interp(times, face.times, jaw_angles(face))
-    eyes = rotation.to_exponential_map(eye_turns(face))
-    for axis in range(3):
-        out[:, [_LEFT_EYE, _RIGHT_EYE], axis] = np.interp(times, face.times, eyes[:, axis])[:, None]
-    return out.reshape(poses.shape)
 
 
 # ----------------------------------------------------------------------------------------------------------- tables
