@@ -299,9 +299,8 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
     if clip is not None:
         check_clip_outputs(clip, outputs)
     jobs = jobs_for(args.speech, outputs, args.text)
-    faces = [target for job in jobs for target in job.targets if suffix_of(target).startswith(".face.")]
-    if faces and args.face == "off":
-        raise InputError(faces[0], "needs a face", "add --face lips or --face full")
+    if ".glb" in outputs and (args.character or "").lower().endswith(".fbx"):
+        raise InputError("-o *.glb", "cannot hold a character from FBX", "write .fbx, or convert the character to GLB")
     if args.plan is not None:
         if len(jobs) > 1:
             raise InputError("--plan", f"is for one recording, and {len(jobs)} are given", "give one")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from face_samples import at_rest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from performances import turned
@@ -27,7 +28,7 @@ from gesticulator.face.lips import (
     with_dominance,
     with_strength,
 )
-from gesticulator.face.motion import FaceMotion, at_rest
+from gesticulator.face.motion import FaceMotion
 from gesticulator.face.shapes import ARKIT, arkit, find_shapes, oculus, vrm
 from gesticulator.face.track import FaceTrack, in_head
 from gesticulator.face.visemes import CLOSED, OPENINGS, SILENT, VISEMES, of_arpabet, opening

@@ -51,7 +51,7 @@ NO_CASE = {
     "a file that this process, its worker or its child wrote a moment ago": """
         data_module/files.py:lock
         gesticulator/characters/fbx_rig.py:read_fbx_character
-        gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:* gesticulator/export/fbx.py:write_animated
+        gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:*
         gesticulator/export/usd.py:write_usd""",
     "runs in a child process, whose parent has a case": """
         gesticulator/export/fbx_child.py:animate""",

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.errors import InputError
 from data_module.files import write_bytes
 from data_module.types import Array
 from gesticulator.characters.rig import CharacterMotion
@@ -33,9 +34,12 @@ def write_glb(path: Path, scene: Scene) -> Path:
     """Write the motion as an animation of a GLB, named after the clip, atomically. Returns `path`.
 
     A character's file keeps everything; with a face, the animation moves what it has for one (`gesticulator.face.rig`),
-    too, and a warning says so if it has no mouth. Other scenes are a skeleton with a figure of spindles.
+    too, and a warning says so if it has no mouth. Other scenes are a skeleton with a figure of spindles. `InputError`
+    for a character from FBX.
     """
     character, motion = scene.character, scene.nodes
+    if character is not None and character.character.kind == "fbx":
+        raise InputError(path, "cannot hold a character from FBX", "write .fbx, or convert the character to GLB")
     if character is not None and character.character.kind == "glb":
         gltf = open_gltf(character.character.path)
         _add_character_clip(gltf, character, scene.clip, scene.face)

@@ -22,8 +22,7 @@ from gesticulator.export.key_reduction import kept_frames, kept_places, rotation
 from gesticulator.export.nodes import NodeMotion
 
 VERSION = 2
-_FLOAT, _UINT8, _UINT16 = 5126, 5121, 5123
-_TYPES = {np.dtype("<f4"): _FLOAT, np.dtype("u1"): _UINT8, np.dtype("<u2"): _UINT16}
+_TYPES = {np.dtype("<f4"): 5126, np.dtype("u1"): 5121, np.dtype("<u2"): 5123}
 _KINDS = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 VERTICES, TRIANGLES = 34962, 34963
 """Targets of a buffer view: vertex attributes, and indices."""
@@ -54,12 +53,7 @@ class GltfDocument:
         data = np.ascontiguousarray(values)
         # glTF's matrices are stored column by column.
         view = self.view((data.swapaxes(-1, -2) if data.shape[1:] == (4, 4) else data).tobytes(), target)
-        accessor: dict[str, Any] = {"bufferView": view, "componentType": _TYPES[data.dtype], "count": len(data),
-                                    "type": _KINDS[data.shape[1:]]}
-        if bounds:
-            accessor["min"], accessor["max"] = ([float(v) for v in np.atleast_1d(edge(data, axis=0))]
-                                                for edge in (np.min, np.max))
-        return self._added("accessors", accessor)
+        return self._accessor({"bufferView": view}, data, bounds)
 
     def view(self, data: bytes, target: int | None = None) -> int:
         """Add bytes; returns the buffer view's index."""
@@ -115,15 +109,17 @@ class GltfDocument:
         index = self._added("bufferViews", view)
         for numbers, bounds in parts:
             data = np.ascontiguousarray(numbers)
-            entry: dict[str, Any] = {"bufferView": index, "byteOffset": self._size - start, "componentType": _FLOAT,
-                                     "count": len(data), "type": _KINDS[data.shape[1:]]}
-            if bounds:
-                entry["min"], entry["max"] = ([float(v) for v in np.atleast_1d(edge(data, axis=0))]
-                                              for edge in (np.min, np.max))
+            accessors.append(self._accessor({"bufferView": index, "byteOffset": self._size - start}, data, bounds))
             self._append(data.tobytes())
-            accessors.append(self._added("accessors", entry))
         view["byteLength"] = self._size - start
         return accessors
+
+    def _accessor(self, place: dict[str, Any], data: NDArray[Any], bounds: bool) -> int:
+        entry = {**place, "componentType": _TYPES[data.dtype], "count": len(data), "type": _KINDS[data.shape[1:]]}
+        if bounds:
+            entry["min"], entry["max"] = ([float(v) for v in np.atleast_1d(edge(data, axis=0))]
+                                          for edge in (np.min, np.max))
+        return self._added("accessors", entry)
 
     def to_bytes(self) -> bytes:
         """The bytes of a GLB file. `InputError` if it exceeds the size limit of the format."""

@@ -27,8 +27,6 @@ _USD = Requirement("pxr", "usd-core", "usd")
 WRITERS: Registry[RegistryEntry] = Registry("writers", "a format that can be written", {
     ".bvh": RegistryEntry("motion in centimetres and degrees", "gesticulator.export.writers:write_bvh_file"),
     ".csv": RegistryEntry("positions and rotations, a row per joint and frame", "gesticulator.export.table:write_csv"),
-    ".face.csv": RegistryEntry("the face in ARKit's names, as Live Link Face records it",
-                               "gesticulator.export.face:write_live_link"),
     ".fbx": RegistryEntry("motion, or your own character, through Blender", "gesticulator.export.fbx:write_fbx"),
     ".glb": RegistryEntry("motion, or your own character, as binary glTF", "gesticulator.export.glb:write_glb"),
     ".html": RegistryEntry("a page that plays and edits the performance", "gesticulator.export.html:write_preview"),
@@ -105,7 +103,7 @@ def suffix_of(path: str | os.PathLike[str]) -> str:
     """The suffix of a path that selects its format, in lower case: the last one, or the last two if they name a format
     (".g1.csv"); "" without one."""
     suffixes = [suffix.lower() for suffix in Path(path).suffixes]
-    # Two-part formats first: .csv alone would match .face.csv, too.
+    # Two-part formats first: .csv alone would match .g1.csv, too.
     both = "".join(suffixes[-2:])
     return both if both in WRITERS or both in ELSEWHERE else "".join(suffixes[-1:])
 
@@ -133,11 +131,7 @@ def write(path: str | os.PathLike[str], scene: Scene) -> Path:
     """Write a scene atomically in the format of the suffix. Returns `path`. `InputError` as for `check_output`; OSError
     for disk errors."""
     check_output(path)
-    suffix, moved = suffix_of(path), scene.character
-    # The file of a character from FBX is animated by Blender, whatever it is saved as.
-    through_blender = suffix == ".glb" and moved is not None and moved.character.kind == "fbx"
-    writer = cast("Callable[..., Path]", WRITERS.load(".fbx" if through_blender else suffix))
-    return writer(Path(path), scene)
+    return cast("Callable[[Path, Scene], Path]", WRITERS.load(suffix_of(path)))(Path(path), scene)
 
 
 def write_plan(path: Path, scene: Scene) -> Path:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.types import Array
-from gesticulator.face.visemes import SILENT, VISEMES, opening
+from gesticulator.face.visemes import VISEMES, opening
 
 _PARTS = ("visemes", "blink", "brows", "smile", "gaze")
 """Fields over time, in the order of `FaceMotion.values`."""
@@ -84,10 +84,3 @@ def joined(faces: Sequence[FaceMotion]) -> FaceMotion:
     """Successive parts of a face as a whole; at least one part."""
     parts: dict[str, Any] = {name: np.concatenate([getattr(face, name) for face in faces]) for name in _PARTS}
     return replace(faces[0], **parts)
-
-
-def at_rest(count: int, fps: float) -> FaceMotion:
-    """A face that does nothing, with a shut mouth."""
-    visemes = np.zeros((count, len(VISEMES)))
-    visemes[:, SILENT] = 1.0
-    return FaceMotion(visemes, np.zeros(count), np.zeros(count), np.zeros(count), np.zeros((count, 2)), fps)
