@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import pickle
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -22,8 +21,7 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from data_module.errors import InputError
-from data_module.files import parse_json, rename
+from data_module.files import new_file, parse_json
 from gesticulator.bundle.config import FitSettings
 
 __all__ = ["FitOptions", "Task", "fit"]
@@ -78,13 +76,8 @@ def _optimisers(model: nn.Module, settings: FitSettings) -> list[tuple[torch.opt
 
 def save_checkpoint(path: Path, step: int, parts: Sequence[Any]) -> None:
     """Save everything that the next step depends on in one file, replaced atomically."""
-    temporary = path.with_suffix(".tmp")
-    with temporary.open("wb") as stream:
+    with new_file(path) as stream:
         torch.save({"step": step, "parts": [part.state_dict() for part in parts]}, stream)
-        stream.flush()
-        # Synced before it is renamed: a crash must not leave an empty file under the final name.
-        os.fsync(stream.fileno())
-    rename(temporary, path)
 
 
 def load_checkpoint(path: Path, parts: Sequence[Any]) -> int:
@@ -127,18 +120,9 @@ class BestWeights:
 
 def open_log(path: Path, from_step: int) -> TextIO:
     """The log with one JSON line per step; lines after the resumed step are dropped."""
-    lines = []
-    if path.is_file():
-        lines = [line for line in path.read_text().splitlines() if line and _step_of(line) < from_step]
-    path.write_text("".join(line + "\n" for line in lines))
+    lines = path.read_text().splitlines() if path.is_file() else []
+    path.write_text("".join(line + "\n" for line in lines[:from_step]))
     return path.open("a", buffering=1)
-
-
-def _step_of(line: str) -> int:
-    try:
-        return int(parse_json(line, "a log of training", "delete it", python=True)["step"])
-    except (InputError, KeyError, TypeError, ValueError):
-        return 2**62  # a line cut short by a kill
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,34 +13,23 @@ from data_module.files import lock, read_object, write_text
 from data_module.store import Store
 from gesticulator.bundle.bundle import Bundle, save
 from gesticulator.bundle.card import model_card
-from gesticulator.training.stages import BLOCKS, CORPUS, STAGES, Run, assemble, closure, wanted
+from gesticulator.training.stages import BLOCKS, CORPUS, Run, assemble, wanted
 
 
-def train(run: Run, out: Path, redo: Sequence[str] = (), only: str | None = None) -> Bundle | None:
-    """Run all unfinished stages and write the bundle; None if `only` is given: stop after this stage and those that it
-    needs. redo: stages to train again.
+def train(run: Run, out: Path) -> Bundle:
+    """Run all unfinished stages and write the bundle.
 
     InputError if settings and store do not match, or another training has locked the work folder.
     """
-    stages, config = wanted(run.config), run.config
-    if only is not None:
-        if STAGES[only] not in stages:
-            raise InputError(f"--stage {only}", "is not part of these settings",
-                             "see text, gate and front_end in --set")
-        stages = [STAGES[only]]
     with lock(run.work, "a training"):
         claim(run.work, run.store)
-        for name in redo:
-            run.redo(STAGES[name])
         run.get(BLOCKS)  # report problems of the store before hours of training
-        plan = list(closure(stages, config))
+        plan = wanted(run.config)
         for place, stage in enumerate(plan):
             if run.progress:
                 state = "finished before" if run.finished(stage) else f"{run.schedule(stage).steps} steps"
                 print(f"stage {place + 1} of {len(plan)}: {stage.name}, {state}", file=sys.stderr)
             run.get(stage)
-        if only is not None:
-            return None
         trained = assemble(run, provenance(run))
         save(trained, out, model_card(trained))
         return trained
