@@ -132,7 +132,8 @@ class Task:
     make_batch(rng, size): a batch from random numbers alone. losses(batch, progress): the terms, keyed like the model's
     `weights`; None for the model's own. validate(): figures on the validation split. before_step(step): a hook that
     must depend on the step alone. watch: the figure of `validate` to minimise for early stopping, if the settings have
-    patience; "" for none.
+    patience; "" for none. learner: what is trained, if not the model of the stage itself. finish(): what follows the
+    last step; returns the figures.
     """
 
     make_batch: MakeBatch
@@ -140,6 +141,8 @@ class Task:
     validate: Validate | None = None
     before_step: Callable[[int], None] | None = None
     watch: str = ""
+    learner: nn.Module | None = None
+    finish: Callable[[], dict[str, float]] | None = None
 
 
 @dataclass(frozen=True)

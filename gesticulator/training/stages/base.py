@@ -49,14 +49,14 @@ class Node(Generic[T]):
 class Stage(Node[M]):
     """A node that is a trained model.
 
-    build: the untrained model. train: one call of `Run.fit`; returns the last validation figures. schedule: name of its
-    schedule in `Config.schedules` (schedule_of: if it depends on the settings). wanted: whether the settings require
-    it. finish: converts the trained module to the one used (a learner also holds its target network). part: its name
-    in a bundle, "" for none.
+    build: the untrained model. train: the task that it learns, or the figures of a model that was fitted without steps.
+    schedule: name of its schedule in `Config.schedules` (schedule_of: if it depends on the settings). wanted: whether
+    the settings require it. finish: converts the trained module to the one used (a learner also holds its target
+    network). part: its name in a bundle, "" for none.
     """
 
     build: Callable[[Run], nn.Module] | None = None
-    train: Callable[[Run, Any, Path], Figures] | None = None
+    train: Callable[[Run, Any], fitting.Task | Figures] | None = None
     schedule: str = ""
     schedule_of: Callable[[Config], FitSettings] | None = None
     wanted: Callable[[Config], bool] = lambda config: True
@@ -149,17 +149,18 @@ class Run:
         if not finished(folder, model):
             folder.mkdir(parents=True, exist_ok=True)
             assert stage.train is not None
-            keep(folder, model, stage.train(self, model, folder))
+            task = stage.train(self, model)
+            keep(folder, model, task if isinstance(task, dict) else self._fit(stage, model, task, folder))
             # Only now: a kill in between finds the finished stage or the checkpoint.
             (folder / f"{stage.name}.ckpt").unlink(missing_ok=True)
         # Read back also after training, so that a first run uses exactly what a resumed one would.
         model.cpu().load_state_dict(load_file(folder / WEIGHTS))
         return read_object(folder / FIGURES, "delete it, and train again", python=True)
 
-    def fit(self, stage: Stage[Any], model: nn.Module, task: fitting.Task, folder: Path) -> Figures:
-        """The training loop with this run's settings."""
-        return fitting.fit(stage.name, model, task, self.schedule(stage), folder, fitting.FitOptions(
+    def _fit(self, stage: Stage[Any], model: nn.Module, task: fitting.Task, folder: Path) -> Figures:
+        figures = fitting.fit(stage.name, task.learner or model, task, self.schedule(stage), folder, fitting.FitOptions(
             seed=self.seed(stage), device=self.device, progress=self.progress))
+        return figures if task.finish is None else task.finish()
 
 
 WEIGHTS, FIGURES = "weights.safetensors", "figures.json"

@@ -160,13 +160,12 @@ def word_file(store: Store, config: Config, folder: Path, *, progress: bool = Tr
     key = digest(store.fingerprint, encoder.name, encoder.fingerprint)
     cache = folder / f"words-{key}.npz"
     if not whole(cache):
-        # Like numpy's savez, but one array at a time.
-        with new_file(cache) as file, zipfile.ZipFile(file, "w") as archive:
-            for info in tqdm(store.recordings, desc="words", disable=not progress):
-                words = store.load(info.name).speech.words
-                if words is not None and any(word.text for word in words):
-                    with archive.open(f"{info.name}.npy", "w", force_zip64=True) as stream:
-                        np.lib.format.write_array(stream, encoder.encode(words).astype(np.float16), allow_pickle=False)
+        vectors: dict[str, NDArray[Any]] = {}
+        for info in tqdm(store.recordings, desc="words", disable=not progress):
+            words = store.load(info.name).speech.words
+            if words is not None and any(word.text for word in words):
+                vectors[info.name] = encoder.encode(words).astype(np.float16)
+        _write(cache, vectors)
     return cache
 
 

@@ -4,7 +4,6 @@ it: lexemes, silent lexemes, and their frequencies (RG 6.4.1)."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -58,7 +57,7 @@ def _held_figures(run: Run, model: MovementLexicon) -> Figures:
     return movement_figures(model, corpus.motion[held], corpus.pasts[held])
 
 
-def _train_movements(run: Run, model: MovementVqVae, folder: Path) -> Figures:
+def _movements_task(run: Run, model: MovementVqVae) -> fitting.Task:
     """The VQ-VAE over movements: the basis in closed form, encoder, lexemes and decoder by steps, and the levels below
     by k-means."""
     corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)
@@ -82,11 +81,13 @@ def _train_movements(run: Run, model: MovementVqVae, folder: Path) -> Figures:
         if step == begin:
             learner.start_codebook(coefficients.to(run.device), run.seed(LEXICON))
 
-    run.fit(LEXICON, learner, fitting.Task(make_batch, before_step=before_step), folder)
-    # Back on the CPU, where the coefficients of all blocks are.
-    learner.cpu()
-    learner.finish(coefficients, corpus.pasts[known], run.seed(LEXICON))
-    return _held_figures(run, model)
+    def finish() -> Figures:
+        # Back on the CPU, where the coefficients of all blocks are.
+        learner.cpu()
+        learner.finish(coefficients, corpus.pasts[known], run.seed(LEXICON))
+        return _held_figures(run, model)
+
+    return fitting.Task(make_batch, before_step=before_step, learner=learner, finish=finish)
 
 
 @torch.no_grad()
@@ -110,9 +111,9 @@ def _use(labels: Tensor, size: int) -> Figures:
             "perplexity": perplexity(labels, size)}
 
 
-def _train_lexicon(run: Run, model: BlockLexicon, folder: Path) -> Figures:
+def _lexicon_task(run: Run, model: BlockLexicon) -> fitting.Task | Figures:
     if isinstance(model, MovementVqVae):
-        return _train_movements(run, model, folder)
+        return _movements_task(run, model)
     if isinstance(model, MovementLexicon):
         return _fit_movements(run, model)
     corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)
@@ -132,12 +133,12 @@ def _train_lexicon(run: Run, model: BlockLexicon, folder: Path) -> Figures:
     def validate() -> Figures:
         return lexicon_figures(model, corpus.motion[val if len(val) else some].to(run.device))
 
-    return run.fit(LEXICON, model, fitting.Task(make_batch, validate=validate, before_step=before_step), folder)
+    return fitting.Task(make_batch, validate=validate, before_step=before_step)
 
 
 LEXICON: Stage[BlockLexicon] = Stage(
     "lexicon", settings=("system", "lexicon", *_MOTION), needs=lambda config: (BLOCKS,), schedule="lexicon",
-    part="lexicon", train=_train_lexicon,
+    part="lexicon", train=_lexicon_task,
     build=lambda run: models.build("lexicon", sizes(run.config, run.get(BLOCKS))))
 
 
@@ -162,7 +163,7 @@ def _starts(corpus: Corpus, split: str, length: int) -> NDArray[np.int64]:
     return np.concatenate(starts)
 
 
-def _train_codec(run: Run, model: RacerCodec, folder: Path) -> Figures:
+def _codec_task(run: Run, model: RacerCodec) -> fitting.Task:
     """Train on windows of as many codes as a decision sees (120 frames in the paper)."""
     corpus, length = run.get(BLOCKS), run.config.cql.decisions
     known = _starts(corpus, "train", length)
@@ -180,8 +181,8 @@ def _train_codec(run: Run, model: RacerCodec, folder: Path) -> Figures:
         if step == 0:
             model.start_codebook(crops(begun).to(run.device), run.seed(CODEC))
 
-    return run.fit(CODEC, model, fitting.Task(make_batch, before_step=before_step, validate=lambda: codec_figures(
-        model, crops(held).to(run.device))), folder)
+    return fitting.Task(make_batch, before_step=before_step,
+                        validate=lambda: codec_figures(model, crops(held).to(run.device)))
 
 
 @torch.no_grad()
@@ -196,7 +197,7 @@ def codec_figures(model: RacerCodec, true: Tensor) -> Figures:
 
 CODEC: Stage[RacerCodec] = Stage(
     "codec", settings=("racer", "cql.decisions", *_MOTION), needs=lambda config: (BLOCKS,), schedule="lexicon",
-    part="lexicon", train=_train_codec,
+    part="lexicon", train=_codec_task,
     build=lambda run: models.build("lexicon", sizes(run.config, run.get(BLOCKS))))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -105,8 +104,7 @@ def new_q_network(config: Config, corpus: Corpus, vectors: Tensor, silent: NDArr
                                                             silent=tuple(silent.tolist()))))
 
 
-def _train(run: Run, learner: ConservativeQ, folder: Path, stage: Stage[QNetwork], episodes: Episodes,
-           reward: Reward) -> Figures:
+def _task(run: Run, learner: ConservativeQ, episodes: Episodes, reward: Reward) -> fitting.Task:
     """Fit a Q-network to episodes; `reward` is that of a step of the validation recordings."""
     corpus, config, held = run.get(CORPUS), learner.config, recorded_episodes(run, "val", reward)
     checks = [q_batch(corpus, held.windows(fitting.generator_for(3, i), _WINDOWS, config.decisions))
@@ -116,9 +114,8 @@ def _train(run: Run, learner: ConservativeQ, folder: Path, stage: Stage[QNetwork
     def validate() -> Figures:
         return q_figures(learner, [fitting.moved(b, run.device) for b in checks])
 
-    task = fitting.Task(lambda rng, size: q_batch(corpus, episodes.windows(rng, size, config.decisions)),
+    return fitting.Task(lambda rng, size: q_batch(corpus, episodes.windows(rng, size, config.decisions)),
                         validate=validate, before_step=learner.before_step)
-    return run.fit(stage, learner, task, folder)
 
 
 @torch.no_grad()
@@ -141,12 +138,9 @@ def q_figures(learner: ConservativeQ, batches: Sequence[dict[str, Tensor]]) -> d
 
 def _q_stage(name: str, settings: str, episodes: Node[Episodes], reward: Callable[[Run], Reward]) -> Stage[QNetwork]:
     """A Q-network trained on `episodes`; settings: the names of its settings and of its schedule."""
-    def train(run: Run, learner: ConservativeQ, folder: Path) -> Figures:
-        return _train(run, learner, folder, Q_NETWORK if name == Q_NETWORK.name else Q_LITERAL, run.get(episodes),
-                      reward(run))
-
     return Stage(
-        name, settings=(settings, "silence.hint"), schedule=settings, part=name, train=train,
+        name, settings=(settings, "silence.hint"), schedule=settings, part=name,
+        train=lambda run, learner: _task(run, learner, run.get(episodes), reward(run)),
         needs=lambda config: (CORPUS, TOKENS, LABELS, REWARD, episodes),
         wanted=lambda config: min(config.schedules.cql.steps, getattr(config.schedules, settings).steps) > 0,
         build=lambda run: ConservativeQ(models.build(name, model_sizes(run))),

@@ -7,7 +7,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -67,7 +66,7 @@ def _learned(config: Config) -> bool:
     return config.front_end.name == "vqwav2vec"
 
 
-def _train_predictive(run: Run, model: PredictiveCoding, folder: Path) -> Figures:
+def _predictive_task(run: Run, model: PredictiveCoding) -> fitting.Task:
     store, config = run.store, run.config
     known, held = ([info.name for info in store.of_split(split)] for split in ("train", "val"))
     length = 3 * config.rhythm.frames * samples_per_frame(SAMPLE_RATE, config.rhythm.fps)
@@ -81,12 +80,11 @@ def _train_predictive(run: Run, model: PredictiveCoding, folder: Path) -> Figure
         return {"predictive": sum(float(model.losses({"samples": b.to(run.device)})["predictive"])
                                   for b in checks) / len(checks)}
 
-    task = fitting.Task(lambda rng, size: {"samples": torch.as_tensor(crops.sample(rng, size))}, validate=validate)
-    return run.fit(SPEECH, model, task, folder)
+    return fitting.Task(lambda rng, size: {"samples": torch.as_tensor(crops.sample(rng, size))}, validate=validate)
 
 
 SPEECH: Stage[PredictiveCoding] = Stage(
-    "speech", settings=("encoder", "rhythm"), schedule="speech", wanted=_learned, train=_train_predictive,
+    "speech", settings=("encoder", "rhythm"), schedule="speech", wanted=_learned, train=_predictive_task,
     build=lambda run: PredictiveCoding(SpeechEncoder(run.config.encoder.width)))
 
 
@@ -143,7 +141,7 @@ def _build_contrast(run: Run) -> nn.Module:
     return TextContrast(encoder, run.get(BLOCKS).text_width - 1, run.config.rhythm.frames)
 
 
-def _train_contrast(run: Run, model: TextContrast, folder: Path) -> Figures:
+def _contrast_task(run: Run, model: TextContrast) -> fitting.Task:
     corpus, frames, size = run.get(BLOCKS), run.config.rhythm.frames, run.schedule(CONTRAST).batch
     known = corpus.recordings("train", with_text=True)
     held = ContrastWindows.of(corpus, corpus.recordings("val", with_text=True) or known[:1], frames)
@@ -157,7 +155,7 @@ def _train_contrast(run: Run, model: TextContrast, folder: Path) -> Figures:
         return {"contrast": sum(float(model.losses(b)["contrast"]) for b in on) / len(on),
                 **{f"retrieval_{level + 1}": float(value) for level, value in enumerate(retrieval)}}
 
-    return run.fit(CONTRAST, model, fitting.Task(learn.sample, validate=validate), folder)
+    return fitting.Task(learn.sample, validate=validate)
 
 
 def _contrasted(config: Config) -> bool:
@@ -166,7 +164,7 @@ def _contrasted(config: Config) -> bool:
 
 CONTRAST: Stage[TextContrast] = Stage(
     "contrast", settings=("encoder", "text"), needs=lambda config: (SPEECH, BLOCKS), schedule="contrast",
-    wanted=_contrasted, build=_build_contrast, train=_train_contrast)
+    wanted=_contrasted, build=_build_contrast, train=_contrast_task)
 
 
 def _encoder(run: Run) -> SpeechEncoder | None:
