@@ -514,20 +514,6 @@ def _read_study(file: Path) -> object:
     return anova.gather(anova.read_answers([file.with_name("1.json"), file.with_name("1.csv")], key), key)
 
 
-def _lips(folder: Path) -> Path:
-    from gesticulator.face.lips import SHIPPED
-
-    for file in SHIPPED.iterdir():
-        (folder / file.name).write_bytes(file.read_bytes())
-    return folder / "face.json"
-
-
-def _read_lips(file: Path) -> object:
-    from gesticulator.face.lips import load_weights
-
-    return load_weights(file.parent)
-
-
 def _read_tables(file: Path) -> object:
     from eval import table
 
@@ -677,7 +663,6 @@ READERS: dict[str, Case] = {
     "request to the server of a page": Case(_request, _read_request, examples=2.0),
     "manifest": Case(_manifest("m.jsonl"), _read_manifest),
     **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json", "1.csv")},
-    "weights of the lips": Case(_lips, _read_lips),
     "table of results": Case(_results, _read_tables),
     **{f"report, {name}": Case(_report(name), _read_report) for name in (
         "claims.json", "ablation/figures.json")},

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.types import Array
-from gesticulator.face.visemes import VISEMES, opening
+from gesticulator.face.visemes import opening
 
 _PARTS = ("visemes", "blink", "brows", "smile", "gaze")
 """Fields over time, in the order of `FaceMotion.values`."""
@@ -34,15 +34,6 @@ class FaceMotion:
     gaze: Array
     fps: float
     lips_only: bool = False
-
-    def __post_init__(self) -> None:
-        count = len(self.visemes)
-        # Faces come from networks and over wires; what draws them indexes these numbers unchecked.
-        shapes = self.visemes.shape, self.blink.shape, self.brows.shape, self.smile.shape, self.gaze.shape
-        if shapes != ((count, len(VISEMES)), (count,), (count,), (count,), (count, 2)):
-            raise ValueError(f"{shapes} are not the shapes of one face")
-        if not all(np.isfinite(getattr(self, name)).all() for name in _PARTS):
-            raise ValueError("a face needs finite numbers")
 
     def __len__(self) -> int:
         return len(self.visemes)

@@ -64,11 +64,8 @@ def _optimisers(model: nn.Module, settings: FitSettings) -> list[tuple[torch.opt
     # Tensors compare elementwise, so parameters are told apart by identity.
     apart = {id(parameter) for parameter, _ in sparse}
     dense = [p for p in model.parameters() if p.requires_grad and id(p) not in apart]
-    # Without decay both are the same.
-    adam = torch.optim.AdamW if settings.weight_decay else torch.optim.Adam
-    extra: dict[str, Any] = {"weight_decay": settings.weight_decay} if settings.weight_decay else {}
-    out: list[tuple[torch.optim.Optimizer, float]] = [
-        (adam(dense, lr=settings.rate, betas=settings.betas, **extra), settings.rate)]
+    out: list[tuple[torch.optim.Optimizer, float]] = [(torch.optim.AdamW(
+        dense, lr=settings.rate, betas=settings.betas, weight_decay=settings.weight_decay), settings.rate)]
     for parameter, rate in sparse:
         out.append((torch.optim.SparseAdam([parameter], lr=rate, betas=settings.betas), rate))
     return out

@@ -17,7 +17,7 @@ from data_module.motion.phases import HandPhases, Phase, hand_places, phases_of
 from data_module.types import Array
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
-from gesticulator.bundle.features import Statistics, representation_of
+from gesticulator.bundle.features import representation_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.corpus import BLOCKS, Corpus
@@ -48,14 +48,8 @@ def edges_of(corpus: Corpus, recording: int) -> Array:
 def hands_of(corpus: Corpus, config: Config, recording: int) -> Array:
     """[T, 2, 3] places of the left and the right hand over the hips, metres, at `RATE`."""
     rows = corpus.motion[torch.as_tensor(corpus.blocks_of(recording))].double().numpy()
-    return hands_of_blocks(rows, corpus.statistics, int(corpus.speaker_of[recording]), config,
-                           edges_of(corpus, recording))
-
-
-def hands_of_blocks(rows: Array, statistics: Statistics, speaker: int, config: Config, edges: Array) -> Array:
-    """[T, 2, 3] places of the hands, as `hands_of`, of blocks [M, K, D_m] with edges [M + 1] seconds, normalised by the
-    statistics of a speaker."""
-    poses = statistics.denormalise(rows.reshape(-1, rows.shape[-1]), speaker)
+    edges = edges_of(corpus, recording)
+    poses = corpus.statistics.denormalise(rows.reshape(-1, rows.shape[-1]), int(corpus.speaker_of[recording]))
     motion = representation_of(config).motion(poses, config.rhythm.fps)
     frames = rows.shape[1]
     shares = np.arange(1, frames + 1) / frames

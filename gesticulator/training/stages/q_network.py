@@ -19,7 +19,7 @@ from gesticulator.training.presets import LITERAL
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.corpus import Corpus, sizes
 from gesticulator.training.stages.interpreter import INTERPRETER
-from gesticulator.training.stages.lexicon import LABELS, TOKENS, Labelled, model_sizes
+from gesticulator.training.stages.lexicon import LABELS, TOKENS, model_sizes
 from gesticulator.training.stages.reward import REWARD, reward_table, step_reward
 from gesticulator.training.stages.speech import CORPUS
 from interpreters.base import BlockFeatures
@@ -49,17 +49,13 @@ def features_of(corpus: Corpus) -> Callable[[int], BlockFeatures]:
     return features
 
 
-def silent_of(labelled: Labelled) -> SilentLexemes:
-    """The silent lexemes for `interpreters.episodes.build`."""
-    return SilentLexemes(labelled.silent, labelled.nearest)
-
-
 def recorded_episodes(run: Run, split: str, reward: Reward) -> Episodes:
     """RACER's own data set: the lexemes of the performers and nothing else, of a split (of the training split if it is
     empty)."""
     corpus, labelled = run.get(CORPUS), run.get(LABELS)
     takes = takes_of(corpus, labelled.hinted, split if corpus.recordings(split) else "train")
-    return build(takes, LITERAL, reward, silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy())
+    return build(takes, LITERAL, reward, silent=SilentLexemes(labelled.silent, labelled.nearest),
+                 vectors=run.get(TOKENS).vectors.numpy())
 
 
 def _make_episodes(run: Run) -> Episodes:
@@ -69,7 +65,7 @@ def _make_episodes(run: Run) -> Episodes:
     if INTERPRETER.name in system_of(config).STAGES:
         others["sampled"] = run.get(INTERPRETER)
     return build(takes_of(corpus, labelled.hinted, "train"), config.episodes, step_reward(run),
-                 silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy(),
+                 silent=SilentLexemes(labelled.silent, labelled.nearest), vectors=run.get(TOKENS).vectors.numpy(),
                  policies=BehaviourPolicies(others, features_of(corpus)), seed=run.seed(EPISODES))
 
 
