@@ -113,7 +113,7 @@ def test_a_click_is_heard_at_its_time(suffix: str) -> None:
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_same_input_same_video_and_filling_changes_nothing(suffix: str) -> None:
+def test_same_input_same_video(suffix: str) -> None:
     points = figure_points(_motion(0.5, raised={"Right": 0.2}), np.arange(15) / 30)
     first = film.encode(points, _speech(0.5), suffix, size=SMALL)
     again = film.encode(points, _speech(0.5), suffix, size=SMALL)
@@ -121,13 +121,6 @@ def test_same_input_same_video_and_filling_changes_nothing(suffix: str) -> None:
     assert suffix == ".mp4" or first == again
     for own, other in zip(_decode(again), _decode(first), strict=True):
         np.testing.assert_array_equal(own, other)
-    for more in (0, film.LEAST_FILLING, 70_000):
-        filled = film.filled(first, len(first) + more, suffix)
-        assert len(filled) == len(first) + more
-        for own, other in zip(_decode(filled), _decode(first), strict=True):
-            np.testing.assert_array_equal(own, other)
-    with pytest.raises(ValueError, match="too few"):
-        film.filled(first, len(first) + 3, suffix)
 
 
 def test_what_cannot_be_written_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

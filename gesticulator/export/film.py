@@ -1,6 +1,6 @@
-"""`.mp4`, `.webm` and `.gif`: an animated figure with audio; also the films of user studies.
+"""`.mp4`, `.webm` and `.gif`: an animated figure with audio.
 
-User studies (RG 7.3.3, RACER 5.4) show videos to raters. The suffix selects the format: .mp4 (H.264 and AAC), .webm
+The suffix selects the format: .mp4 (H.264 and AAC), .webm
 (VP9 and Opus), or .gif without audio. All motions use the same figure and camera, without text, so that the picture
 shows only the movement. Video and audio start at 0 and are equally long. The same input gives the same pictures and
 samples for the same encoder versions: one thread, no date, no muxer version. WebM and GIF are byte-identical too; an
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import io
 import math
-import struct
 import tempfile
 from collections.abc import Callable, Iterator
 from fractions import Fraction
@@ -64,9 +63,6 @@ FORMATS = {
                      "auto-alt-ref": "0"}, "libopus", 96_000),
 }
 """Suffix -> format."""
-
-LEAST_FILLING = 9
-"""Least number of bytes that `filled` can add."""
 
 GIF_FPS = 25
 """Frames per second: GIF delays are in hundredths of a second, and browsers slow down delays below two."""
@@ -208,23 +204,6 @@ def format_of(suffix: str) -> Format:
         raise InputError(suffix or "a name without a suffix", "is not a supported video format",
                          f"use {' or '.join(FORMATS)}")
     return FORMATS[suffix.lower()]
-
-
-def filled(data: bytes, size: int, suffix: str) -> bytes:
-    """Pad a file to `size` bytes with an element that players skip ("free" or Void, filled with zeros).
-
-    File sizes reveal how much a figure moves, and so which of two is the still one. `size` must equal the size of the
-    file or exceed it by at least `LEAST_FILLING`.
-    """
-    gap = size - len(data)
-    if gap == 0:
-        return data
-    if gap < LEAST_FILLING:
-        raise ValueError(f"{gap} bytes are too few to fill")
-    if FORMATS[suffix.lower()].container == "mp4":
-        return data + struct.pack(">I", gap) + b"free" + bytes(gap - 8)
-    # EBML: the id of Void, and its length as an eight-byte number, marked as such by its first bit.
-    return data + b"\xec" + struct.pack(">Q", (gap - 9) | 1 << 56) + bytes(gap - 9)
 
 
 def _missing(what: str) -> InputError:

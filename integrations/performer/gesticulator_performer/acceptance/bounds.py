@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from data_module.store import Recording
 from data_module.truth import JOIN, REST, Truth
 from eval import stats
-from eval.acceptance.bounds import Bound, Claim, Verdict, at_least, at_most
+from eval.acceptance.bounds import Bound, Verdict, at_least, at_most
 from eval.metrics import EYE_METRICS, eye
 from eval.metrics.eye import trunk
 from eval.metrics.eye.body import HZ, CommonBody
@@ -55,12 +55,11 @@ class TalkClaim:
     bound: Bound
     how: str = MEAN
 
-    @property
-    def claim(self) -> Claim:
-        """With its title and unit."""
-        if self.figure in _TITLES:
-            return Claim(_TITLES[self.figure], self.bound)
-        return Claim(EYE_METRICS[self.figure].heading, self.bound, EYE_METRICS[self.figure].digits)
+    def judge(self, value: Interval, decided: bool = True) -> Verdict:
+        """The verdict on a value, with the figure's title and unit."""
+        metric = EYE_METRICS.get(self.figure)
+        title = _TITLES[self.figure] if metric is None else metric.heading
+        return Verdict(title, self.bound, value, 2 if metric is None else metric.digits, decided=decided)
 
 
 CLAIMS: tuple[TalkClaim, ...] = (
@@ -96,7 +95,7 @@ class TalksVerdict:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        bound, value = self.pooled.claim.bound, self.pooled.value
+        bound, value = self.pooled.bound, self.pooled.value
         return {"name": self.pooled.figure, "figure": self.figure, "value": value.mean, "low": bound.low,
                 "high": bound.high, "holds": self.pooled.holds, "interval": [value.low, value.high],
                 "talks": [self.least, self.most], "parts": {name: own.value.mean for name, own in self.parts.items()}}
@@ -159,6 +158,6 @@ def _of(claim: TalkClaim, talks: Sequence[MeasuredTalk]) -> Verdict:
     values = np.array([talk.figures[claim.figure] for talk in talks], dtype=np.float64)
     known = values[np.isfinite(values)]
     if not len(known):
-        return claim.claim.undecided("no talk has it")
-    return claim.claim.judge(stats.mean_interval(values, [talk.seconds for talk in talks]) if claim.how == MEAN else
-                             Interval.exact(float(known.max()), len(known)))
+        return claim.judge(Interval.undefined(), decided=False)
+    return claim.judge(stats.mean_interval(values, [talk.seconds for talk in talks]) if claim.how == MEAN else
+                       Interval.exact(float(known.max()), len(known)))

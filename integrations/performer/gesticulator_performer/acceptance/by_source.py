@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from eval.acceptance.bounds import Bound, Claim, Verdict, at_most
+from eval.acceptance.bounds import Bound, Verdict, at_most
 from eval.metrics import EYE_METRICS
 from eval.stats import mean_interval
 from eval.table import Cell, Column, Table
@@ -39,7 +39,7 @@ def verdicts(talks: Sequence[MeasuredTalk]) -> dict[tuple[str, str], Verdict]:
             value = mean_interval(np.array([talk.figures[figure] for talk in members], dtype=np.float64),
                                   [talk.seconds for talk in members])
             metric = EYE_METRICS[figure]
-            out[figure, source] = Claim(f"{metric.heading}, {source}", bound, metric.digits).judge(value)
+            out[figure, source] = Verdict(f"{metric.heading}, {source}", bound, value, metric.digits)
     return out
 
 

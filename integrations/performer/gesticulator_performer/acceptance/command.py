@@ -81,7 +81,7 @@ def bounds_table(store: Store, verdicts: Sequence[TalksVerdict], talks: Sequence
     parts = list(dict.fromkeys(talk.part for talk in talks))
     rows: dict[str, dict[str, Cell]] = {}
     for verdict in verdicts:
-        pooled, digits = verdict.pooled, verdict.pooled.claim.digits
+        pooled, digits = verdict.pooled, verdict.pooled.digits
         row: dict[str, Cell] = {**pooled.row, **{part: own.value.text(digits) + (" !" if own.holds is False else "")
                                                  for part, own in verdict.parts.items()}}
         if math.isfinite(verdict.least):
