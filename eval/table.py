@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from data_module.errors import InputError
-from data_module.files import parse_json, read_object, write_text
+from data_module.files import read_object, write_text
 from eval.stats import Interval
 
 __all__ = ["Column", "Provenance", "Table", "load", "markdown", "publish", "save"]
@@ -145,7 +145,7 @@ class Table:
             raise ValueError(f"digits are not 0 to {MOST_DIGITS}")
         return cls(held["title"], {key: Column(**column) for key, column in held["columns"].items()},
                    {name: {key: _unpacked(cell) for key, cell in row.items()} for name, row in held["rows"].items()},
-                   held["head"], held["notes"], _undefined(held["facts"]))
+                   held["head"], held["notes"], undefined(held["facts"]))
 
 
 def shown_cell(cell: Cell, digits: int) -> str:
@@ -199,19 +199,12 @@ def dumps(value: Any, indent: int | None = None) -> str:
     return json.dumps(plain(value), indent=indent, allow_nan=False) + "\n"
 
 
-def loads(text: str) -> Any:
-    """The inverse of `dumps`, with NaN for null. ValueError for text that is no JSON."""
-    try:
-        return _undefined(parse_json(text, "a result", ""))
-    except InputError as error:
-        raise ValueError(str(error)) from None
-
-
-def _undefined(value: Any) -> Any:
+def undefined(value: Any) -> Any:
+    """JSON that was read, with NaN for null, however deep it lies."""
     if isinstance(value, dict):
-        return {key: _undefined(inner) for key, inner in value.items()}
+        return {key: undefined(inner) for key, inner in value.items()}
     if isinstance(value, list):
-        return [_undefined(inner) for inner in value]
+        return [undefined(inner) for inner in value]
     return math.nan if value is None else value
 
 

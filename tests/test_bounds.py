@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import pytest
 
 from eval.acceptance.bounds import ANY, Bound, Verdict, at_least, at_most, summary, verdict_table
 from eval.stats import Interval
-from eval.table import Table, dumps, loads
+from eval.table import Table, dumps
 
 
 def test_a_bound_holds_at_its_ends_and_nothing_holds_nan() -> None:
@@ -35,7 +36,7 @@ def test_a_clause_is_judged_by_its_mean_and_what_is_undefined_is_broken() -> Non
     assert summary(every) == "1 of 2 clauses hold."
     table = verdict_table("t", every)
     assert "| b | - | at least 1.00 | NO |" in table.markdown()
-    again = Table.from_dict(loads(dumps(table.to_dict()))).facts["clauses"]
+    again = Table.from_dict(json.loads(dumps(table.to_dict()))).facts["clauses"]
     assert [entry["name"] for entry in again] == ["a", "b", "c", "d"]
     beside = verdict_table("t", [wide], {"theirs": [Verdict("a", at_most(0.6), Interval.exact(0.7, 1))]})
     assert beside.rows["a"]["theirs"] == "0.70 !"
