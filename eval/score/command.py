@@ -331,7 +331,8 @@ def _against_truth(name: str, metric: Metric, control: ScoreRow, truth: ScoreRow
         return []
     if metric.good == "low":
         floor = mean_of(figures, FLOOR, name)
-        if control_value > floor:
+        # What is no distance between sets has no floor.
+        if not control_value <= floor:
             return []
         return [f"is no farther than half of the truth from the other ({control_value:.3g}, {floor:.3g})"]
     if metric.good == "high" and control_value >= truth_value:
