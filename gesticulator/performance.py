@@ -56,7 +56,7 @@ class Performance:
     generation: Generation | None = field(default=None, repr=False, compare=False)
     """The first generation, from which edits start (`Gesticulator.keeps_generations`)."""
     character: CharacterMotion | None = None
-    """The same motion on a user's character, written to .bvh, .glb, .fbx, .usda, .usdc, .csv and .parquet."""
+    """The same motion on a user's character, written to .bvh, .glb, .fbx, .usda, .usdc and .csv."""
     face: FaceMotion | None = None
     """The face over the same frames, where one was asked for (`InferenceOptions.face`)."""
     clip: ClipLayout | None = None

@@ -18,15 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from data_module.types import Array
 from gesticulator.directing.gesture_parts import GestureScript, HandKey, HandPart, Repeat
+from gesticulator.directing.gesture_scripts import SCRIPTS
 from gesticulator.directing.hands import arm_turns, best_swing, finger_turns, hand_rotation
-from gesticulator.directing.scripts_of_people import PEOPLE
-from gesticulator.directing.scripts_of_things import THINGS
-from gesticulator.plan.gestures import ALIASES
 from gesticulator.plan.plan import GestureCue
 
-SCRIPTS: dict[str, tuple[GestureScript, ...]] = {**PEOPLE, **THINGS}
-SCRIPTS |= {alias: SCRIPTS[name] for alias, name in ALIASES.items()}
-"""Name of a gesture -> its takes, of which a draw chooses one."""
 _HOME = np.array([0.03, -0.28, 0.26])
 """Where a hand is when it rests in front of the body, metres from its shoulder: larger gestures go further from it."""
 _FADE = 0.18

@@ -14,15 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_module.errors import InputError
-from gesticulator.arguments import (
-    RunSettings,
-    check_choices,
-    performance_arguments,
-    run_settings_of,
-    settings_of,
-)
+from gesticulator.arguments import performance_arguments, run_settings_of, settings_of
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
-from gesticulator.jobs import STDIN, Job, Worker, load
+from gesticulator.jobs import STDIN, Job, RunSettings, Worker, load
 from gesticulator.page.saved_edits import place_of, put_aside, read_saved, save
 
 if TYPE_CHECKING:
@@ -50,7 +44,6 @@ def run(args: argparse.Namespace) -> int:
 
     settings = run_settings_of(args)
     job = _job(args)
-    check_choices(job.options)
     with PageServer(args.port) as server, our_warnings(), limited_threads(settings.threads):
         _prepare(server, job, settings, args.anew)
         _serve(server, args.no_browser)
