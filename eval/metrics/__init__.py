@@ -180,7 +180,7 @@ def _usable() -> dict[str, Metric]:
     """The metrics without those of other packages that cannot be loaded; of each of these a line is printed."""
     # Loaded here once, so that a broken package is told of before an hour of measuring and not after it.
     entries = METRICS.usable()
-    for name in [name for name in METRICS.points() if name in entries]:
+    for name in [name for name in METRICS.points if name in entries]:
         try:
             METRICS.load(name)
         except InputError as error:

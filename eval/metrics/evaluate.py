@@ -47,7 +47,7 @@ NO_SPACE = f"{eye.frechet.REFERENCE} is not in GESTICULATOR_DATA"
 LEXEME_METRICS = tuple(name for name, metric in CLIP_METRICS.items() if metric.part == "lexemes")
 MOTION_METRICS = tuple(name for name in CLIP_METRICS if name not in LEXEME_METRICS)
 """Those that take no bundle."""
-_OTHERS = {name: METRICS.load(name) for name in METRICS.points() if name in MOTION_METRICS}
+_OTHERS = {name: METRICS.load(name) for name in METRICS.points if name in MOTION_METRICS}
 
 
 @dataclass(frozen=True)
