@@ -36,8 +36,8 @@ def _contents(folder: Path) -> dict[str, bytes]:
 
 def test_the_data_set_beside_the_store_gives_the_same_store(tiny_store: Path, tmp_path: Path) -> None:
     """BVH, FLAC and JSON hold everything: the folder reader brings back the same recordings."""
-    assert main(["build", "folder", "--source", str(tiny_store / "dataset"), "--out", str(tmp_path / "s"), "--no-dataset",
-                 "--workers", "1"]) == 0
+    assert main(["build", "folder", "--source", str(tiny_store / "dataset"), "--out", str(tmp_path / "s"),
+                 "--no-dataset", "--workers", "1"]) == 0
     made, read = Store.open(tiny_store), Store.open(tmp_path / "s")
     assert read.names == made.names
     for before, after in zip(made.recordings, read.recordings, strict=True):
