@@ -50,7 +50,9 @@ class SetupResolver:
         follow."""
         bundle, defaults = self._bundle, self._bundle.config.selection
         activity = (defaults.activity if options.activity is None else options.activity) * options.energy_share
-        self.check_activity(activity)
+        # With rest by phrases (silence.rest=life) activity works without a gate, which would only rank the phrases.
+        if 0 < activity < 1 and "gate" not in bundle.parts and not bundle.rests_by_phrase:
+            raise InputError(f"activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")
         if options.variation and not bundle.system.VARIES:
             raise InputError(f"variation {options.variation}", "needs a generator that samples, and this bundle's is "
                              "deterministic", "leave it out, or choose another seed")
@@ -70,12 +72,6 @@ class SetupResolver:
         interpreter = interpreter.steered(options.beta, temperature)
         return Setup(interpreter, self.speaker(options.speaker), temperature, int(options.seed), activity,
                      hand_controls(bundle, options), int(options.variation), interpreter.beta, text)
-
-    def check_activity(self, activity: float) -> None:
-        """`InputError` for a share of gestures between none and all that the bundle cannot decide."""
-        # With rest by phrases (silence.rest=life) activity works without a gate, which would only rank the phrases.
-        if 0 < activity < 1 and "gate" not in self._bundle.parts and not self._bundle.rests_by_phrase:
-            raise InputError(f"activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")
 
     def _interpreter(self, options: InferenceOptions, text: bool) -> LexemeInterpreter:
         """The interpreter object of the options, or the one of their name: the bundle's, or an object used before."""

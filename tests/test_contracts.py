@@ -19,9 +19,7 @@ from data_module.corpora.base import Options
 from data_module.corpora.table import CORPORA, open_corpus
 from data_module.errors import InputError
 from data_module.registry import Registry, RegistryEntry
-from eval.metrics import METRICS
 from eval.pictures import PLOTS
-from eval.probes import PROBES
 from gesticulator.characters.reading import READERS, read_character
 from gesticulator.cli import VERBS, Command
 from gesticulator.export.writers import WRITERS
@@ -30,7 +28,7 @@ from gesticulator.training.stages import STAGES
 from gesticulator.training.stages.base import Node, Run, Stage
 from interpreters import INTERPRETERS
 
-TABLES: tuple[Registry[RegistryEntry], ...] = (INTERPRETERS, WRITERS, READERS, CORPORA, METRICS)  # type: ignore[assignment]
+TABLES: tuple[Registry[RegistryEntry], ...] = (INTERPRETERS, WRITERS, READERS, CORPORA)  # type: ignore[assignment]
 
 
 @pytest.mark.parametrize(("table", "name"), [pytest.param(table, name, id=f"{table.kind} {name}")
@@ -59,14 +57,12 @@ def test_a_reader_of_characters_refuses_what_is_none_in_one_line(suffix: str, tm
         assert "\n" not in str(caught.value) and f"a{suffix}" in str(caught.value)
 
 
-@pytest.mark.parametrize(("table", "name"), [pytest.param(table, name, id=f"{table.kind} {name}")
-                                             for table in (PROBES, PLOTS) for name in table])
-def test_a_probe_or_a_plot_has_arguments_a_run_and_a_line_about_it(table: Registry[RegistryEntry], name: str
-                                                                   ) -> None:
-    tool = table.load(name)
+@pytest.mark.parametrize("name", PLOTS)
+def test_a_plot_has_arguments_a_run_and_a_line_about_it(name: str) -> None:
+    tool = PLOTS.load(name)
     parser = argparse.ArgumentParser()
     tool.arguments(parser)
-    assert callable(tool.run) and tool.__doc__ and table[name].about and "\n" not in table[name].about
+    assert callable(tool.run) and tool.__doc__ and PLOTS[name].about and "\n" not in PLOTS[name].about
     assert parser.format_help().count("--") > 1, "it takes options"
 
 

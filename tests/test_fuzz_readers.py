@@ -58,7 +58,6 @@ NO_CASE = {
     "a model that another library reads": """
         data_module/speech/learned_front_ends.py:_open data_module/text/alignment.py:_loaded_decoder
         data_module/text/word_vectors.py:_load gesticulator/gesticulator.py:Gesticulator.word_encoder""",
-    "a file of the operating system": "gesticulator/ray_pool.py:_runs_here",
     "LMDB's library maps the file into memory and trusts it; each value that it gives has a case": """
         data_module/corpora/ted.py:_database""",
 }

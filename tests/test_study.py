@@ -328,30 +328,25 @@ def test_other_bad_input_is_one_line_and_exit_2(made: Path, systems: dict[str, P
 # ---------------------------------------------------------------- as videos
 
 @pytest.fixture(scope="module")
-def films(systems: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """The folders of a study of 2 clips of 1 s, as videos of both kinds."""
+def films(systems: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a study of 2 clips of 1 s, as videos."""
     pytest.importorskip("av")
     pytest.importorskip("PIL")
-    out = {}
-    for kind in ("mp4", "webm"):
-        out[kind] = tmp_path_factory.mktemp(f"films{kind}")
-        assert ask(["make", "--out", str(out[kind]), "--clips", "2", "--seconds", "1", "--raters", "12",
-                           "--videos", kind, "--systems",
-                           *(f"{name}={folder}" for name, folder in systems.items())]) == 0
+    out = tmp_path_factory.mktemp("films")
+    assert ask(["make", "--out", str(out), "--clips", "2", "--seconds", "1", "--raters", "12", "--videos", "mp4",
+                "--systems", *(f"{name}={folder}" for name, folder in systems.items())]) == 0
     return out
 
 
-@pytest.mark.parametrize("kind", ["mp4", "webm"])
-def test_nothing_in_the_videos_names_a_system(films: dict[str, Path], systems: dict[str, Path], kind: str) -> None:
+def test_nothing_in_the_videos_names_a_system(films: Path, systems: dict[str, Path]) -> None:
     import av
 
-    folder, key = films[kind] / "page", json.loads((films[kind] / "key.json").read_text())
+    folder, key = films / "page", json.loads((films / "key.json").read_text())
     told = _data(folder / "index.html")
-    assert {file.name for file in folder.iterdir()} == {"index.html", *(f"{name}.{kind}" for name in key["items"])}
-    assert told["videos"] == kind and all(set(item) == {"id"} for item in told["items"])
+    assert {file.name for file in folder.iterdir()} == {"index.html", *(f"{name}.mp4" for name in key["items"])}
+    assert told["videos"] == "mp4" and all(set(item) == {"id"} for item in told["items"])
     assert [item["id"] for item in told["items"]] == sorted(key["items"]) and len(key["items"]) == 6
-    files = [folder / f"{name}.{kind}" for name in key["items"]]
-    assert len({file.stat().st_size for file in files}) == 1, "a still figure would be a smaller file"
+    files = [folder / f"{name}.mp4" for name in key["items"]]
     seen = set()
     for file in (*files, folder / "index.html"):
         for word in (*NAMES, "walrus", *map(str, systems.values())):
@@ -363,15 +358,15 @@ def test_nothing_in_the_videos_names_a_system(films: dict[str, Path], systems: d
     assert len(seen) == 1, "all have the same tags, codecs and length"
 
 
-def test_videos_show_what_the_key_says(films: dict[str, Path], systems: dict[str, Path]) -> None:
+def test_videos_show_what_the_key_says(films: Path, systems: dict[str, Path]) -> None:
     import av
 
     from gesticulator.export import film
 
-    key = json.loads((films["webm"] / "key.json").read_text())
+    key = json.loads((films / "key.json").read_text())
     for name, own in key["items"].items():
         clip = key["clips"][own["clip"]]
-        with av.open(str(films["webm"] / "page" / f"{name}.webm")) as container:
+        with av.open(str(films / "page" / f"{name}.mp4")) as container:
             shown = [frame.to_ndarray(format="rgb24").astype(int) for frame in container.decode(video=0)]
         assert len(shown) == 30
         # Some way in: the furthest from the others' poses.
@@ -381,10 +376,10 @@ def test_videos_show_what_the_key_says(films: dict[str, Path], systems: dict[str
             points = figure_points(motion, clip["start"] + np.array([20]) / 30)
             far[system] = np.abs(np.array(next(film.pictures(points))).astype(int) - shown[20]).mean()
         assert min(far, key=lambda system: far[system]) == own["system"]
-        with av.open(str(films["webm"] / "page" / f"{name}.webm")) as container:
+        with av.open(str(films / "page" / f"{name}.mp4")) as container:
             heard = np.concatenate([part.to_ndarray().reshape(-1) for part in container.decode(audio=0)])
         said = _voice(9.0, int(clip["recording"][-1]))[round(clip["start"] * RATE):][:RATE]
-        assert len(heard) == 3 * RATE and np.corrcoef(heard[::3], said)[0, 1] > 0.6
+        assert 0 <= len(heard) - 3 * RATE < 1024 and np.corrcoef(heard[:3 * RATE:3], said)[0, 1] > 0.6
 
 
 # ---------------------------------------------------------------- in a browser

@@ -1,7 +1,7 @@
 """A user study: the page that raters see, and what their answers say (RG 7.3.3, Figure 12; RACER 5.4, Figure 4).
 
     gesticulator study make --systems ours=DIR truth=DIR other=DIR --out FOLDER [--clips 10 --seconds 30 --seed 0]
-                              [--videos mp4|webm]
+                              [--videos mp4]
     gesticulator study analyse --key FOLDER/key.json ratings-*.json [--out study.json]
 
 `make` takes folders that hold motion (BVH) and its speech under the same names in each. It writes the page, one file
@@ -46,6 +46,7 @@ from eval.table import Provenance, publish
 from gesticulator.cli import PROGRAM
 from gesticulator.export import film, sound
 from gesticulator.export.figure import figure_points
+from gesticulator.export.writers import check_output
 
 ASPECTS = {
     "human_likeness": "How human-like does the figure move? Please leave the speech aside for this question.",
@@ -96,7 +97,7 @@ class StudyClip:
 @dataclass(frozen=True)
 class StudyOptions:
     """clips: stretches, `seconds` long each. seed: which, and the order. raters: how many orders the page holds; rater
-    raters + 1 gets that of rater 1. videos: "mp4" or "webm" for a video of each item beside the page."""
+    raters + 1 gets that of rater 1. videos: "mp4" for a video of each item beside the page."""
 
     clips: int = 10
     seconds: float = 30.0
@@ -214,7 +215,7 @@ def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
     clips, seconds, seed, videos = options.clips, options.seconds, options.seed, options.videos
     if videos is not None:
         # What cannot be written is said before minutes of drawing.
-        film.format_of(f".{videos}")
+        check_output(out / f"item.{videos}")
     takes, aspects = read_takes(systems), list(options.aspects)
     chosen = choose_clips(takes, clips, seconds, seed)
     # Ids are hashes of the whole sources, which no rater has: knowing the seed and the names would not undo them.
@@ -244,7 +245,7 @@ def make(systems: dict[str, Path], out: Path, options: StudyOptions) -> Path:
     (out / "page").mkdir(parents=True, exist_ok=True)
     write_text(out / "key.json", json.dumps(key, indent=1) + "\n")
     if videos is not None:
-        _film({ids[c, k]: (shown[c, k], stretches[c]) for c, k in items}, out / "page", f".{videos}")
+        _film({ids[c, k]: (shown[c, k], stretches[c]) for c, k in items}, out / "page")
     # Videos lie beside the page, on a disk or a server; without them nothing but the page itself is ever read.
     write_text(out / "page" / "index.html", page_of(data, "blob:" if videos is None else "'self' file:"))
     return out / "page" / "index.html"
@@ -266,14 +267,12 @@ def page_of(data: dict[str, Any], media: str) -> str:
     return _SLOT.sub(lambda match: parts[match.group(1)], text)
 
 
-def _film(items: dict[str, tuple[dict[str, NDArray[np.float64]], Speech]], folder: Path, suffix: str) -> None:
-    """Each item as `folder`/ID`suffix`, all of one size in bytes, written in the order of their ids."""
-    # The page's last place is the end of its last frame; a video's last frame begins one before.
-    films = {name: film.encode({joint: places[:-1] for joint, places in shown.items()}, speech, suffix, fps=FPS)
-             for name, (shown, speech) in items.items()}
-    size = max(map(len, films.values())) + film.LEAST_FILLING
-    for name, data in films.items():
-        write_bytes(folder / f"{name}{suffix}", film.filled(data, size, suffix))
+def _film(items: dict[str, tuple[dict[str, NDArray[np.float64]], Speech]], folder: Path) -> None:
+    """Each item as `folder`/ID.mp4, written in the order of their ids."""
+    for name, (shown, speech) in items.items():
+        # The page's last place is the end of its last frame; a video's last frame begins one before.
+        points = {joint: places[:-1] for joint, places in shown.items()}
+        write_bytes(folder / f"{name}.mp4", film.encode(points, speech))
 
 
 def _opaque(source: str, what: str) -> str:
@@ -324,7 +323,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     m.add_argument("--raters", type=int, default=30, metavar="N", help="number of different orders (default 30)")
     m.add_argument("--aspects", nargs="+", choices=ASPECTS, default=list(DEFAULT_ASPECTS),
                    help="the question to the raters")
-    m.add_argument("--videos", choices=[suffix[1:] for suffix in film.FORMATS],
+    m.add_argument("--videos", choices=("mp4",),
                    help="write each item as a video beside the page, instead of drawing it on the page")
     a = commands.add_parser("analyse", help="compute means, intervals, ANOVA, Tukey HSD and ranks")
     a.add_argument("--key", type=Path, required=True, metavar="FILE.json")
