@@ -68,7 +68,7 @@ _PARSERS: Mapping[str, Callable[[str], object]] = {"hold_still": _seconds, "cues
 """Field -> parser of its value, for values that are neither numbers nor words."""
 _GROUPS = {
     "audio and transcript": "",
-    "motion": "VALUE is low, mid or high, a number, or a CSV file with the columns time and value.",
+    "motion": "VALUE is low, mid or high, or a number.",
 }
 """Title of a group of options -> its description."""
 

@@ -304,13 +304,12 @@ class Worker:
         factor = (time.perf_counter() - begin) / speech.duration
         written = [performance.save(target, unit=job.unit if target.suffix.lower() == ".bvh" else "cm")
                    for target in job.targets]
-        notes = [*performance.notes, *(performance.retiming.lines()[1:] if performance.retiming is not None else ())]
         pages = [f"open {page} in a browser to watch it" for page in written if page.suffix.lower() == ".html"]
         lexemes = performance.lexemes.tolist()
         line = (f"{job.name}: {speech.duration:.1f} s, {len(lexemes) - 1} beats, {len(set(lexemes))} of "
                 f"{len(self.gesticulator.bundle.vectors)} lexemes, real-time factor {factor:.3f} -> "
                 f"{printable(', '.join(map(str, written)))}")
-        return speech.duration, "\n  ".join([line, *notes, *pages])
+        return speech.duration, "\n  ".join([line, *performance.notes, *pages])
 
     def performed(self, job: Job, speech: Speech) -> Performance:
         """The performance of a recording, on the default skeleton, with a progress bar on the terminal; with legs, too,

@@ -25,8 +25,6 @@ import soundfile
 from hypothesis import strategies as st
 
 from data_module.arrays import read_npz
-from data_module.build_report import report_of
-from data_module.controls import FEATURES, read_curve
 from data_module.corpora.base import Options
 from data_module.corpora.folder import FolderOptions
 from data_module.corpora.serialised import deserialise
@@ -218,7 +216,7 @@ def _store(mutated: str) -> Callable[[Path], Path]:
 def _read_store(file: Path) -> object:
     folder = next(parent for parent in file.parents if parent.name == "s")
     store = Store.open(folder)
-    return [store.load(name) for name in store.names], report_of(store)
+    return [store.load(name) for name in store.names]
 
 
 def _with_hashes(pack: Callable[[Path, bytes], object]) -> Callable[[Path, bytes], object]:
@@ -594,11 +592,8 @@ READERS: dict[str, Case] = {
     **{f"transcript of {name}": Case(_written(f"a{suffix}", write(MARKED)), lambda file: read_transcript(file, _SPEECH),
                                      examples=0.3)
        for name, (suffix, write) in recogniser_samples.FILES.items()},
-    "control curve": Case(_written("a.csv", "time,height,speed\n0,0.1,0.3\n1.5,0.2,0.4\n"),
-                          lambda file: [read_curve(file, feature) for feature in FEATURES[:2]]),
     "store, listing": Case(_store("store.json"), _read_store),
     "store, edited listing": Case(_store("store.json"), _read_store, packed=_with_fingerprint),
-    "store, report": Case(_store("report.json"), _read_store, lambda file: b'{"recordings": 1}'),
     "store, sound": Case(_store("recordings/a.flac"), _read_store, packed=_with_hashes(Path.write_bytes)),
     **{f"store, {name}": Case(_store("recordings/a.npz"), _read_store, _member(f"{name}.npy"),
                               _with_hashes(_with_member(f"{name}.npy")))

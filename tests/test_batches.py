@@ -194,7 +194,7 @@ def test_shards_of_a_folder_make_the_same_bytes(
     assert motions(out) == plain and sorted(plain) == ["a.bvh", "b.bvh", "d.bvh"]
     rows = {Path(name).name: row for path in out.glob("manifest.*-of-2.*") for name, row in read_manifest(path).items()}
     assert [name for name, row in sorted(rows.items()) if not row.error] == ["a.wav", "b.wav", "d.wav"]
-    assert "cut short" in rows["c.wav"].error and "done" in capfd.readouterr().out
+    assert "too short" in rows["c.wav"].error and "done" in capfd.readouterr().out
     before = {path: path.stat().st_mtime_ns for path in out.glob("*.bvh")}
     assert infer.main([str(talks), "-o", f"{out}/", "--shard", "1/2", "--quiet"]) == codes[0]
     assert {path: path.stat().st_mtime_ns for path in out.glob("*.bvh")} == before

@@ -90,9 +90,8 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings, anew: bool) ->
             "levels": levels_of(gesticulator.bundle), "speakers": list(gesticulator.speakers)}
     more = {"live": live, **({} if chosen is None else html.character_data(*chosen, scene.face))}
     if performance.retiming is not None:
-        lines = performance.retiming.lines()
-        print("\n".join(f"  {line}" for line in lines), flush=True)
-        more["notice"] = "The edits were moved onto the new sound. " + " ".join(lines)
+        print(f"  {performance.retiming}", flush=True)
+        more["notice"] = f"The edits were moved onto the new sound. {performance.retiming}"
     server.page = html.page({performance.decided.interpreter: scene}, html.title_of(source), more=more).encode()
     # What is only tried is not saved.
     session.on_edit = lambda request, plan: None if request.get("trial") else save(source, plan)
