@@ -12,7 +12,7 @@ Only the command line and the public names of `gesticulator` are used, so module
     stream      the example in pieces of odd sizes, with pauses, thinking, listening and an interruption
     edit        gesture plans that were edited as JSON and rendered again
     paper       the bundle in the papers' own form: options, words, and a plan rendered again
-    clips       loops, masks, layers, keys, faces, several recordings in one file, and a folder with texts
+    clips       loops, masks, layers, keys, faces, and a folder with texts
     foreign     a downloaded form of character (VRM, and GLB with blend shapes), where $GESTICULATOR_CASES names them
 
 A name is KIND:GROUP/CASE, such as bvh:edit/swap. `plan:` and `html:` hold what was decided, the others the motion;
@@ -47,7 +47,7 @@ from gesticulator import Gesticulator, InputError
 
 ROOT = Path(__file__).resolve().parents[1]
 SPEECH, TEXT = ROOT / "examples" / "speech.flac", ROOT / "examples" / "speech.txt"
-SUFFIXES = (".bvh", ".glb", ".vrma", ".usda", ".npz", ".csv", ".parquet", ".json", ".html", ".g1.csv")
+SUFFIXES = (".bvh", ".glb", ".vrma", ".usda", ".npz", ".csv", ".json", ".html", ".g1.csv")
 """Formats whose bytes depend on nothing but the input; .fbx, films and .usdc are left out."""
 KINDS = {"json": "plan"}
 """Suffix -> kind of a name, where it is not the suffix."""
@@ -439,7 +439,7 @@ def paper(golden: Golden) -> None:
 
 
 def clips(golden: Golden) -> None:
-    """Layouts of a clip, faces, and several recordings at once."""
+    """Layouts of a clip, faces, and a folder of recordings."""
     sound, text = golden.sound(PIECE), golden.text()
     for name, options in {"loop": ("--loop",), "keys": ("--keys", "all"), "upper": ("--mask", "upper"),
                           "still": ("--root", "none"), "name": ("--clip-name", "talk"), "lips": ("--face", "lips"),
@@ -460,10 +460,6 @@ def clips(golden: Golden) -> None:
                      str(out / "manifest.jsonl"), "--quiet"])
         for path in sorted([*out.glob("*.bvh"), *out.glob("*.html")]):
             golden.add(path.suffix[1:], f"clips/folder_{path.stem}", path.read_bytes())
-    with golden.case("clips/together"):
-        together = golden.folder / "together.glb"
-        run_command([str(folder), "-o", str(together), "--one-file", "--quiet"])
-        golden.add("glb", "clips/together", together.read_bytes())
 
 
 def foreign(golden: Golden) -> None:

@@ -6,6 +6,7 @@ sends --seconds of speech as it is spoken, 20 ms at a time, reads its poses, and
     answer    seconds from when a sound was sent until the pose of its time came, for each packet of poses
     dropped   streams that were refused or closed before they were done, by code
     missing   frames that did not come in streams that were done
+    passed    seconds of sound, over all streams, that the server only idled to because it was late
 """
 
 from __future__ import annotations
@@ -45,11 +46,12 @@ class LoadFigures:
     closed: Counter[str] = field(default_factory=Counter)
     done: int = 0
     missing: int = 0
+    passed: float = 0.0
 
     def report(self) -> dict[str, Any]:
         """Ready for JSON."""
         return {"done": self.done, "dropped": dict(self.closed), "missing_frames": self.missing,
-                "answer": percentiles(self.answers)}
+                "passed_seconds": round(self.passed, 1), "answer": percentiles(self.answers)}
 
 
 def percentiles(times: Sequence[float]) -> dict[str, float]:
@@ -84,7 +86,7 @@ class Voice:
 
 async def run_client(url: str, hello: Hello, sound: bytes, figures: LoadFigures) -> None:
     """One stream from its hello to its end."""
-    voice, frames, code = Voice(sound), 0, REFUSED
+    voice, frames, code, passed = Voice(sound), 0, REFUSED, 0.0
     try:
         async with connect(url, hello) as stream:
             sending = asyncio.create_task(voice.send(stream))
@@ -96,6 +98,8 @@ async def run_client(url: str, hello: Hello, sound: bytes, figures: LoadFigures)
                         since = voice.since(message.time)
                         if since is not None:
                             figures.answers.append(since)
+                    elif message.get("type") == "pace":
+                        passed = float(message["passed"])
                     elif message.get("type") == "done":
                         code = "1000"
                     elif message.get("type") == "error":
@@ -109,6 +113,7 @@ async def run_client(url: str, hello: Hello, sound: bytes, figures: LoadFigures)
             code = str(error.rcvd.code if error.rcvd else 1006)
     except (OSError, InvalidHandshake, TimeoutError, ValueError) as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
+    figures.passed += passed
     if code == "1000":
         figures.done += 1
         figures.missing += max(0, math.floor(len(sound) / 2 / RATE * hello.fps + 1e-6) - frames)

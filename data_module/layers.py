@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
-from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 SLOPE = 0.2
 """Negative slope of every LeakyReLU."""
@@ -30,7 +27,7 @@ def few(rows: Tensor) -> bool:
     """Whether `Product` is faster for these rows: they are few, in single precision and on a CPU, and need no
     gradient."""
     return (rows.numel() <= _MOST and rows.device.type == "cpu" and rows.dtype is torch.float32
-            and not torch.is_grad_enabled() and not torch.is_autocast_enabled("cpu"))
+            and not torch.is_grad_enabled())
 
 
 class Product:
@@ -112,13 +109,8 @@ def run_lstm(lstm: nn.LSTM, rows: Tensor, hidden: tuple[Tensor, Tensor] | None =
     """`lstm(rows, hidden)` for rows [B, T, W], faster for the few rows of a live block.
 
     On a CPU torch packs all weights again at each call: 0.3 ms of 0.5 for 8 rows of 192 units. Few rows without
-    gradient are therefore computed one by one, by `Product` if they are few enough for that. Under
-    `torch.autocast` on a CPU without an LSTM in half precision, it is computed in single precision.
+    gradient are therefore computed one by one, by `Product` if they are few enough for that.
     """
-    if rows.device.type == "cpu" and torch.is_autocast_enabled("cpu") \
-            and not _has_narrow_lstm(torch.get_autocast_dtype("cpu")):
-        with torch.autocast("cpu", enabled=False):
-            return run_lstm(lstm, rows.float(), None if hidden is None else (hidden[0].float(), hidden[1].float()))
     # In training the module itself runs: it has dropout, and kernels for gradients.
     live = rows.shape[0] * rows.shape[1] <= _FEW_ROWS and rows.device.type == "cpu"
     if not live or torch.is_grad_enabled() or lstm.training:
@@ -143,19 +135,6 @@ def run_lstm(lstm: nn.LSTM, rows: Tensor, hidden: tuple[Tensor, Tensor] | None =
         rows = torch.stack(out, 1)
         ends.append((h, c))
     return rows, (torch.stack([h for h, _ in ends]), torch.stack([c for _, c in ends]))
-
-
-@functools.cache
-def _has_narrow_lstm(dtype: torch.dtype) -> bool:
-    """Whether this CPU has an LSTM in half precision. oneDNN has linear layers and convolutions in bfloat16 on all
-    CPUs, an LSTM only with hardware support; the only way to know is to try."""
-    state, weights = torch.zeros(1, 1, 1), [torch.zeros(4, 1), torch.zeros(4, 1), torch.zeros(4), torch.zeros(4)]
-    try:
-        with torch.no_grad(), torch.autocast("cpu", dtype):
-            torch.lstm(state, (state, state), weights, True, 1, 0.0, True, False, True)
-    except RuntimeError:
-        return False
-    return True
 
 
 class BlockLinear(nn.Module):
@@ -216,21 +195,3 @@ def masked_mean(values: Tensor, mask: Tensor | None) -> Tensor:
     weights = mask.to(values.dtype).expand_as(values)
     # At least 1: a batch may hold nothing but padding, and 0 / 0 would end the training.
     return (values * weights).sum() / weights.sum().clamp_min(1.0)
-
-
-def full_precision(function: F) -> F:
-    """Compute a function of tensors in single precision under `torch.autocast` too, because nearest neighbours and
-    targets of losses must not be rounded to three digits."""
-
-    @functools.wraps(function)
-    def precise(*args: Any, **kwargs: Any) -> Any:
-        device = next((value.device.type for value in args if isinstance(value, Tensor)), "cpu")
-        if not torch.is_autocast_enabled(device):
-            return function(*args, **kwargs)
-        # Inputs computed under autocast are in half precision already: widening them keeps the further steps exact.
-        widened = [value.float() if isinstance(value, Tensor) and value.dtype in (torch.bfloat16, torch.float16)
-                   else value for value in args]
-        with torch.autocast(device, enabled=False):
-            return function(*widened, **kwargs)
-
-    return precise  # type: ignore[return-value]

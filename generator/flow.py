@@ -42,7 +42,6 @@ from data_module.layers import (
     Product,
     convolutions,
     few,
-    full_precision,
     masked_mean,
     repeat_frames,
     run_lstm,
@@ -266,14 +265,14 @@ class FlowGenerator(nn.Module):
         # The target leads from the shifted past back to the recorded motion within the block: what the generator has to
         # do after an error of its own.
         back = true + (before[..., -1:, :] - motion[:, :-1, -1:]) * fading
-        y = full_precision(self.basis.coefficients)(back, past)
+        y = self.basis.coefficients(back, past)
         u = self.squeeze(y)
         # The coefficients of the seed block are not known: they depend on a past before the window.
         added = torch.cat([torch.zeros_like(u[:, :1]), u[:, :-1]], 1)
         share = torch.rand(*u.shape[:2], 1, device=u.device)
         added = torch.where(share < no_added, torch.zeros_like(added), added)
         # Labels anew from the shifted blocks, so that a lexeme always names the movement that is to be made.
-        lexeme = full_precision(nearest)(y.flatten(0, 1)).unflatten(0, y.shape[:2])
+        lexeme = nearest(y.flatten(0, 1)).unflatten(0, y.shape[:2])
         # One number for each window and input: guidance runs whole performances without an input, not single blocks.
         some = torch.rand(5, len(motion), device=u.device)
         lexeme = torch.where((some[0] < no_lexeme)[:, None], torch.full_like(lexeme, self.lexemes), lexeme)

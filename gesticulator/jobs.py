@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError, complain, printable
 from gesticulator.cli import PROGRAM
-from gesticulator.export.clip import NAME, ClipLayout
+from gesticulator.export.clip import ClipLayout
 from gesticulator.export.writers import suffix_of
 from gesticulator.options import InferenceOptions
 
@@ -89,13 +89,22 @@ class Job:
 
 
 @dataclass(frozen=True)
-class BatchRequest:
-    """How many recordings are to be processed together. manifest: its file; None: the default beside the outputs.
-    shard: such as 2/8; None: all. ray: where a Ray cluster is; None: process in this process."""
+class RunSettings:
+    """How a command runs. bundle: its name or folder; None: the default. threads: of torch. quiet: print no progress
+    bar and no summary. manifest: the file that records a batch; None: beside the outputs. shard: such as 2/8; None:
+    all. ray: where a Ray cluster is; None: process in this process."""
 
+    bundle: str | None = None
+    threads: int = 1
+    quiet: bool = False
     manifest: str | None = None
     shard: str | None = None
     ray: str | None = None
+
+    @property
+    def is_batch(self) -> bool:
+        """Whether a manifest records what was done."""
+        return bool(self.manifest or self.shard or self.ray)
 
 
 def _content(value: Any) -> object:
@@ -121,36 +130,9 @@ def file_hash(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """The result of processing a recording.
-
-    name: of the recording. seconds: of sound; beats: their number; used: different lexemes, of `lexicon`; factor:
-    computing time over duration (real-time factor). written: the files. notes: remarks for the user, a line each.
-    """
-
-    name: str
-    seconds: float
-    beats: int
-    used: int
-    lexicon: int
-    factor: float
-    written: tuple[Path, ...]
-    notes: tuple[str, ...] = ()
-
-    def __str__(self) -> str:
-        """The summary that is printed."""
-        pages = [f"  open {page} in a browser to watch it" for page in self.written if page.suffix.lower() == ".html"]
-        line = (f"{self.name}: {self.seconds:.1f} s, {self.beats} beats, {self.used} of {self.lexicon} lexemes, "
-                f"real-time factor {self.factor:.3f} -> {printable(', '.join(map(str, self.written)))}")
-        return "\n".join([line, *(f"  {note}" for note in self.notes), *pages])
-
-
-def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None = None, together: bool = False
-             ) -> list[Job]:
+def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None = None) -> list[Job]:
     """The jobs of a command. names: files, folders, patterns, or "-". outputs: suffix (".bvh") -> the file or folder
-    to write to. text: a transcript, or a folder of transcripts named like the recordings. together: one file holds all
-    recordings.
+    to write to. text: a transcript, or a folder of transcripts named like the recordings.
 
     A path that ends in a slash, or that is a folder, means a folder; anything else is a file. `InputError` for an
     output with the wrong suffix, one file for several recordings, two recordings of one name, or a place that cannot be
@@ -160,10 +142,7 @@ def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None 
     if not outputs:
         raise InputError("output", "is missing", "name a file or a folder with -o")
     for suffix, given in outputs.items():
-        # A file of clips has one name; a folder would need one for each recording.
-        if together and is_folder(given):
-            raise InputError(given, "is a folder, and --one-file writes one file", f"name a file that ends in {suffix}")
-        _check_output(given, suffix, 1 if together else len(sources))
+        _check_output(given, suffix, len(sources))
     if text is not None:
         _check_text(text, len(sources))
     # Two recordings of one name in different folders would overwrite each other's output.
@@ -174,7 +153,7 @@ def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None 
         targets = tuple(Path(given) / f"{stem}{suffix}" if is_folder(given) else Path(given)
                         for suffix, given in outputs.items())
         for target in targets:
-            if target in written_by and not together:
+            if target in written_by:
                 raise InputError(source or STDIN, f"would be written to {target}, like {written_by[target] or STDIN}",
                                  "rename one of them, or give them folders of their own")
             written_by[target] = source
@@ -311,41 +290,23 @@ class Worker:
     retargeter: Retargeter | None = None
     quiet: bool = False
 
-    def perform(self, job: Job) -> Outcome:
-        """Process one recording: read it, generate its gestures and write the files."""
+    def perform(self, job: Job) -> tuple[float, str]:
+        """Process one recording: read it, generate its gestures and write the files. Returns seconds of sound, and the
+        summary for the user."""
         check_job(job)
         speech = load(job)
         # Without reading: the factor compares computing with the duration.
         begin = time.perf_counter()
         performance = self._laid_out(job, self.performed(job, speech))
-        spent = time.perf_counter() - begin
-        written = tuple(performance.save(target, unit=job.unit if target.suffix.lower() == ".bvh" else "cm")
-                        for target in job.targets)
-        notes = performance.notes
-        if performance.retiming is not None:
-            notes += tuple(performance.retiming.lines()[1:])
+        factor = (time.perf_counter() - begin) / speech.duration
+        written = [performance.save(target, unit=job.unit if target.suffix.lower() == ".bvh" else "cm")
+                   for target in job.targets]
+        pages = [f"open {page} in a browser to watch it" for page in written if page.suffix.lower() == ".html"]
         lexemes = performance.lexemes.tolist()
-        return Outcome(job.name, speech.duration, len(lexemes) - 1, len(set(lexemes)),
-                       len(self.gesticulator.bundle.vectors), spent / speech.duration, written, notes)
-
-    def perform_together(self, jobs: Sequence[Job]) -> str:
-        """Process recordings and write them as clips of one file for each target; returns the summary. An error of one
-        is an error of all, and nothing is written."""
-        from gesticulator.export.glb import write_clips
-
-        clips: list[Performance] = []
-        names = clip_names(jobs)
-        for job, name in zip(jobs, names, strict=True):
-            check_job(job)
-            # A clip of a shared file is named after its recording.
-            named = replace(job, clip=replace(job.clip or ClipLayout(), name=name))
-            clips.append(self._laid_out(named, self.performed(named, load(named))))
-        seconds = sum(clip.duration for clip in clips)
-        for target in jobs[0].targets:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            write_clips(target, [clip.scene() for clip in clips])
-        return "\n".join(f"{len(jobs)} recordings, {seconds:.1f} s -> {target}: {', '.join(names)}"
-                         for target in jobs[0].targets)
+        line = (f"{job.name}: {speech.duration:.1f} s, {len(lexemes) - 1} beats, {len(set(lexemes))} of "
+                f"{len(self.gesticulator.bundle.vectors)} lexemes, real-time factor {factor:.3f} -> "
+                f"{printable(', '.join(map(str, written)))}")
+        return speech.duration, "\n  ".join([line, *performance.notes, *pages])
 
     def performed(self, job: Job, speech: Speech) -> Performance:
         """The performance of a recording, on the default skeleton, with a progress bar on the terminal; with legs, too,
@@ -372,16 +333,6 @@ class Worker:
                                                     for target in job.targets)
             performance = performance.as_clip(replace(job.clip, sound=job.clip.sound and not beside))
         return performance if self.retargeter is None else performance.moved_by(self.retargeter)
-
-
-def clip_names(jobs: Sequence[Job]) -> list[str]:
-    """The names of recordings without suffix, with a number appended to repeated ones."""
-    # Animation tools find clips by name, so names in one file must differ.
-    names: list[str] = []
-    for job in jobs:
-        stem = "stdin" if job.source is None else Path(job.name).stem[:90] or NAME
-        names.append(stem if stem not in names else f"{stem} {len(names) + 1}")
-    return names
 
 
 def load(job: Job) -> Speech:

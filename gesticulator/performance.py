@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from gesticulator.characters.retarget import Retargeter
     from gesticulator.characters.rig import Character, CharacterMotion
     from gesticulator.editing.render import Generation
-    from gesticulator.editing.retiming import RetimingReport
     from gesticulator.export.clip import ClipLayout
     from gesticulator.export.writers import Scene
     from gesticulator.face.motion import FaceMotion
@@ -51,12 +50,12 @@ class Performance:
     """The options of the performance, with the bundle's defaults filled in."""
     names: Callable[[], tuple[LexemeName, ...]] | None = None
     """Returns the names of the lexemes."""
-    retiming: RetimingReport | None = None
+    retiming: str | None = None
     """What became of a plan that was moved onto this sound (`InferenceOptions.retime`)."""
     generation: Generation | None = field(default=None, repr=False, compare=False)
     """The first generation, from which edits start (`Gesticulator.keeps_generations`)."""
     character: CharacterMotion | None = None
-    """The same motion on a user's character, written to .bvh, .glb, .fbx, .usda, .usdc, .csv and .parquet."""
+    """The same motion on a user's character, written to .bvh, .glb, .fbx, .usda, .usdc and .csv."""
     face: FaceMotion | None = None
     """The face over the same frames, where one was asked for (`InferenceOptions.face`)."""
     clip: ClipLayout | None = None

@@ -1,7 +1,7 @@
 """Interpreters: from speech to lexemes and style codes. One protocol (`interpreters.base`), several systems.
 
-A new interpreter is one file and one entry here, or an entry point of another package (`data_module.registry`); one
-with weights has its training stage in a file too. This file imports none of them: the command line lists the names.
+A new interpreter is one file and one entry here, or an entry point of another package (`data_module.registry`); those
+of other packages have no weights. This file imports none of them: the command line lists the names.
 """
 
 from __future__ import annotations
@@ -28,12 +28,11 @@ class InterpreterEntry(RegistryEntry):
     `InterpreterDefaults.open`. text_part: the part to use if the speech has words. prior: the interpreter that it
     builds on and gets as an argument; empty for none.
 
-    For interpreters with weights: section: the group of settings (of `Config`, or of its `others`), by default the name
-    of the part. model: module and class of the weights, if not the interpreter itself: it has `build(settings, sizes)`,
-    and `Settings`, the class of its settings, if those are among `others`. file: names of the files of the part and the
-    text part without suffix, by default the names of the parts. tied: the weights fit one codebook only. stage: module
-    and name of the stage that trains it, if the table of stages lacks it. temperature: its default temperature, if it
-    is not that of the bundle. doubt: the warning with which it plays; empty for none.
+    For interpreters with weights: section: the group of settings of `Config`, by default the name of the part. model:
+    module and class of the weights, if not the interpreter itself: it has `build(settings, sizes)`. file: names of the
+    files of the part and the text part without suffix, by default the names of the parts. tied: the weights fit one
+    codebook only. temperature: its default temperature, if it is not that of the bundle. doubt: the warning with which
+    it plays; empty for none.
     """
 
     part: str = ""
@@ -43,15 +42,12 @@ class InterpreterEntry(RegistryEntry):
     model: str = ""
     file: tuple[str, ...] = ()
     tied: bool = True
-    stage: str = ""
     temperature: float | None = None
     doubt: str = ""
 
     def load_model(self) -> Any:
-        return _object(self.model or self.where)
-
-    def load_stage(self) -> Any:
-        return _object(self.stage)
+        module, name = (self.model or self.where).split(":")
+        return getattr(import_module(module), name)
 
     @property
     def settings(self) -> str:
@@ -62,11 +58,6 @@ class InterpreterEntry(RegistryEntry):
         """Part of a bundle -> its file, without suffix."""
         parts = [part for part in (self.part, self.text_part) if part]
         return dict(zip(parts, self.file or parts, strict=True))
-
-
-def _object(where: str) -> Any:
-    module, name = where.split(":")
-    return getattr(import_module(module), name)
 
 
 INTERPRETERS: Registry[InterpreterEntry] = Registry("interpreters", "an interpreter", {

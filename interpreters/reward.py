@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.layers import full_precision, masked_mean
+from data_module.layers import masked_mean
 from interpreters.settings import RewardConfig
 
 TEMPERATURE, LEAST_TEMPERATURE = 0.07, 0.01
@@ -45,7 +45,7 @@ def contrast(motion: Tensor, audio: Tensor, temperature: Tensor | float, group: 
     chance log B.
     """
     # Scaled before masking: the gradient of a temperature that divides -inf would be NaN.
-    logits = full_precision(similarities)(motion / temperature, audio, group)
+    logits = similarities(motion / temperature, audio, group)
     pairs = torch.arange(len(logits), device=logits.device)
     by_audio = logits.T if rivals is None else torch.cat([logits.T, rivals], dim=1)
     return 0.5 * (functional.cross_entropy(logits, pairs) + functional.cross_entropy(by_audio, pairs))

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from data_module.layers import full_precision
-
 __all__ = ["Quantised", "Quantizer"]
 
 DECAY = 0.99
@@ -83,24 +81,19 @@ class Quantizer(nn.Module):
 
     def forward(self, latents: Tensor) -> Quantised:
         """Quantise latents [B, D]; in training mode an EMA codebook also follows them."""
-        # In half precision neighbouring codes tie, and their order would decide.
-        labels = full_precision(self.labels)(latents)
+        labels = self.labels(latents)
         chosen = self.vectors[labels]
         commitment = (latents - chosen.detach()).pow(2).mean()
         # Straight-through: the value is the chosen vector, the gradient that of the latents.
         codes = latents + (chosen - latents).detach()
         if self.training:
-            full_precision(self._follow)(latents.detach(), labels)
+            self._follow(latents.detach(), labels)
         return Quantised(codes, labels, commitment)
 
     @torch.no_grad()
     def _follow(self, latents: Tensor, labels: Tensor) -> None:
         one_hot = nn.functional.one_hot(labels, self.size).to(latents.dtype)
         counts, sums = one_hot.sum(0), one_hot.t() @ latents
-        if torch.distributed.is_available() and torch.distributed.is_initialized():
-            # The codebook is not moved by gradients, so DistributedDataParallel does not add up the processes' rows.
-            for part in (counts, sums):
-                torch.distributed.all_reduce(part)
         self.counts.mul_(DECAY).add_(counts, alpha=1 - DECAY)
         self.sums.mul_(DECAY).add_(sums, alpha=1 - DECAY)
         # Laplace smoothing keeps a rarely used vector from dividing by nearly zero.

@@ -71,17 +71,6 @@ def _performed(pieces: list[Samples], fps: float) -> Performance:
     return replace(perform(len(sound) / RATE), motion=motion, speech=Speech(sound, RATE), face=face)
 
 
-def syllables(pauses: tuple[float, ...]) -> tuple[Performance, list[float]]:
-    """A still character that says "pa" after each of the pauses (seconds), and when each begins."""
-    samples, _ = _word("pa")
-    starts, pieces, at = [], [], 0.0
-    for pause in pauses:
-        pieces += [np.zeros(round(pause * RATE), np.float32), samples]
-        starts.append(at + round(pause * RATE) / RATE)
-        at = starts[-1] + len(samples) / RATE
-    return _performed(pieces, 60.0), starts
-
-
 def spoken() -> tuple[Performance, list[VisemeSpan]]:
     """A still character that says the words of `WORDS` with pauses around them, and the visemes of its phones."""
     pieces, track, at = [], [], PAUSE

@@ -230,9 +230,6 @@ def jobs(words: str) -> list[Job]:
 @pytest.mark.parametrize(("words", "message"), [
     ("-o a.smplx.npz --layer additive", "--layer additive: makes no sense in .npz"),
     ("-o a.html --sound", "--sound"),
-    ("-o a.bvh --one-file", "--one-file: is not for .bvh"),
-    ("-o a.glb --one-file --clip-name a", "does not go with --clip-name"),
-    ("-o a.glb --one-file --shard 1/2", "does not go with --shard"),
     ("-o a.glb --layer additive --root none", "--root"),
 ])
 def test_options_that_make_no_sense_are_refused(words: str, message: str) -> None:
@@ -244,25 +241,13 @@ def test_options_that_make_no_sense_are_refused(words: str, message: str) -> Non
     assert plain.clip is None
 
 
-def test_recordings_become_clips_of_one_file_and_the_recording_beside_stays(
-        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name in ("hello", "bye"):
-        write_example(tmp_path / f"{name}.wav", 1.25)
-    rig = write_character(tmp_path / "rig.glb")
-    out = tmp_path / "talks.glb"
-    sounds = [str(tmp_path / f"{name}.wav") for name in ("hello", "bye")]
-    assert infer.main([*sounds, "--character", str(rig), "-o", str(out), "--one-file", "--mask", "upper"]) == 0
-    assert "hello, bye" in capsys.readouterr().out
-    document = GlbData.parse(out.read_bytes()).document
-    assert [animation["name"] for animation in document["animations"]] == ["hello", "bye"]
-    names = [node.get("name", "") for node in document["nodes"]]
-    for animation in document["animations"]:
-        moved = {names[channel["target"]["node"]] for channel in animation["channels"]}
-        assert moved and not [name for name in moved if "Hips" in name or "Leg" in name or "Foot" in name]
+def test_the_recording_beside_a_clip_stays(tmp_path: Path) -> None:
+    write_example(tmp_path / "hello.wav", 1.25)
     before = (tmp_path / "hello.wav").read_bytes()
-    assert infer.main([sounds[0], "-o", str(tmp_path / "hello.glb"), "--sound", "--clip-name", "hi", "--quiet"]) == 0
+    shared = [str(tmp_path / "hello.wav"), "--sound", "--quiet"]
+    assert infer.main([*shared, "-o", str(tmp_path / "hello.glb"), "--clip-name", "hi"]) == 0
     assert (tmp_path / "hello.wav").read_bytes() == before
-    assert infer.main([sounds[0], "-o", str(tmp_path / "b.glb"), "--sound", "--loop", "--quiet"]) == 0
+    assert infer.main([*shared, "-o", str(tmp_path / "b.glb"), "--loop"]) == 0
     assert soundfile.info(tmp_path / "b.wav").frames == pytest.approx(20_000, abs=2)
     text = json.dumps(GlbData.parse((tmp_path / "hello.glb").read_bytes()).document["animations"][0]["name"])
     assert text == '"hi"'

@@ -132,22 +132,6 @@ def test_csv_holds_places_and_rotations_that_agree(tmp_path: Path, size: int) ->
         assert rotation.angle_between(rows[:, 4:], made.rotations[:, index]).max() < 1e-5
 
 
-def test_parquet_is_the_csv(tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet")
-    made = walking()
-    table = parquet.read_table(write(tmp_path / "a.parquet", made))
-    with write(tmp_path / "a.csv", made).open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert table.column_names == list(rows[0])
-    for name in table.column_names:
-        column = table[name].to_pylist()
-        if name in ("joint", "parent"):
-            assert column == [row[name] for row in rows]
-        else:
-            np.testing.assert_allclose(column, [float(row[name]) for row in rows], atol=2e-6)
-    assert table.schema.metadata[b"frames_per_second"] == b"25"
-
-
 def test_smplx_is_as_the_leaderboard_takes_it(tmp_path: Path) -> None:
     made = walking(46, seconds=2.0, fps=60.0)
     with np.load(write(tmp_path / "a.npz", made), allow_pickle=False) as file:
@@ -255,22 +239,6 @@ def test_a_missing_library_is_named_with_its_extra(suffix: str, tmp_path: Path, 
         perform().save(tmp_path / "new" / f"a{suffix}")
     assert f"needs {package}" in str(caught.value) and f'pip install "gesticulator[{extra}]"' in str(caught.value)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_gif_shows_what_the_film_shows(tmp_path: Path) -> None:
-    image = pytest.importorskip("PIL.Image")
-    from gesticulator.export import film
-    from gesticulator.export.figure import figure_points
-
-    made = perform(1.0)
-    drawn = list(film.pictures(figure_points(made.motion, np.arange(25) / film.GIF_FPS, fingers=True), film.GIF_SIZE))
-    with image.open(write(tmp_path / "a.gif", made)) as shown:
-        assert (shown.n_frames, shown.size, shown.info["loop"]) == (25, film.GIF_SIZE, 0)
-        for frame in (0, 7, 24):
-            shown.seek(frame)
-            assert shown.info["duration"] == 40
-            apart = np.abs(np.array(shown.convert("RGB")).astype(int) - np.array(drawn[frame]).astype(int))
-            assert apart.mean() < 2 and np.percentile(apart, 99) < 30
 
 
 def test_films_show_fingers_that_move() -> None:

@@ -1,23 +1,17 @@
-"""The face of the default figure in pages and in films, and in the browser client."""
+"""The face of the default figure in pages, and in the browser client."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
-from face_samples import FPS, posed, still, syllables
+from face_samples import FPS
 from javascript import printed_by
-from performances import write
 
-from data_module.types import Array, Speech
-from gesticulator.export import film
-from gesticulator.export.figure import MOUTH, face_points, figure_points
+from data_module.types import Array
 from gesticulator.face.motion import FaceMotion
-from gesticulator.face.mouth import lip_curves
 from gesticulator.face.shapes import vrm
 from gesticulator.face.visemes import OPENINGS, VISEMES
 
@@ -39,20 +33,15 @@ def node(script: str, *arguments: Any) -> Any:
     return printed_by(f"const given = {json.dumps(arguments)};\n{script}", ROOT)
 
 
-def test_pages_and_films_draw_the_same_mouth() -> None:
-    faces = np.concatenate([_faces(20), np.eye(15, 20)])
-    got = node("""import { lipCurves, mouthOf } from "./viewer/src/mouth.js";
-        console.log(JSON.stringify(given[0].map((face) => lipCurves(mouthOf(face), 9))));""", faces.tolist())
-    np.testing.assert_allclose(got, lip_curves(faces, 9), atol=1e-12)
-
-
 def test_the_mouth_has_the_width_and_the_opening_of_each_sound() -> None:
-    curves = lip_curves(np.eye(15, 20), 21)
+    faces = [*np.eye(15, 20).tolist(), [1.0, *[0.0] * 16, 1.0, 0.0, 0.0]]
+    *sounds, smile = np.array(node("""import { lipCurves, mouthOf } from "./viewer/src/mouth.js";
+        console.log(JSON.stringify(given[0].map((face) => lipCurves(mouthOf(face), 21))));""", faces))
+    curves = np.array(sounds)
     gaps, half = (curves[..., 2] - curves[..., 4]).max(axis=1), curves[:, -1, 0]
     assert np.corrcoef(gaps, OPENINGS)[0, 1] > 0.99 and gaps[VISEMES.index("PP")] < 0.001
     assert half[VISEMES.index("ou")] < half[VISEMES.index("oh")] < half[0] < half[VISEMES.index("ih")]
     assert (np.diff(curves[..., 1:], axis=-1)[..., :2] <= 1e-9).all(), "the upper lip lies over the teeth"
-    smile = lip_curves(np.array([[1.0, *[0.0] * 16, 1.0, 0.0, 0.0]]), 21)[0]
     assert smile[0, 1] > smile[10, 1] + 0.002 - 0.0046, "its corners are up"
     assert smile[0, 2] > smile[10, 2] + 0.003
 
@@ -91,63 +80,3 @@ def test_a_stream_and_its_player_hand_on_the_face() -> None:
         console.log(JSON.stringify(shown));""")
     np.testing.assert_allclose(got[:30], np.arange(30) / 30, atol=1e-6)
     assert np.abs(np.diff(got)).max() < 0.2 and got[29] > 0.9 and got[-1] < 1e-3
-
-
-# ---------------------------------------------------------------------------------------------------------------- films
-
-def _drawn(face: FaceMotion) -> Array:
-    """[T, H, W, 3] the pictures of a still character with a face."""
-    motion = still(len(face) / face.fps, face.fps)
-    points = figure_points(motion, face.times)
-    return np.stack([np.asarray(picture) for picture in
-                     film.pictures(points | face_points(face, motion, face.times))]).astype(int)
-
-
-def _near(pictures: Array, colour: str, far: int = 30) -> Array:
-    """[T] how many pixels have a colour, about."""
-    return np.asarray((np.abs(pictures - film.rgb(colour)).max(-1) < far).sum((1, 2)))
-
-
-def test_a_films_mouth_opens() -> None:
-    pytest.importorskip("PIL")
-    shut, wide = _drawn(posed()), _drawn(posed(aa=1.0))
-    assert _near(wide, MOUTH)[0] > 3 * _near(shut, MOUTH)[0] > 0, "a shut one is a line"
-
-
-# ---------------------------------------------------------------------------------------------------- mouth and sound
-
-def _lags(film_: Path, starts: list[float]) -> Array:
-    """Seconds from the sound of each syllable to the mouth that opens for it, as both are in a film."""
-    import av
-
-    with av.open(str(film_)) as container:
-        pictures = np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]).astype(int)
-    with av.open(str(film_)) as container:
-        sound = np.concatenate([part.to_ndarray().reshape(-1) for part in container.decode(audio=0)])
-    opened = _near(pictures, MOUTH, 45).astype(float)
-    level = np.sqrt(np.convolve(sound ** 2, np.ones(480) / 480, "same"))  # over 10 ms
-    out = []
-    for start in starts:
-        first = round((start - 0.1) * film.SOUND_RATE)
-        loud = level[first:first + film.SOUND_RATE // 2]
-        heard = (first + np.argmax(loud > 0.25 * loud.max())) / film.SOUND_RATE
-        frame = round((start - 0.1) * film.FPS)
-        wide = opened[frame:frame + film.FPS // 2]
-        half = (wide.min() + wide.max()) / 2
-        after = int(np.argmax(wide > half))
-        seen = frame + after - 1 + (half - wide[after - 1]) / (wide[after] - wide[after - 1])
-        out.append(seen / film.FPS - heard)
-    return np.array(out)
-
-
-def test_mouth_and_sound_of_a_film_are_within_40_ms(tmp_path: Path) -> None:
-    """A train of *pa* at irregular intervals: the mouth opens when the burst is heard."""
-    pytest.importorskip("av")
-    pytest.importorskip("PIL")
-    made, starts = syllables((0.6, 0.5, 0.37, 0.62, 0.45, 0.53))
-    lags = _lags(write(tmp_path / "talk.mp4", made), starts)
-    assert np.abs(lags).max() < 0.04, lags
-    late = replace(made, speech=Speech(np.roll(made.speech.samples, round(0.2 * made.speech.sample_rate)),
-                                       made.speech.sample_rate))
-    moved = _lags(write(tmp_path / "late.mp4", late), starts)
-    np.testing.assert_allclose(moved, lags - 0.2, atol=0.02, err_msg="the measurement finds a sound that is late")

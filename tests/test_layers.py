@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 import torch
 
-from data_module import layers
 from data_module.layers import run_lstm
 
 
@@ -30,21 +29,3 @@ def test_an_lstm_that_is_trained_keeps_its_gradient_and_its_dropout() -> None:
     with torch.no_grad():
         rows = torch.randn(1, 4, 7)
         assert not torch.equal(run_lstm(lstm, rows)[0], run_lstm(lstm, rows)[0])
-
-
-@pytest.mark.parametrize("begun", [False, True])
-def test_a_processor_without_an_lstm_in_half_precision_takes_single(begun: bool, monkeypatch: pytest.MonkeyPatch
-                                                                    ) -> None:
-    torch.manual_seed(0)
-    lstm, rows = torch.nn.LSTM(7, 5, batch_first=True), torch.randn(20, 6, 7)
-    hidden = (torch.randn(1, 20, 5), torch.randn(1, 20, 5)) if begun else None
-    wanted, (h, c) = lstm(rows, hidden)
-    with torch.autocast("cpu", torch.bfloat16):
-        here, _ = run_lstm(lstm, rows, hidden)
-        monkeypatch.setattr(layers, "_has_narrow_lstm", lambda dtype: False)
-        elsewhere, state = run_lstm(lstm, rows, hidden)
-    torch.testing.assert_close(here.float(), wanted, atol=0.02, rtol=0)  # bfloat16 has 8 binary digits, sums fewer
-    for one, other in ((elsewhere, wanted), (state[0], h), (state[1], c)):
-        torch.testing.assert_close(one, other, atol=0, rtol=0)
-    elsewhere.sum().backward()
-    assert all(weight.grad is not None and weight.grad.dtype == torch.float32 for weight in lstm.parameters())

@@ -20,10 +20,13 @@ class SlowServer:
         self.late: list[float] = []
         """How much sound had been played and not worked on, whenever a piece was done."""
         self.seconds = dict.fromkeys(Effort, 0.0)
+        self.rests = 0
+        """How often it began to skip."""
 
     def run(self, arrivals: np.ndarray, play: float = 0.0, stall: tuple[float, float] = (-1.0, 0.0)) -> None:
         """arrivals: [n] seconds at which each 20 ms of sound come; play: when they begin to be played; stall: when
         nothing is worked on, and for how long."""
+        effort = Effort.FULL
         while self.done < len(arrivals) * CHUNK - 1e-9:
             self._take(arrivals)
             waiting = self.sent * CHUNK - self.done
@@ -34,7 +37,8 @@ class SlowServer:
                 self._go_to(self.now + stall[1], arrivals)
                 stall = (-1.0, 0.0)
                 continue
-            effort = self.pace.effort(waiting)
+            before, effort = effort, self.pace.effort(waiting)
+            self.rests += effort == Effort.NONE != before
             piece = waiting if effort == Effort.NONE else min(waiting, PIECE)
             took = piece * self.cost[effort]
             self._go_to(self.now + took, arrivals)
@@ -73,6 +77,12 @@ def test_however_slow_it_is_a_microphone_is_not_late_for_long(full: float, less:
         assert 0.9 * (1 - 1 / less) * 120 - 3 < server.seconds[Effort.NONE] < 110, "and some is still gestured"
     if full < 1.0:
         assert server.seconds[Effort.LESS] == 0.0, "who has time does not hurry"
+
+
+def test_a_stream_that_cannot_keep_up_rests_for_a_while_rather_than_stuttering() -> None:
+    server = SlowServer(2.0, 1.5)
+    server.run(microphone(120.0))
+    assert server.rests > 3 and server.seconds[Effort.NONE] / server.rests > 1.5
 
 
 def test_a_moment_without_work_is_caught_up_and_nothing_is_passed_over() -> None:

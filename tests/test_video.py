@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import io
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion, Speech
@@ -22,7 +20,6 @@ pytest.importorskip("PIL")
 
 RATE = 16000
 SMALL = (180, 240)
-SUFFIXES = tuple(film.FORMATS)
 SKIN = np.array([0xDC, 0xB9, 0x99])
 
 
@@ -68,80 +65,50 @@ def _raised(pictures: Array, left_half: bool) -> Array:
     return (np.abs(part - SKIN).max(-1) < 14).sum((1, 2)) > 10
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_picture_and_sound_are_as_long_as_they_should_be(suffix: str) -> None:
-    data = film.encode(figure_points(_motion(2.0, fps=20.0), np.arange(48) / 30), _speech(1.9), suffix, size=SMALL)
+def test_picture_and_sound_are_as_long_as_they_should_be() -> None:
+    data = film.encode(figure_points(_motion(2.0, fps=20.0), np.arange(48) / 30), _speech(1.9), size=SMALL)
     pictures, times, samples, first = _decode(data)
     assert pictures.shape == (48, SMALL[1], SMALL[0], 3)
-    # WebM counts milliseconds.
-    assert np.abs(np.array(times) - np.arange(48) / 30).max() < 1e-3 and first == 0.0
+    np.testing.assert_allclose(times, np.arange(48) / 30, atol=1e-6)
+    assert first == 0.0
     # AAC comes in whole packets of 1024, of which a player leaves out what lies behind the end.
-    assert 0 <= len(samples) - 48 * 1600 < (1024 if suffix == ".mp4" else 1)
+    assert 0 <= len(samples) - 48 * 1600 < 1024
     with av.open(io.BytesIO(data)) as container:
         assert container.duration / 1e6 == pytest.approx(1.6, abs=0.01)
         assert float(container.streams.video[0].average_rate) == pytest.approx(30)
         assert container.streams.video[0].format.name == "yuv420p"
         kinds = [stream.codec_context.name for stream in container.streams]
-        assert kinds == {".mp4": ["h264", "aac"], ".webm": ["vp9", "opus"]}[suffix]
+        assert kinds == ["h264", "aac"]
         told = {**container.metadata, **container.streams.video[0].metadata, **container.streams.audio[0].metadata}
         assert not {"title", "creation_time", "comment"} & {name.lower() for name in told}
-    if suffix == ".mp4":
-        assert data.index(b"moov") < data.index(b"mdat"), "the index comes first, so that a browser can start at once"
+    assert data.index(b"moov") < data.index(b"mdat"), "the index comes first, so that a browser can start at once"
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_raised_arm_is_seen_on_its_side_from_its_frame_on(suffix: str) -> None:
+def test_a_raised_arm_is_seen_on_its_side_from_its_frame_on() -> None:
     points = figure_points(_motion(1.0, raised={"Right": 0.5}), np.arange(30) / 30)
-    pictures = _decode(film.encode(points, _speech(1.0), suffix, size=SMALL))[0]
+    pictures = _decode(film.encode(points, _speech(1.0), size=SMALL))[0]
     # The viewer faces the figure: its right is the picture's left.
     np.testing.assert_array_equal(_raised(pictures, left_half=True), np.arange(30) >= 15)
     assert not _raised(pictures, left_half=False).any()
     other = figure_points(_motion(0.2, raised={"Left": 0.0}), np.arange(6) / 30)
-    pictures = _decode(film.encode(other, _speech(0.2), suffix, size=SMALL))[0]
+    pictures = _decode(film.encode(other, _speech(0.2), size=SMALL))[0]
     assert _raised(pictures, left_half=False).all() and not _raised(pictures, left_half=True).any()
     # The colours come back as they were drawn, which a wrong matrix of the encoder would shift.
     drawn = np.array(next(film.pictures(other, SMALL))).astype(int)
     assert np.abs(pictures[0] - drawn).mean() < 2.5 and np.abs(pictures[0, :20, :20] - drawn[:20, :20]).max() <= 3
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_click_is_heard_at_its_time(suffix: str) -> None:
+def test_a_click_is_heard_at_its_time() -> None:
     points = figure_points(_motion(2.0), np.arange(45) / 30)
-    _, times, samples, first = _decode(film.encode(points, _speech(2.0, click=1.3), suffix, size=SMALL))
+    _, times, samples, first = _decode(film.encode(points, _speech(2.0, click=1.3), size=SMALL))
     assert first + np.abs(samples).argmax() / 48_000 == pytest.approx(1.3, abs=0.005)
     assert len(times) == 45
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_same_input_same_video_and_filling_changes_nothing(suffix: str) -> None:
+def test_the_same_input_is_the_same_video() -> None:
     points = figure_points(_motion(0.5, raised={"Right": 0.2}), np.arange(15) / 30)
-    first = film.encode(points, _speech(0.5), suffix, size=SMALL)
-    again = film.encode(points, _speech(0.5), suffix, size=SMALL)
+    first = film.encode(points, _speech(0.5), size=SMALL)
+    again = film.encode(points, _speech(0.5), size=SMALL)
     # x264 differs by a byte now and then, but not in what is seen.
-    assert suffix == ".mp4" or first == again
     for own, other in zip(_decode(again), _decode(first), strict=True):
         np.testing.assert_array_equal(own, other)
-    for more in (0, film.LEAST_FILLING, 70_000):
-        filled = film.filled(first, len(first) + more, suffix)
-        assert len(filled) == len(first) + more
-        for own, other in zip(_decode(filled), _decode(first), strict=True):
-            np.testing.assert_array_equal(own, other)
-    with pytest.raises(ValueError, match="too few"):
-        film.filled(first, len(first) + 3, suffix)
-
-
-def test_what_cannot_be_written_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    points, speech = figure_points(_motion(1.0), np.arange(30) / 30), _speech(1.0)
-    for size in ((181, 240), (0, 0)):
-        with pytest.raises(InputError, match="even"):
-            film.encode(points, speech, ".mp4", size=size)
-    with pytest.raises(InputError, match="fps"):
-        film.encode(points, speech, ".mp4", size=SMALL, fps=0)
-    for suffix in (".avi", ""):
-        with pytest.raises(InputError, match=r"is not a supported video format|without a suffix"):
-            film.encode(points, speech, suffix, size=SMALL)
-    for package, says in (("av", "PyAV"), ("PIL", "Pillow")):
-        with monkeypatch.context() as patch:
-            patch.setitem(sys.modules, package, None)
-            with pytest.raises(InputError, match=rf"{says}.*pip install 'gesticulator\[video\]'"):
-                film.encode(points, speech, ".mp4", size=SMALL)

@@ -23,7 +23,7 @@ from torch import Tensor, nn
 
 from data_module.controls import Levels
 from data_module.errors import InputError
-from gesticulator.bundle.config import Config, from_dict, section, to_dict
+from gesticulator.bundle.config import Config, from_dict, to_dict
 from gesticulator.bundle.features import Normaliser, Sizes, Statistics, representation_of
 from gesticulator.bundle.files import (
     CARD,
@@ -208,7 +208,7 @@ class Bundle:
         # An interpreter may stand on another one: an advantage steers a behaviour policy.
         system = opened(INTERPRETERS.load(name), InterpreterParts(
             self.parts[part] if part else None, self.interpreter_named(entry.prior, text) if entry.prior else None,
-            self.frequencies, self.transitions, section(self.config, entry.settings), self.config.selection.beta))
+            self.frequencies, self.transitions, getattr(self.config, entry.settings, None), self.config.selection.beta))
         return system.guided(self.config.selection.interpreter_guidance)
 
     @property

@@ -5,9 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from typing import Annotated, Any
+from dataclasses import dataclass, field
+from typing import Annotated
 
 from data_module.blocks import BlockSettings
 from data_module.errors import InputError
@@ -30,7 +29,6 @@ from data_module.settings import (
 from data_module.speech.beats import BeatSettings
 from data_module.speech.front_ends import EncoderConfig
 from generator.model import GeneratorConfig
-from interpreters import entries
 from interpreters.settings import (
     CriticConfig,
     EpisodeConfig,
@@ -46,8 +44,7 @@ from lexicon.settings import FRAMES, LexiconConfig, RacerConfig
 __all__ = ["BeatSettings", "BlockSettings", "Config", "ControlConfig", "CriticConfig", "EncoderConfig",
            "EpisodeConfig", "FitSettings", "FrontEndConfig", "GateConfig", "GeneratorConfig", "LexiconConfig",
            "LstmConfig", "MotionConfig", "QConfig", "RacerConfig", "RewardConfig", "Schedules", "SelectionConfig",
-           "SilenceConfig", "StyleConfig", "TextConfig", "digest", "from_dict", "section",
-           "to_dict", "with_settings"]
+           "SilenceConfig", "StyleConfig", "TextConfig", "digest", "from_dict", "to_dict", "with_settings"]
 
 
 @dataclass(frozen=True)
@@ -78,8 +75,7 @@ class FrontEndConfig:
     """The audio front end and its size."""
 
     name: str = "mel"
-    """"mel"; "vqwav2vec", the model trained by the speech stages; "fairseq:PATH", a published checkpoint of it;
-    "hf:NAME", hidden layers of a speech model of transformers."""
+    """"mel"; "vqwav2vec", the model trained by the speech stages; "fairseq:PATH", a published checkpoint of it."""
     bands: Width = 80
     """Number of mel bands, for "mel" only."""
     robust: bool = False
@@ -172,9 +168,6 @@ class Schedules:
     """A second Q-network as published (`Config.cql_literal`), beside the first."""
     advantage: FitSettings = NOT_TRAINED
     """The critics of the advantage interpreter."""
-    # Plain values, because the stages of other packages are not known here.
-    others: dict[str, dict[str, Any]] = field(default_factory=dict, hash=False)
-    """Stage -> changes to its default schedule, for stages of other packages."""
 
 
 @dataclass(frozen=True)
@@ -247,9 +240,6 @@ class Config:
     racer: RacerConfig = field(default_factory=RacerConfig)
     silence: SilenceConfig = field(default_factory=SilenceConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)
-    others: dict[str, Any] = field(default_factory=dict, hash=False)
-    """Settings of interpreters of other packages, by section: others.NAME={} trains one with its defaults,
-    others.NAME.width=64 changes one of them."""
     default_speaker: str = ""
     """Speaker used if none is given; the first performer if empty or unknown."""
     window: Width = 8
@@ -258,8 +248,6 @@ class Config:
     """Each stage derives its seed from this one and its name, so adding a stage changes no other."""
 
     def __post_init__(self) -> None:
-        # Read here, because their classes belong to packages that may not be installed.
-        object.__setattr__(self, "others", {name: _other(name, value) for name, value in self.others.items()})
         check(self)
         # The types of the fields hold ranges of single values; these are conditions between several.
         if not self.lexicon.widths:
@@ -276,24 +264,3 @@ class Config:
         """Whether rest is decided phrase by phrase, with idle motion (`gesticulator.body.rest`)."""
         # RACER decodes all codes together, so no block can be replaced by rest afterwards.
         return self.silence.rest == "life" and self.system != "racer"
-
-
-def section(config: Config, name: str) -> Any:
-    """The settings of an interpreter by the name of its section; None if these settings lack it."""
-    return getattr(config, name) if name in {entry.name for entry in fields(config)} else config.others.get(name)
-
-
-def _other(name: str, value: Any) -> Any:
-    """The settings of an interpreter in `Config.others` as an instance of its class; InputError if it is unknown."""
-    # Sections of our own interpreters are fields, and checked like all others.
-    kinds = {entry.settings: entry for entry in entries().values()
-             if entry.part and entry.settings not in {known.name for known in fields(Config)}}
-    if name not in kinds:
-        raise InputError(f"others.{name}", "is not an interpreter with settings of its own",
-                         f"known here: {', '.join(kinds) or 'none'}")
-    kind = kinds[name].load_model().Settings
-    settings = from_dict(kind, value) if isinstance(value, Mapping) else value
-    if not isinstance(settings, kind):
-        raise InputError(f"others.{name}", f"is {value!r:.40}", "give a group of settings")
-    check(settings, f"others.{name}")
-    return settings

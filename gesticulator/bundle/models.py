@@ -18,7 +18,7 @@ from torch import nn
 
 from data_module.errors import InputError
 from data_module.layers import freeze
-from gesticulator.bundle.config import RewardConfig, section
+from gesticulator.bundle.config import RewardConfig
 from gesticulator.bundle.features import CONTROL_WIDTH, Sizes
 from gesticulator.bundle.files import Weights, lexicon_hash
 from gesticulator.systems import system_of
@@ -101,7 +101,7 @@ def part_table() -> dict[str, BundlePart]:
 def _interpreter(entry: InterpreterEntry, part: str, sizes: Sizes) -> nn.Module:
     """The model of a lexeme interpreter, with or without text."""
     # The audio-only twin has the same settings, but no layer for words.
-    settings = section(sizes.config, entry.settings)
+    settings = getattr(sizes.config, entry.settings)
     if entry.text_part and part != entry.text_part:
         settings = settings.without_text()
     model: nn.Module = entry.load_model().build(settings, InterpreterSizes(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 Vector = tuple[float, float, float]
@@ -89,32 +90,52 @@ class GestureScript:
         return [part for part in (self.main, self.other) if part is not None]
 
 
+# Most strokes keep the hand's direction and shape and only move it, so the start is the apex but for its place.
 def hand(place: Vector, fingers: Vector, palm: Vector, shape: str = "open", start: Vector = (0.0, -0.06, -0.05),
-         then: tuple[HandKey, ...] = (), **more: Any) -> HandPart:
-    """A hand that comes to one pose. start: where its stroke begins, metres from `place`; then: poses after it; more:
-    `before`, the fields of the pose at the start that differ, and fields of `HandPart`."""
-    # Most strokes keep the hand's direction and shape and only move it, so the start is the apex but for its place.
+         then: tuple[HandKey, ...] = (), before: Mapping[str, Any] = MappingProxyType({}), **more: Any) -> HandPart:
+    """A hand that comes to one pose. start: where its stroke begins, metres from `place`; then: poses after it; before:
+    fields of the pose at the start that differ; more: fields of `HandPart`."""
     apex = HandKey(place, fingers, palm, shape)
     (x, y, z), (aside, up, ahead) = place, start
     begin = replace(apex, place=(x + aside, y + up, z + ahead), time=-1.0)
-    begin = replace(begin, **more.pop("before", {}))
-    return HandPart((begin, apex, *then), **more)
+    return HandPart((replace(begin, **before), apex, *then), **more)
 
 
-def both(part: HandPart, **more: Any) -> GestureScript:
-    """A gesture of both hands, one the mirror image of the other. more: fields of `GestureScript`."""
-    return GestureScript(part, part, **more)
+def gesture(main: HandPart | None = None, other: HandPart | None = None, neck: Vector | None = None,
+            head: Vector | None = None, adds: Mapping[str, Vector] = MappingProxyType({}), **more: Any
+            ) -> GestureScript:
+    """A gesture. neck, head: of `GestureScript.adds`, with the rest of it; more: its other fields."""
+    turns = {"Neck": neck, "Head": head, **adds}
+    return GestureScript(main, other, {joint: turn for joint, turn in turns.items() if turn is not None}, **more)
 
 
-def one_or_both(part: HandPart, **more: Any) -> tuple[GestureScript, GestureScript]:
-    """Two takes of a gesture: of one hand, and of both. more: fields of `GestureScript`."""
-    return GestureScript(part, **more), both(part, **more)
+def one(*pose: Any, **more: Any) -> GestureScript:
+    """A gesture of one hand; the arguments are those of `hand` and of `gesture`."""
+    part, script = _parted(pose, more)
+    return gesture(part, **script)
 
 
-def in_turn(part: HandPart, **more: Any) -> GestureScript:
-    """A gesture in which both hands repeat the same movement, the other one half a cycle later. more: fields of
-    `GestureScript`."""
-    # Half a cycle apart: one hand is up where the other is down.
+def both(*pose: Any, **more: Any) -> GestureScript:
+    """A gesture of both hands, one the mirror image of the other; arguments as of `one`."""
+    part, script = _parted(pose, more)
+    return gesture(part, part, **script)
+
+
+def one_or_both(*pose: Any, **more: Any) -> tuple[GestureScript, GestureScript]:
+    """Two takes of a gesture: of one hand, and of both; arguments as of `one`."""
+    return one(*pose, **more), both(*pose, **more)
+
+
+def in_turn(*pose: Any, **more: Any) -> GestureScript:
+    """A gesture in which both hands repeat the same movement, one half a cycle later: one hand is up where the other is
+    down. Arguments as of `one`."""
+    part, script = _parted(pose, more)
     assert part.repeat is not None
-    later = replace(part, repeat=replace(part.repeat, phase=part.repeat.phase + 0.5))
-    return GestureScript(part, later, **more)
+    return gesture(part, replace(part, repeat=replace(part.repeat, phase=part.repeat.phase + 0.5)), **script)
+
+
+def _parted(pose: tuple[Any, ...], more: Mapping[str, Any]) -> tuple[HandPart, dict[str, Any]]:
+    """The hand of these arguments, and those of the script."""
+    names = ("then", "before", "point", "repeat", "touches", "lift")
+    return hand(*pose, **{name: more[name] for name in names if name in more}), {
+        name: value for name, value in more.items() if name not in names}

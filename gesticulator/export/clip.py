@@ -13,10 +13,8 @@ KEYS = 0.1
 """Default bound on the error of reduced keys, degrees: a tenth of the smallest turn of a limb that is noticed."""
 MOST_KEYS = 5.0
 """Largest bound, degrees: beyond, gestures lose their shape."""
-CLIPS = (".bvh", ".csv", ".fbx", ".glb", ".parquet", ".usda", ".usdc", ".vrma")
+CLIPS = (".bvh", ".csv", ".fbx", ".glb", ".usda", ".usdc", ".vrma")
 """Suffixes of formats for which loop, mask, layer, root and sound have a meaning."""
-TOGETHER = (".glb",)
-"""Suffixes of formats that hold several clips."""
 _LONGEST_NAME = 100
 
 
@@ -58,17 +56,14 @@ class ClipLayout:
         return self.loop or self.bare or not self.root
 
 
-def check_clip_outputs(clip: ClipLayout, suffixes: Sequence[str], together: bool) -> None:
-    """`InputError` for a clip that none of the outputs can follow. together: several clips are written to one file."""
+def check_clip_outputs(clip: ClipLayout, suffixes: Sequence[str]) -> None:
+    """`InputError` for a clip that none of the outputs can follow."""
     # A plan (.json) may accompany any clip: it holds no motion.
     other = [suffix for suffix in suffixes if suffix not in CLIPS]
     if clip.additive and [suffix for suffix in other if suffix != ".json"]:
         raise InputError("--layer additive", f"makes no sense in {other[0]}", f"write {', '.join(CLIPS)}")
     if clip.sound and not set(suffixes) & set(CLIPS):
         raise InputError("--sound", "is for formats without sound of their own", f"write {', '.join(CLIPS)}")
-    unfit = [suffix for suffix in suffixes if suffix not in TOGETHER]
-    if together and unfit:
-        raise InputError("--one-file", f"is not for {unfit[0]}", f"write {' or '.join(TOGETHER)}")
 
 
 def parse_keys(text: str) -> float:

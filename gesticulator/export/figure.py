@@ -7,9 +7,9 @@ nothing below the hips, unless the motion's own legs are requested.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,28 +17,16 @@ from numpy.typing import NDArray
 from data_module.errors import InputError
 from data_module.motion import kinematics, rotation, skeletons
 from data_module.types import Array, Motion
-from gesticulator.face.mouth import lip_curves
-from gesticulator.face.visemes import VISEMES, opening
-
-if TYPE_CHECKING:
-    from gesticulator.face.motion import FaceMotion
 
 INK, SOFT, FLOOR = "#262a31", "#8d8578", "#d9d0c2"
 SHIRT, TROUSERS, SKIN, HAIR, NOSE = "#3d7a85", "#4a4f5c", "#dcb999", "#5b493d", "#c79d7a"
 HANDS = {"Left": "#1f8a8a", "Right": "#c8553d"}
-LIP, MOUTH, TOOTH = "#b3685d", "#4a1f22", "#f3eee4"
 HALO = 0.009
 """Width of the outline around a part, metres."""
 ROUND = 18
 """Vertices of each half of a limb's outline."""
 _NOSE = np.array([0.0, 0.075, 0.125])
 """Position relative to the head joint, metres."""
-_MOUTH_HEIGHT, _MOUTH_SCALE, _MOUTH_COLUMNS = -0.045, 1.5, 17
-"""Height of the mouth over the middle of the face, metres, its scale, and the points of each curve. It is larger than
-in life: a head is 50 pixels wide in films."""
-_OPEN_TEETH, _BITING_TEETH = 0.08, 0.3
-"""Opening of the mouth and weight of the viseme FF from which the teeth show."""
-
 Look = Callable[[Array], tuple[Array, Array, Array]]
 """Points [..., 3] in metres -> positions [..., 2], scale [...], and depth [...] in metres, larger towards the
 viewer."""
@@ -73,7 +61,10 @@ def figure_points(motion: Motion, times: Array, legs: bool = False, fingers: boo
     """
     if legs and not skeletons.has_legs(motion):
         raise InputError("--legs", "are not in this motion", "generate it with infer --legs, or leave them out")
-    near, frames = _around(motion, times)
+    frames = np.clip(np.asarray(times) * motion.fps, 0, len(motion) - 1)
+    # Only the frames around the times are converted, as a take may last an hour.
+    first = int(frames.min())
+    near, frames = motion.crop(first, int(np.ceil(frames.max())) + 1), frames - first
     root = np.tile([0.0, skeletons.HIP_HEIGHT, 0.0], (len(frames), 1))
     if legs:
         near = skeletons.to_character(near, skeleton=skeletons.WHOLE_BODY)
@@ -103,31 +94,6 @@ def figure_points(motion: Motion, times: Array, legs: bool = False, fingers: boo
     return points | {"Nose": beside("Head", _NOSE)}
 
 
-def face_points(face: FaceMotion, motion: Motion, times: Array) -> dict[str, Array]:
-    """Entries that a face adds to `figure_points` of the same motion and times: "Face" [T, 20], `FaceMotion.values`,
-    and "HeadLeft", "HeadAhead" [T, 3], unit vectors from the head to its left and ahead."""
-    near, frames = _around(motion, times)
-    near = skeletons.facing(skeletons.to_character(near))
-    turns = rotation.interpolate(near.rotations, frames)
-    head = kinematics.global_rotations(near.skeleton, turns)[:, near.skeleton.index("Head")]
-    return {"Face": face.at(times), "HeadLeft": rotation.rotate(head, np.array([1.0, 0.0, 0.0])),
-            "HeadAhead": rotation.rotate(head, np.array([0.0, 0.0, 1.0]))}
-
-
-def _around(motion: Motion, times: Array) -> tuple[Motion, Array]:
-    """The frames around times [T], as a take may last an hour, and the numbers [T] of the times among them."""
-    frames = np.clip(np.asarray(times) * motion.fps, 0, len(motion) - 1)
-    first = int(frames.min())
-    return motion.crop(first, int(np.ceil(frames.max())) + 1), frames - first
-
-
-class Patch(NamedTuple):
-    """A filled outline: points [T, K, 3] in metres, and a colour."""
-
-    points: Array
-    colour: str
-
-
 class Limb(NamedTuple):
     """A capsule: end points [T, 3] and diameters in metres, and a colour."""
 
@@ -141,14 +107,12 @@ class Limb(NamedTuple):
 @dataclass(frozen=True)
 class BodyPart:
     """Limbs with one outline. lift: metres by which it is moved towards the viewer in depth order; hand: side of the
-    hand that it ends in, if any; shown: [T] the frames in which it is visible, None for all; patches: drawn over the
-    limbs."""
+    hand that it ends in, if any; shown: [T] the frames in which it is visible, None for all."""
 
     limbs: tuple[Limb, ...]
     lift: float
     hand: str = ""
     shown: NDArray[np.bool_] | None = None
-    patches: tuple[Patch, ...] = ()
 
 
 _STANDS = {side + name: np.array([place]) for side, places in {
@@ -221,75 +185,35 @@ def _head(now: Mapping[str, Array], look: Look) -> list[BodyPart]:
     ahead = look(now["Nose"])[2] - look(centre)[2] > -0.04
     hair = Limb(centre, centre, 0.216, 0.216, HAIR)
     front = (Limb(face, face, 0.2, 0.2, SKIN), Limb(now["Nose"], now["Nose"], 0.034, 0.034, NOSE))
-    patches = _mouth(now, look, face, 0.1) if "Face" in now else ()
-    return [BodyPart((hair,), 0.05, shown=~ahead), BodyPart((hair, *front), 0.05, shown=ahead, patches=patches)]
-
-
-def _mouth(now: Mapping[str, Array], look: Look, centre: Array, radius: float) -> tuple[Patch, ...]:
-    """The inside of the mouth, the teeth and the lips, from back to front, on a ball: its centre [T, 3] and radius in
-    metres. Points beyond the edge of the ball in this view lie on the edge."""
-    left, ahead = now["HeadLeft"], now["HeadAhead"]
-    view = np.stack([look(centre + axis)[2] - look(centre)[2] for axis in np.eye(3)], axis=-1)
-    view /= np.linalg.norm(view, axis=-1, keepdims=True)
-    up = np.cross(ahead, left)
-    curves = lip_curves(now["Face"], _MOUTH_COLUMNS) * _MOUTH_SCALE
-    x, upper, top, teeth, bottom, lower = np.moveaxis(curves, -1, 0)
-
-    def between(above: Array, below: Array, colour: str) -> Patch:
-        """The area between two curves [T, K], heights over the middle of the mouth."""
-        u = np.concatenate([x, x[:, ::-1]], axis=1)
-        v = _MOUTH_HEIGHT + np.concatenate([above, below[:, ::-1]], axis=1)
-        deep = np.sqrt(np.maximum(radius ** 2 - u ** 2 - v ** 2, 0.0))
-        away = u[..., None] * left[:, None] + v[..., None] * up[:, None] + deep[..., None] * ahead[:, None]
-        near = np.einsum("tkc,tc->tk", away, view)
-        edge = away - near[..., None] * view[:, None]
-        # Points behind the visible half are moved to the outline of the ball.
-        edge *= radius / np.maximum(np.linalg.norm(edge, axis=-1, keepdims=True), 1e-9)
-        return Patch(centre[:, None] + np.where(near[..., None] < 0.0, edge, away), colour)
-
-    visemes = now["Face"][:, :len(VISEMES)]
-    shown = (opening(visemes) > _OPEN_TEETH) | (visemes[:, VISEMES.index("FF")] > _BITING_TEETH)
-    # Teeth that do not show lie under the edge of the upper lip, which is drawn over them.
-    return (between(top, bottom, MOUTH), between(top, np.where(shown[:, None], teeth, top), TOOTH),
-            between(upper, top, LIP), between(bottom, lower, LIP))
+    return [BodyPart((hair,), 0.05, shown=~ahead), BodyPart((hair, *front), 0.05, shown=ahead)]
 
 
 class FlatPart(NamedTuple):
-    """A projected part: depth [T], visible frames, limbs in pixels with the scales [T] of their ends, side of the hand
-    that it ends in, and patches [T, K, 2] with their colours."""
+    """A projected part: depth [T], visible frames, side of the hand that it ends in, and its polygons [T, K, 2] with
+    their colours, from back to front."""
 
     near: Array
     shown: NDArray[np.bool_] | None
-    limbs: list[Limb]
-    scales: list[tuple[Array, Array]]
     hand: str
-    patches: list[tuple[Array, str]]
-
-    def polygons(self, paper: str) -> Iterator[tuple[Array, str]]:
-        """Polygons [T, K, 2] with their colours: first the outline in the colour of the paper."""
-        # All outlines first: they separate the part from what lies behind it, not its limbs from each other.
-        for halo in (HALO, 0.0):
-            for limb, (first, last) in zip(self.limbs, self.scales, strict=True):
-                yield (outlines(limb.start, limb.end, limb.wide / 2 * first + halo * first,
-                                limb.narrow / 2 * last + halo * last), paper if halo else limb.colour)
-        yield from self.patches
+    polygons: list[tuple[Array, str]]
 
 
-def flattened(part: BodyPart, look: Look) -> FlatPart:
-    """Project a part; its depth is the mean of its limbs' midpoints."""
-    limbs, scales, depths = [], [], []
+def flattened(part: BodyPart, look: Look, paper: str) -> FlatPart:
+    """Project a part; its depth is the mean of its limbs' midpoints. paper: the colour of its outline."""
+    halos, limbs, depths = [], [], []
     for limb in part.limbs:
         (start, first, _), (end, last, _) = look(limb.start), look(limb.end)
-        limbs.append(limb._replace(start=start, end=end))
-        scales.append((first, last))
+        wide, narrow = limb.wide / 2 * first, limb.narrow / 2 * last
+        halos.append((outlines(start, end, wide + HALO * first, narrow + HALO * last), paper))
+        limbs.append((outlines(start, end, wide, narrow), limb.colour))
         depths.append(look((limb.start + limb.end) / 2)[2])
-    return FlatPart(np.mean(depths, axis=0) + part.lift, part.shown, limbs, scales, part.hand,
-                    [(look(patch.points)[0], patch.colour) for patch in part.patches])
+    # All outlines first: they separate the part from what lies behind it, not its limbs from each other.
+    return FlatPart(np.mean(depths, axis=0) + part.lift, part.shown, part.hand, halos + limbs)
 
 
-def seen(points: Mapping[str, Array], view: View) -> list[FlatPart]:
+def seen(points: Mapping[str, Array], view: View, paper: str) -> list[FlatPart]:
     """The figure at one time, points [1, 3]: legs, then all visible parts, from back to front."""
-    whole = [[flattened(part, view.look) for part in parts if part.shown is None or part.shown[0]]
+    whole = [[flattened(part, view.look, paper) for part in parts if part.shown is None or part.shown[0]]
              for parts in (legs(points), body(points, view.look, view.trunk))]
     return [part for parts in whole for part in sorted(parts, key=lambda part: float(part.near[0]))]
 

@@ -1,35 +1,30 @@
-"""`.mp4`, `.webm` and `.gif`: an animated figure with audio; also the films of user studies.
+"""`.mp4`: an animated figure with audio.
 
-User studies (RG 7.3.3, RACER 5.4) show videos to raters. The suffix selects the format: .mp4 (H.264 and AAC), .webm
-(VP9 and Opus), or .gif without audio. All motions use the same figure and camera, without text, so that the picture
-shows only the movement. Video and audio start at 0 and are equally long. The same input gives the same pictures and
-samples for the same encoder versions: one thread, no date, no muxer version. WebM and GIF are byte-identical too; an
-H.264 stream occasionally differs by a byte without visible effect.
+All motions use the same figure and camera, without text, so that the picture shows only the movement. Video (H.264) and
+audio (AAC) start at 0 and are equally long. The same input gives the same pictures and samples for the same encoder
+versions: one thread, no date, no muxer version; the stream occasionally differs by a byte without visible effect.
 
-Not shown: custom characters; legs stand still if the motion has none. Outlines are snapped to half pixels, and
-chroma is stored at half resolution (4:2:0), as in most videos.
+Not shown: custom characters and faces; legs stand still if the motion has none. Outlines are snapped to half pixels,
+and chroma is stored at half resolution (4:2:0), as in most videos.
 """
 
 from __future__ import annotations
 
-import io
 import math
-import struct
 import tempfile
 from collections.abc import Callable, Iterator
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import soxr
 
-from data_module.errors import InputError
 from data_module.files import write_bytes
 from data_module.motion import skeletons
 from data_module.types import Array, Samples, Speech
-from gesticulator.export.figure import FLOOR, FlatPart, body, face_points, figure_points, flattened, legs
+from gesticulator.export.figure import FLOOR, FlatPart, body, figure_points, flattened, legs
 from gesticulator.export.writers import Scene
 
 if TYPE_CHECKING:
@@ -41,38 +36,12 @@ SIZE = (540, 720)
 """Pixels across and down."""
 FPS = 30
 SOUND_RATE = 48_000
-"""Sampling rate in Hz, supported by Opus and AAC."""
+"""Sampling rate in Hz, supported by AAC."""
 
 
-class Format(NamedTuple):
-    """A container and its encoders, with settings of sufficient quality to hide compression artefacts."""
-
-    container: str
-    container_options: dict[str, str]
-    video: str
-    video_options: dict[str, str]
-    audio: str
-    bit_rate: int
-
-
-# No frame depends on later ones (bf, lag-in-frames, auto-alt-ref), so the first frame shown is the first in the file.
-FORMATS = {
-    ".mp4": Format("mp4", {"movflags": "+faststart"}, "libx264",
-                   {"preset": "veryfast", "crf": "20", "bf": "0", "x264-params": "threads=1"}, "aac", 128_000),
-    ".webm": Format("webm", {}, "libvpx-vp9",
-                    {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "7", "lag-in-frames": "0",
-                     "auto-alt-ref": "0"}, "libopus", 96_000),
-}
-"""Suffix -> format."""
-
-LEAST_FILLING = 9
-"""Least number of bytes that `filled` can add."""
-
-GIF_FPS = 25
-"""Frames per second: GIF delays are in hundredths of a second, and browsers slow down delays below two."""
-GIF_SIZE = (360, 480)
-GIF_COLOURS = 64
-"""Palette size: a dozen flat colours, and blends at their edges."""
+# No frame depends on later ones (bf), so the first frame shown is the first in the file.
+_VIDEO_OPTIONS = {"preset": "veryfast", "crf": "20", "bf": "0", "x264-params": "threads=1"}
+_AUDIO_BIT_RATE = 128_000
 
 _OVER = 2
 """Supersampling factor for smooth edges."""
@@ -112,7 +81,7 @@ def _polygons(part: FlatPart, ink: _Ink) -> list[tuple[list[list[int]], _Colour]
     """For each polygon of a part its corners in T frames, rounded to whole pixels (Pillow would truncate), and its
     colour."""
     return [(np.rint(corners).astype(np.int64).reshape(len(corners), -1).tolist(), ink(colour))
-            for corners, colour in part.polygons(PAPER)]
+            for corners, colour in part.polygons]
 
 
 def _background(size: tuple[int, int], ink: _Ink, still_legs: bool) -> Image:
@@ -128,7 +97,7 @@ def _background(size: tuple[int, int], ink: _Ink, still_legs: bool) -> Image:
     picture = picture.filter(ImageFilter.GaussianBlur(0.012 * float(scale)))
     pen = ImageDraw.Draw(picture)
     for part in legs() if still_legs else ():
-        for polygon, code in _polygons(flattened(part, partial(project, size=size)), ink):
+        for polygon, code in _polygons(flattened(part, partial(project, size=size), PAPER), ink):
             pen.polygon(polygon[0], fill=code)
     return picture
 
@@ -150,15 +119,13 @@ def pictures(points: dict[str, Array], size: tuple[int, int] = SIZE, ink: _Ink =
 
     ink: converts a colour to the three channels. Edges are averages, valid in any linear colour code.
     """
-    try:
-        from PIL import ImageDraw
-    except ImportError:
-        raise _missing("Pillow") from None
+    from PIL import ImageDraw
+
     moving = legs(points) if "LeftUpLeg" in points else []
     # Draw at twice the size and average 2 x 2 pixels: Pillow itself does not smooth edges.
     large = (size[0] * _OVER, size[1] * _OVER)
     look, background = partial(project, size=large), _background(large, ink, not moving)
-    parts = [flattened(part, look) for part in (*moving, *body(points, look))]
+    parts = [flattened(part, look, PAPER) for part in (*moving, *body(points, look))]
     polygons = [_polygons(part, ink) for part in parts]
     # Painter's algorithm: parts are drawn from back to front.
     order = np.argsort(np.stack([part.near for part in parts]), axis=0, kind="stable")
@@ -175,92 +142,48 @@ def pictures(points: dict[str, Array], size: tuple[int, int] = SIZE, ink: _Ink =
 
 # ---------------------------------------------------------------- the file
 
-def encode(points: dict[str, Array], speech: Speech, suffix: str, *, size: tuple[int, int] = SIZE,
-           fps: int = FPS) -> bytes:
-    """The bytes of a video: frame k shows time k of `points` (name -> [T, 3]), with `speech` as audio from its start.
-
-    The audio is truncated, or padded with silence, to T / fps seconds. suffix: ".mp4" or ".webm". InputError for
-    another suffix, an invalid size or rate, or if PyAV or Pillow is not installed.
-    """
-    frames, kind = len(next(iter(points.values()))), format_of(suffix)
-    if min(size) < 16 or size[0] % 2 or size[1] % 2:
-        raise InputError("size", f"must be even and 16 or more, not {size[0]} x {size[1]}")
-    if fps < 1:
-        raise InputError("fps", f"must be 1 or more, not {fps}")
-    if frames < 1:
-        raise InputError("video", "would hold no frame", "give a longer stretch")
+def encode(points: dict[str, Array], speech: Speech, size: tuple[int, int] = SIZE) -> bytes:
+    """The bytes of a video: frame k shows the time k / `FPS` of `points` (name -> [T, 3]), with `speech` as audio from
+    its start, truncated or padded with silence to T / `FPS` seconds. size: even numbers of pixels."""
     # Exactly as long as the picture, so that players do not stretch either.
-    sound = _resampled(speech, frames, fps)
+    sound = _resampled(speech, len(next(iter(points.values()))))
     with tempfile.TemporaryDirectory() as folder:
         # A file, not memory: moving the index to the front reads back the written data.
-        target = Path(folder) / f"clip{suffix.lower()}"
-        _write(target, kind, pictures(points, size, bt709), sound, size, fps)
+        target = Path(folder) / "clip.mp4"
+        _write(target, pictures(points, size, bt709), sound, size)
         return target.read_bytes()
 
 
-def format_of(suffix: str) -> Format:
-    """The format of a suffix; InputError for an unknown one, or if PyAV is not installed."""
-    try:
-        import av  # noqa: F401 - fail before minutes of drawing
-    except ImportError:
-        raise _missing("PyAV") from None
-    if suffix.lower() not in FORMATS:
-        raise InputError(suffix or "a name without a suffix", "is not a supported video format",
-                         f"use {' or '.join(FORMATS)}")
-    return FORMATS[suffix.lower()]
-
-
-def filled(data: bytes, size: int, suffix: str) -> bytes:
-    """Pad a file to `size` bytes with an element that players skip ("free" or Void, filled with zeros).
-
-    File sizes reveal how much a figure moves, and so which of two is the still one. `size` must equal the size of the
-    file or exceed it by at least `LEAST_FILLING`.
-    """
-    gap = size - len(data)
-    if gap == 0:
-        return data
-    if gap < LEAST_FILLING:
-        raise ValueError(f"{gap} bytes are too few to fill")
-    if FORMATS[suffix.lower()].container == "mp4":
-        return data + struct.pack(">I", gap) + b"free" + bytes(gap - 8)
-    # EBML: the id of Void, and its length as an eight-byte number, marked as such by its first bit.
-    return data + b"\xec" + struct.pack(">Q", (gap - 9) | 1 << 56) + bytes(gap - 9)
-
-
-def _missing(what: str) -> InputError:
-    return InputError("videos", f"need {what}, which is not installed", "pip install 'gesticulator[video]'")
-
-
-def _resampled(speech: Speech, frames: int, fps: int) -> Samples:
-    """The first frames / fps seconds, resampled to `SOUND_RATE`."""
-    wanted = round(frames * SOUND_RATE / fps)
+def _resampled(speech: Speech, frames: int) -> Samples:
+    """The first frames / `FPS` seconds, resampled to `SOUND_RATE`."""
+    wanted = round(frames * SOUND_RATE / FPS)
     # Include a little more, so that the resampling filter does not see an edge.
-    enough = speech.samples[:math.ceil((frames / fps + 0.1) * speech.sample_rate)]
+    enough = speech.samples[:math.ceil((frames / FPS + 0.1) * speech.sample_rate)]
     samples = enough if speech.sample_rate == SOUND_RATE else soxr.resample(enough, speech.sample_rate, SOUND_RATE)
     samples = np.clip(samples[:wanted], -1.0, 1.0).astype(np.float32)
     return np.pad(samples, (0, wanted - len(samples)))
 
 
-def _write(target: Path, kind: Format, drawn: Iterator[Image], sound: Samples, size: tuple[int, int], fps: int) -> None:
+def _write(target: Path, drawn: Iterator[Image], sound: Samples, size: tuple[int, int]) -> None:
     """Interleave video and audio, so that players find matching data together."""
     import av
 
-    options = kind.container_options | {"fflags": "+bitexact"}
-    with av.open(str(target), "w", format=kind.container, options=options) as container:
-        video: Any = container.add_stream(kind.video, rate=fps, options=kind.video_options)
+    options = {"movflags": "+faststart", "fflags": "+bitexact"}
+    with av.open(str(target), "w", format="mp4", options=options) as container:
+        video: Any = container.add_stream("libx264", rate=FPS, options=_VIDEO_OPTIONS)
         video.width, video.height, video.pix_fmt = *size, "yuv420p"
         # Stored in the file, so that players do not guess the colour space from the height.
         codec = video.codec_context
         codec.colorspace, codec.color_primaries, codec.color_trc, codec.color_range = _BT709, _BT709, _BT709, _NARROW
-        codec.gop_size = 2 * fps
-        voice: Any = container.add_stream(kind.audio, rate=SOUND_RATE, layout="mono")
-        voice.bit_rate = kind.bit_rate
+        codec.gop_size = 2 * FPS
+        voice: Any = container.add_stream("aac", rate=SOUND_RATE, layout="mono")
+        voice.bit_rate = _AUDIO_BIT_RATE
         for stream in (video, voice):
             stream.codec_context.thread_count = 1
             stream.codec_context.flags |= av.codec.context.Flags.bitexact
         for number, picture in enumerate(drawn):
-            container.mux(video.encode(_frame(picture, number, fps)))
-            first, last = (round(k * SOUND_RATE / fps) for k in (number, number + 1))
+            container.mux(video.encode(_frame(picture, number)))
+            first, last = (round(k * SOUND_RATE / FPS) for k in (number, number + 1))
             spoken = av.AudioFrame.from_ndarray(np.ascontiguousarray(sound[None, first:last]), "fltp", "mono")
             spoken.sample_rate, spoken.pts, spoken.time_base = SOUND_RATE, first, Fraction(1, SOUND_RATE)
             container.mux(voice.encode(spoken))
@@ -268,7 +191,7 @@ def _write(target: Path, kind: Format, drawn: Iterator[Image], sound: Samples, s
             container.mux(stream.encode(None))
 
 
-def _frame(picture: Image, number: int, fps: int) -> Any:
+def _frame(picture: Image, number: int) -> Any:
     """A picture in the colours of `bt709` as frame `number`; drawn in these colours to avoid a slow conversion."""
     import av
 
@@ -279,45 +202,15 @@ def _frame(picture: Image, number: int, fps: int) -> Any:
         rows[:, :channel.width] = np.asarray(channel)
         # Rows are padded, and an encoder may read the padding.
         rows[:, channel.width:] = rows[:, channel.width - 1:channel.width]
-    frame.pts, frame.time_base = number, Fraction(1, fps)
+    frame.pts, frame.time_base = number, Fraction(1, FPS)
     frame.colorspace, frame.color_range = _BT709, _NARROW
     return frame
 
 
-# ---------------------------------------------------------------- a scene
-
 def write_film(path: Path, scene: Scene) -> Path:
-    """Write the scene as a video with audio, atomically. Returns `path`."""
-    write_bytes(path, encode(_moments(scene, FPS), scene.speech, path.suffix))
-    return path
-
-
-def write_gif(path: Path, scene: Scene) -> Path:
-    """Write the scene as a looping GIF without audio, with one palette for all frames, atomically. Returns `path`."""
-    from PIL import Image
-
-    points = _moments(scene, GIF_FPS)
-    frames = len(next(iter(points.values())))
-    # The palette is made from a few pictures below each other: their colours are those of all.
-    few = np.linspace(0, frames - 1, min(frames, 8)).astype(int)
-    samples = list(pictures({name: places[few] for name, places in points.items()}, GIF_SIZE))
-    sheet = Image.new("RGB", (GIF_SIZE[0], GIF_SIZE[1] * len(samples)))
-    for row, picture in enumerate(samples):
-        sheet.paste(picture, (0, GIF_SIZE[1] * row))
-    palette = sheet.quantize(GIF_COLOURS, dither=Image.Dither.NONE)
-    # A generator, as Pillow takes one picture at a time: those of ten minutes would fill the memory.
-    drawn = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures(points, GIF_SIZE))
-    out = io.BytesIO()
-    next(drawn).save(out, "GIF", save_all=True, append_images=drawn, duration=1000 // GIF_FPS, loop=0, optimize=False,
-                     disposal=1)
-    write_bytes(path, out.getvalue())
-    return path
-
-
-def _moments(scene: Scene, fps: int) -> dict[str, Array]:
-    """The points to draw at each frame of a film, with legs, fingers and face if the scene has them."""
-    motion, times = scene.motion, np.arange(max(1, math.floor(scene.duration * fps + 1e-9))) / fps
+    """Write the scene as a video with audio, with legs and fingers if the motion has them, atomically. Returns
+    `path`."""
+    motion, times = scene.motion, np.arange(max(1, math.floor(scene.duration * FPS + 1e-9))) / FPS
     points = figure_points(motion, times, skeletons.has_legs(motion), fingers=True)
-    if scene.face is not None:
-        points |= face_points(scene.face, motion, times)
-    return points
+    write_bytes(path, encode(points, scene.speech))
+    return path

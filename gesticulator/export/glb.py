@@ -7,7 +7,6 @@ The figure is a visible body for a bare skeleton: one spindle of eight triangles
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.errors import InputError
 from data_module.files import write_bytes
 from data_module.types import Array
 from gesticulator.characters.rig import CharacterMotion
@@ -33,35 +31,24 @@ _COLOUR = [0.24, 0.45, 0.47, 1.0]
 
 
 def write_glb(path: Path, scene: Scene) -> Path:
-    """Write the motion as GLB, atomically. Returns `path`. Characters from FBX are written by `export.fbx`."""
-    return write_clips(path, [scene])
+    """Write the motion as an animation of a GLB, named after its clip, atomically. Returns `path`. Characters from FBX
+    are written by `export.fbx`.
 
-
-def write_clips(path: Path, scenes: Sequence[Scene]) -> Path:
-    """Write scenes with the same character as animations of one GLB, each named after its clip, atomically. Returns
-    `path`.
-
-    A character's file keeps everything; with a face, the animations move what it has for one (`gesticulator.face.rig`),
-    too, and a warning says so if it has no mouth. Other scenes are a skeleton with a figure of spindles. `InputError`
-    for several of a character from FBX.
+    A character's file keeps everything; with a face, the animation moves what it has for one (`gesticulator.face.rig`),
+    too, and a warning says so if it has no mouth. Other scenes are a skeleton with a figure of spindles.
     """
-    character = scenes[0].character
-    if character is not None and character.character.kind == "fbx":
-        raise InputError(character.character.path, "cannot take several clips in one file as FBX",
-                         "convert it to GLB, or write one file per recording")
-    is_glb = character is not None and character.character.kind == "glb"
-    gltf = open_gltf(character.character.path) if character is not None and is_glb \
-        else skeleton_document(scenes[0].nodes)
-    for scene in scenes:
-        if is_glb and scene.character is not None:
-            _add_character_clip(gltf, scene.character, scene.clip, scene.face)
-            continue
+    character = scene.character
+    if character is not None and character.character.kind == "glb":
+        gltf = open_gltf(character.character.path)
+        _add_character_clip(gltf, character, scene.clip, scene.face)
+    else:
         if scene.face is not None:
             from gesticulator.export.face import FaceWarning
 
             warnings.warn(FaceWarning("a skeleton without a mesh shows no face; give a --character that has one"),
                           stacklevel=2)
         motion = scene.nodes
+        gltf = skeleton_document(motion)
         steady = frozenset(node for node, name in enumerate(motion.names) if name in STEADY)
         gltf.animate(scene.clip, motion, {node: node for node in range(len(motion.names))
                                           if not (scene.clip.bare and node in steady)}, steady)

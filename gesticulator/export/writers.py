@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from gesticulator.face.motion import FaceMotion
     from gesticulator.plan.plan import GesturePlan
 
-_VIDEO = Requirement("av", "PyAV", "video")
 _USD = Requirement("pxr", "usd-core", "usd")
 
 WRITERS: Registry[RegistryEntry] = Registry("writers", "a format that can be written", {
@@ -31,20 +30,16 @@ WRITERS: Registry[RegistryEntry] = Registry("writers", "a format that can be wri
     ".face.csv": RegistryEntry("the face in ARKit's names, as Live Link Face records it",
                                "gesticulator.export.face:write_live_link"),
     ".fbx": RegistryEntry("motion, or your own character, through Blender", "gesticulator.export.fbx:write_fbx"),
-    ".gif": RegistryEntry("an animated figure, looping", "gesticulator.export.film:write_gif",
-                  needs=Requirement("PIL", "Pillow", "video")),
     ".glb": RegistryEntry("motion, or your own character, as binary glTF", "gesticulator.export.glb:write_glb"),
     ".html": RegistryEntry("a page that plays and edits the performance", "gesticulator.export.html:write_preview"),
     ".json": RegistryEntry("the gesture plan: the choice for each block and its reasons",
                            "gesticulator.export.writers:write_plan"),
-    ".mp4": RegistryEntry("an animated figure with audio", "gesticulator.export.film:write_film", needs=_VIDEO),
+    ".mp4": RegistryEntry("an animated figure with audio", "gesticulator.export.film:write_film",
+                          needs=Requirement("av", "PyAV", "video")),
     ".npz": RegistryEntry("SMPL-X poses in the format of BEAT2", "gesticulator.export.smplx:write_smplx"),
-    ".parquet": RegistryEntry("the table of .csv as Parquet", "gesticulator.export.table:write_parquet",
-                      needs=Requirement("pyarrow", "pyarrow", "parquet")),
     ".usda": RegistryEntry("a USD skeleton as text", "gesticulator.export.usd:write_usd", needs=_USD),
     ".usdc": RegistryEntry("a USD skeleton in binary", "gesticulator.export.usd:write_usd", needs=_USD),
     ".vrma": RegistryEntry("a VRM animation", "gesticulator.export.vrma:write_vrma"),
-    ".webm": RegistryEntry("an animated figure with audio", "gesticulator.export.film:write_film", needs=_VIDEO),
 }, RegistryEntry)
 """By suffix: writer(path, scene) -> path; writers write atomically."""
 

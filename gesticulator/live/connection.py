@@ -39,8 +39,8 @@ T = TypeVar("T")
 
 TURN_SECONDS = 0.015
 """Time after which a turn ends at the next step: a block takes about as long, so a turn takes at most 30 ms."""
-PIECE_SECONDS = 0.5
-"""Audio taken up at a time, seconds; it is computed in turns of a block."""
+PIECE_SECONDS = 0.25
+"""Audio taken up at a time, seconds, at most a block; how late a stream is is decided anew for each piece."""
 IDLE_SECONDS = 0.1
 """Idle motion generated at a time, seconds, after a client requested it until audio arrives."""
 CLOSE_SECONDS = 2.0
@@ -328,7 +328,7 @@ class Connection:
         work.close()
 
     async def _next(self, sample_rate: int, lacking: float) -> _Sound | _Command | None:
-        """The next item: a command, up to half a second of audio, or None for idle motion that is due.
+        """The next item: a command, up to `PIECE_SECONDS` of audio, or None for idle motion that is due.
 
         Waits for an item, and until the client has read enough. lacking: seconds of the avatar's audio below which
         processing would produce nothing, and is not worth a round trip to the compute thread.
@@ -357,7 +357,7 @@ class Connection:
         return all(isinstance(item, _Sound) and not item.other_voice for item in self._waiting)
 
     def _piece(self, sample_rate: int) -> _Sound:
-        """Up to half a second of queued audio of one voice; all of it, to be skipped, if it comes too late."""
+        """Up to `PIECE_SECONDS` of queued audio of one voice; all of it, to be skipped, if it comes too late."""
         first = self._waiting[0]
         assert isinstance(first, _Sound)
         paced = self._keeps_up and not first.other_voice

@@ -12,13 +12,17 @@ import time
 from collections.abc import Callable
 from enum import StrEnum
 
-LATE_SECONDS, ON_TIME_SECONDS = 0.3, 0.15
-"""Delays above which blocks are generated at lower cost, and below which at full quality again: a block lasts 0.3 s, so
-a smaller delay can be caught up within the next."""
-SKIP_SECONDS = 1.0
-"""Delay above which queued audio is skipped if it cannot be caught up within `CATCH_UP_SECONDS`: poses of a low-latency
-stream wait about as long anyway."""
+LATE_SECONDS, ON_TIME_SECONDS = 0.15, 0.05
+"""Delays above which blocks are generated at lower cost, and below which at full quality again: half a block, which the
+next one can catch up."""
+SKIP_SECONDS = 0.15
+"""Delay above which queued audio is skipped if it cannot be caught up within `CATCH_UP_SECONDS`. Poses of a low-latency
+stream wait for 0.6 s of audio anyway; the delay comes on top."""
 CATCH_UP_SECONDS = 1.0
+"""Time to catch up that is accepted; a machine that stalled for 3 s has caught up by then at a quarter of real time."""
+REST_SECONDS = 2.0
+"""Time for which a stream that skips goes on skipping. The character rests for the length of a pause rather than
+stopping and starting several times a second, and the other streams are on time meanwhile."""
 _FASTEST_CLOCK = 1.02
 """Assumed speed of a client's clock relative to the server's. A clock fast by 1 % sends 36 s more than an hour of audio
 in an hour; if that counted as ahead, it would be 36 s late before being noticed. A synthesiser ahead by a minute counts
@@ -43,6 +47,7 @@ class Pace:
         self._ahead = 0.0  # seconds sent that cannot have been played at `_last`
         self._late = False
         self._computing = self._computed = 0.0  # seconds of computing, and of the audio that was computed
+        self._rests_until = -math.inf
 
     def arrived(self, seconds: float) -> None:
         """More audio was sent, to be played."""
@@ -71,6 +76,8 @@ class Pace:
 
     def effort(self, waiting: float) -> Effort:
         """The effort for the next piece, with `waiting` seconds of audio queued."""
+        if self._clock() < self._rests_until:
+            return Effort.NONE
         seconds = self.late(waiting)
         # Two bounds, so that a stream at the limit does not change its effort at each piece.
         late = seconds > (ON_TIME_SECONDS if self._late else LATE_SECONDS)
@@ -83,4 +90,7 @@ class Pace:
         # seconds * computing / (computed - computing).
         hopeless = self._computed > 0 \
             and seconds * self._computing > CATCH_UP_SECONDS * (self._computed - self._computing)
-        return Effort.NONE if seconds > SKIP_SECONDS and hopeless else Effort.LESS
+        if seconds <= SKIP_SECONDS or not hopeless:
+            return Effort.LESS
+        self._rests_until = self._clock() + REST_SECONDS
+        return Effort.NONE

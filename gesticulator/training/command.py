@@ -21,9 +21,9 @@ class _List(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
         from gesticulator.training.presets import PRESETS
-        from gesticulator.training.stages import every_stage
+        from gesticulator.training.stages import STAGES
 
-        print("presets: " + ", ".join(PRESETS) + "\nstages: " + ", ".join(every_stage()))
+        print("presets: " + ", ".join(PRESETS) + "\nstages: " + ", ".join(STAGES))
         parser.exit()
 
 
@@ -36,9 +36,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--work", metavar="DIR",
                    help="work folder for finished stages, reused if it exists (default: BUNDLE.work)")
     p.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
-    p.add_argument("--threads", type=int, help="torch threads per process (default: all cores)")
-    p.add_argument("--precision", default="float32", choices=("float32", "bfloat16"),
-                   help="bfloat16 is mixed precision, on a GPU (default float32)")
+    p.add_argument("--threads", type=int, help="torch threads (default: all cores)")
     p.add_argument("--stage", metavar="STAGE", help="train this stage and those it needs, then stop")
     p.add_argument("--redo", action="append", default=[], metavar="STAGE", help="train this stage again")
     p.add_argument("--seed", type=int, help="random seed")
@@ -49,8 +47,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train; InputError for invalid arguments."""
-    machine = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # processes started here by torchrun
-    threads = args.threads if args.threads is not None else max(1, (os.cpu_count() or 1) // machine)
+    threads = args.threads if args.threads is not None else os.cpu_count() or 1
     for flag, value, least, most in (("--threads", threads, 1, MOST_THREADS), ("--seed", args.seed or 0, 0, 2**31 - 1)):
         if not least <= value <= most:
             raise InputError(f"{flag} {value}", "is out of range", f"choose {least} to {most}")
@@ -59,19 +56,16 @@ def run(args: argparse.Namespace) -> int:
     from data_module.build_report import doubts
     from data_module.store import Store
     from gesticulator.bundle.config import with_settings
-    from gesticulator.training.distributed import joined, rank
     from gesticulator.training.presets import preset
-    from gesticulator.training.stages import Run, every_stage
+    from gesticulator.training.stages import STAGES, Run
     from gesticulator.training.stages.training import train
 
     for flag, names in (("--stage", [args.stage] if args.stage else []), ("--redo", args.redo)):
         for name in names:
-            if name not in every_stage():
-                raise InputError(f"{flag} {name}", "is not a stage", f"choose among {', '.join(every_stage())}")
+            if name not in STAGES:
+                raise InputError(f"{flag} {name}", "is not a stage", f"choose among {', '.join(STAGES)}")
     if args.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device cuda", "there is no CUDA device", "use --device cpu")
-    if args.precision != "float32" and args.device == "cpu":
-        raise InputError(f"--precision {args.precision}", "is for GPUs", "add --device cuda, or leave it out")
     torch.set_num_threads(threads)
     config = with_settings(preset(args.preset), args.settings)
     if args.seed is not None:
@@ -82,11 +76,8 @@ def run(args: argparse.Namespace) -> int:
     store = Store.open(args.data)
     for line in () if args.quiet else doubts(store):
         complain(f"{PROGRAM}: warning: {args.data}: {line}")
-    with joined(args.device) as device:
-        silent = rank() > 0
-        run = Run(config, store, work, device, not args.quiet and not silent, threads * machine, args.precision)
-        bundle = train(run, out, args.redo, args.stage)
-    if bundle is not None and not silent:
+    bundle = train(Run(config, store, work, args.device, not args.quiet, threads), out, args.redo, args.stage)
+    if bundle is not None:
         hours = float(bundle.provenance["hours"]["train"])
         print(f"{out}: trained on {hours * 60:.0f} minutes of motion; use it with --bundle {out}")
         for stage, figures in bundle.figures.items() if args.verbose else ():
@@ -99,7 +90,7 @@ COMMAND = Command(
     examples=("train --data store --out bundle", "train --data store --out bundle --preset tiny",
               "train --data store --out bundle --set generator.lstm_width=320 --seed 2",
               "train --data store --out bundle --stage generator",
-              "train --data store --out bundle --device cuda --precision bfloat16"))
+              "train --data store --out bundle --device cuda"))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

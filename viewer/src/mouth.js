@@ -1,5 +1,4 @@
 // The mouth of our own figure: from the 20 numbers of a face to the outlines of lips and teeth. Metres, for a head of the usual size.
-// gesticulator/face/mouth.py draws the same mouth in films; a test compares the two.
 
 /** Places of the numbers in a face: 15 visemes, blink, brows, smile, gaze to the left and up (radians). */
 export const BLINK = 15, BROWS = 16, SMILE = 17, LEFT = 18, UP = 19, NUMBERS = 20;

@@ -6,7 +6,6 @@ them a system has stands in its file (`gesticulator.systems`). A new stage does 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,39 +23,26 @@ from gesticulator.training.stages.lexicon import CODEC, LABELS, LEXICON, TOKENS,
 from gesticulator.training.stages.q_network import EPISODES, Q_LITERAL, Q_NETWORK
 from gesticulator.training.stages.reward import REWARD, REWARD_JUDGE
 from gesticulator.training.stages.speech import CONTRAST, CORPUS, ENCODER, SPEECH
-from interpreters import entries
 
 __all__ = ["ADVANTAGE", "BLOCKS", "CODEC", "CONTRAST", "CORPUS", "COUNTERFACTUALS", "ENCODER", "EPISODES", "GATE",
            "GENERATOR", "INTERPRETER", "INTERPRETER_TEXT", "LABELS", "LEXICON", "PLANNER", "Q_LITERAL", "Q_NETWORK",
            "REWARD", "REWARD_JUDGE", "SPEECH", "STAGES", "STYLE", "STYLE_TEXT", "TOKENS", "Corpus", "Labelled", "Node",
-           "Run", "Stage", "Tokens", "assemble", "closure", "every_stage", "wanted"]
+           "Run", "Stage", "Tokens", "assemble", "closure", "wanted"]
 
 STAGES: dict[str, Stage[Any]] = {stage.name: stage for stage in (
     SPEECH, CONTRAST, LEXICON, CODEC, INTERPRETER, INTERPRETER_TEXT, GATE, PLANNER, REWARD, REWARD_JUDGE, Q_NETWORK,
     Q_LITERAL, ADVANTAGE, GENERATOR, STYLE, STYLE_TEXT)}
 
 
-def _added() -> dict[str, Stage[Any]]:
-    """The stages of interpreters from other packages, by name."""
-    stages = [entry.load_stage() for entry in entries().values() if entry.stage]
-    return {stage.name: stage for stage in stages}
-
-
-def every_stage() -> dict[str, Stage[Any]]:
-    """The stages by name: those above, then those that entries of interpreters name."""
-    return {**STAGES, **_added()}
-
-
 def wanted(config: Config) -> list[Stage[Any]]:
-    """The stages required by these settings, in order: those of the system, then those of other packages."""
-    stages = [*(STAGES[name] for name in system_of(config).STAGES), *_added().values()]
-    return [stage for stage in stages if stage.wanted(config)]
+    """The stages required by these settings, in order."""
+    return [STAGES[name] for name in system_of(config).STAGES if STAGES[name].wanted(config)]
 
 
-def assemble(run: Run, provenance: dict[str, Any] | None = None, leave_out: Sequence[Stage[Any]] = ()) -> Bundle:
-    """Train or load every required stage except `leave_out`; returns them as a Bundle."""
+def assemble(run: Run, provenance: dict[str, Any] | None = None) -> Bundle:
+    """Train or load every required stage; returns them as a Bundle."""
     corpus, labelled, tokens = run.get(CORPUS), run.get(LABELS), run.get(TOKENS)
-    parts = {stage.part: run.get(stage) for stage in wanted(run.config) if stage.part and stage not in leave_out}
+    parts = {stage.part: run.get(stage) for stage in wanted(run.config) if stage.part}
     encoder = run.get(ENCODER)
     if encoder is not None:
         parts["encoder"] = encoder

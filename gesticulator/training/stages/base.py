@@ -23,10 +23,8 @@ from torch import nn
 from data_module.errors import InputError
 from data_module.files import read_object, rename, write_text
 from data_module.layers import freeze
-from data_module.settings import check
 from data_module.store import Store
-from gesticulator.bundle.config import Config, FitSettings, digest, from_dict, to_dict
-from gesticulator.training import distributed
+from gesticulator.bundle.config import Config, FitSettings, digest
 from gesticulator.training import fit as fitting
 
 T = TypeVar("T")
@@ -64,16 +62,15 @@ class Stage(Node[M]):
     """A node that is a trained model.
 
     build: the untrained model. train: one call of `Run.fit`; returns the last validation figures. schedule: name of its
-    schedule in `Config.schedules` (schedule_of: if it depends on the settings; default: its own schedule, changed by
-    `Config.schedules.others`). wanted: whether the settings require it. finish: converts the trained module to the one
-    used (a learner also holds its target network). part: its name in a bundle, "" for none.
+    schedule in `Config.schedules` (schedule_of: if it depends on the settings). wanted: whether the settings require
+    it. finish: converts the trained module to the one used (a learner also holds its target network). part: its name
+    in a bundle, "" for none.
     """
 
     build: Callable[[Run], nn.Module] | None = None
     train: Callable[[Run, Any, Path], Figures] | None = None
     schedule: str = ""
     schedule_of: Callable[[Config], FitSettings] | None = None
-    default: FitSettings | None = None
     wanted: Callable[[Config], bool] = always
     finish: Callable[[nn.Module], M] = cast(Any, lambda model: model)  # noqa: RUF009
     part: str = ""
@@ -98,21 +95,18 @@ class Run:
     progress: bool = True
     workers: int = 1
     """Processes that cut and encode recordings."""
-    precision: str = "float32"
-    """See `gesticulator.training.fit.FitOptions`."""
     figures: dict[str, Figures] = field(default_factory=dict)
     """Stage -> its validation figures, once it has been trained or loaded."""
     _values: dict[str, Any] = field(default_factory=dict, repr=False)
     _keys: dict[str, str] = field(default_factory=dict, repr=False)
 
     def get(self, node: Node[T]) -> T:
-        """The value of a node, computed (or read from the work folder) on first use. Of several processes the first
-        computes it, then the others from its files."""
+        """The value of a node, computed (or read from the work folder) on first use."""
         if node.name not in self._values:
             if isinstance(node, Stage):
                 assert node.build is not None
                 # A finished stage asks for what its shape depends on alone: its data set may take minutes to make.
-                for need in () if distributed.agreed(self.finished(node)) else node.needs(self.config):
+                for need in () if self.finished(node) else node.needs(self.config):
                     self.get(need)
                 torch.manual_seed(self.seed(node))  # initial weights
                 # Built whether finished or not: the shapes of the weights follow from the settings alone.
@@ -121,11 +115,7 @@ class Run:
                 self._values[node.name] = node.finish(freeze(model))
             else:
                 assert node.make is not None
-                if distributed.processes() > 1:  # stages are trained by all processes together
-                    for need in node.needs(self.config):
-                        self.get(need)
-                with distributed.first():
-                    self._values[node.name] = node.make(self)
+                self._values[node.name] = node.make(self)
         return cast(T, self._values[node.name])
 
     def provide(self, node: Node[Any], value: Any, key: str | None = None) -> None:
@@ -155,11 +145,6 @@ class Run:
         """The schedule of a stage."""
         if stage.schedule_of is not None:
             return stage.schedule_of(self.config)
-        if stage.default is not None:
-            settings = from_dict(FitSettings, {**to_dict(stage.default),
-                                               **self.config.schedules.others.get(stage.name, {})})
-            check(settings, f"schedules.others.{stage.name}")
-            return settings
         return cast(FitSettings, getattr(self.config.schedules, stage.schedule))
 
     def folder(self, node: Node[Any]) -> Path:
@@ -173,15 +158,12 @@ class Run:
     def train_stage(self, stage: Stage[Any], model: nn.Module) -> Figures:
         """Load a finished stage into `model`, or train it; returns its validation figures."""
         folder = self.folder(stage)
-        if not distributed.agreed(finished(folder, model)):
+        if not finished(folder, model):
             folder.mkdir(parents=True, exist_ok=True)
             assert stage.train is not None
-            figures = stage.train(self, model, folder)
-            with distributed.first():
-                if not distributed.rank():
-                    keep(folder, model, figures)
-                    # Only now: a kill in between finds the finished stage or the checkpoint.
-                    (folder / f"{stage.name}.ckpt").unlink(missing_ok=True)
+            keep(folder, model, stage.train(self, model, folder))
+            # Only now: a kill in between finds the finished stage or the checkpoint.
+            (folder / f"{stage.name}.ckpt").unlink(missing_ok=True)
         # Read back also after training, so that a first run uses exactly what a resumed one would.
         model.cpu().load_state_dict(load_file(folder / WEIGHTS))
         return read_object(folder / FIGURES, "delete it, and train again", python=True)
@@ -189,7 +171,7 @@ class Run:
     def fit(self, stage: Stage[Any], model: nn.Module, task: fitting.Task, folder: Path) -> Figures:
         """The training loop with this run's settings."""
         return fitting.fit(stage.name, model, task, self.schedule(stage), folder, fitting.FitOptions(
-            seed=self.seed(stage), device=self.device, progress=self.progress, precision=self.precision))
+            seed=self.seed(stage), device=self.device, progress=self.progress))
 
     def redo(self, stage: Stage[Any]) -> None:
         """Delete a finished or started stage."""
