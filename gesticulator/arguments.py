@@ -5,24 +5,22 @@ from __future__ import annotations
 
 import argparse
 import re
-import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import Field, dataclass, fields, replace
+from dataclasses import Field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from data_module.errors import InputError, shown
+from data_module.errors import InputError
 from data_module.settings import field_docs, whole_number
 from gesticulator.cli import PROGRAM
 from gesticulator.export.clip import NAME, ClipLayout, check_clip_outputs, parse_keys
 from gesticulator.export.writers import ELSEWHERE, WRITERS, check_output, suffix_of
-from gesticulator.jobs import BatchRequest, CharacterRequest, Job, is_folder, jobs_for
+from gesticulator.jobs import CharacterRequest, Job, RunSettings, is_folder, jobs_for
 from gesticulator.options import RANGES, InferenceOptions, OptionFlag
 from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
-    from gesticulator.gesticulator import Gesticulator
     from gesticulator.plan.plan import GestureCue, GesturePlan
 
 FORMAT = "bvh"
@@ -70,7 +68,7 @@ _PARSERS: Mapping[str, Callable[[str], object]] = {"hold_still": _seconds, "cues
 """Field -> parser of its value, for values that are neither numbers nor words."""
 _GROUPS = {
     "audio and transcript": "",
-    "motion": "VALUE is low, mid or high, a number, or a CSV file with the columns time and value.",
+    "motion": "VALUE is low, mid or high, or a number.",
 }
 """Title of a group of options -> its description."""
 
@@ -94,7 +92,7 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
                                 "elsewhere; see gesticulator character --help.")
     body.add_argument("--character", metavar="FILE",
                       help="animate this character: .bvh, .glb, .gltf, .vrm, or .fbx if Blender is installed "
-                      "(FILE#NAME: one of several in the file); it stands unless it is seated in the file or --seated "
+                      "(FILE#NAME: one of several in the file); it stands unless --seated "
                       "is given")
     body.add_argument("--mapping", metavar="FILE.json",
                       help="which nodes are which joints, if they are not identified automatically")
@@ -165,8 +163,7 @@ def infer_arguments(p: argparse.ArgumentParser) -> None:
     many.add_argument("--manifest", metavar="FILE.jsonl",
                       help="the manifest, JSON lines; default with --shard and --ray: manifest.jsonl in the folder of "
                       "-o")
-    many.add_argument("--shard", metavar="I/N",
-                      help="process shard I of N, of equal duration; gesticulator manifest joins their manifests")
+    many.add_argument("--shard", metavar="I/N", help="process shard I of N, of equal duration")
     many.add_argument("--ray", metavar="WHERE",
                       help="process on a Ray cluster: auto, its address, or local:N for N workers on this machine")
     performance_arguments(p)
@@ -184,79 +181,9 @@ def _clip_arguments(p: argparse.ArgumentParser) -> None:
                       "to be added to an idle clip of the file")
 
 
-def check_choices(options: InferenceOptions) -> None:
-    """`InputError` for a recogniser that is missing or a --beta that would have no effect, before models load."""
-    if options.transcribe is not None:
-        from data_module.text.transcription import find_model
-
-        find_model(options.transcribe)
-    name = options.interpreter
-    if options.beta is not None and (name is None or not INTERPRETERS[str(name)].prior):
-        # Only interpreters with a prior read beta.
-        steered = ", ".join(name for name, entry in INTERPRETERS.items() if entry.prior)
-        raise InputError(f"--beta {options.beta:g}", f"is read by the interpreter {steered} alone",
-                         f"add --interpreter {steered}, or leave it out")
-
-
-def check_options(gesticulator: Gesticulator, options: InferenceOptions) -> None:
-    """`InputError` for a speaker that the bundle lacks, a hand control that it cannot follow, or a cue that names an
-    unknown gesture, before any recording is processed."""
-    gesticulator.resolver.speaker(options.speaker)
-    levels = gesticulator.bundle.levels
-    if any(hand is not None for hand in options.hands):
-        if levels is None:
-            raise InputError("--hand-height, --hand-speed, --hand-radius", "are not supported by this bundle",
-                             "use a bundle trained with style editing, or leave them out")
-        from data_module.controls import ControlWarning, controls_from
-
-        # Read here as well as by the performance, so that an error names the option as it was typed. What lies far from
-        # the training data is reported once, by the performance.
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ControlWarning)
-            height, speed, radius = (None if hand is None else str(hand) for hand in options.hands)
-            controls_from(height, speed, radius, levels)
-    if options.cues:
-        check_cues(gesticulator, options)
-
-
-def check_cues(gesticulator: Gesticulator, options: InferenceOptions) -> None:
-    """`InputError` for a cue that names an unknown gesture, or an expression without a face to show it."""
-    from gesticulator.plan.gestures import EXPRESSIONS, GESTURES, near_gestures
-
-    # Without a face the cue would have no effect, which no message would tell.
-    shown_by_face = [cue.gesture for cue in options.cues if cue.gesture in EXPRESSIONS]
-    if shown_by_face and options.face != "full":
-        raise InputError(f"--cue {shown_by_face[0]}", "is of the face", "add --face full, or leave it out")
-    unknown = [cue.gesture for cue in options.cues if cue.gesture not in (*GESTURES, *EXPRESSIONS)]
-    if unknown:
-        from gesticulator.directing.lexeme_names import lexeme_names
-
-        names = [lexeme.name for lexeme in lexeme_names(gesticulator.bundle)]
-        for gesture in unknown:
-            if gesture not in names:
-                raise InputError(f"--cue {shown(gesture)}", "is the name of no gesture", near_gestures(gesture, names))
-
-
-@dataclass(frozen=True)
-class RunSettings:
-    """How a command runs. bundle: its name or folder; None: the default. threads: of torch. quiet: print no progress
-    bar and no summary."""
-
-    bundle: str | None
-    threads: int
-    quiet: bool
-
-
 def run_settings_of(args: argparse.Namespace) -> RunSettings:
-    """The settings of a run from the arguments of `performance_arguments`."""
-    return RunSettings(args.bundle, int(args.threads), args.quiet)
-
-
-def batch_of(args: argparse.Namespace) -> BatchRequest | None:
-    """How many recordings are processed together; None without a manifest."""
-    if not (args.manifest or args.shard or args.ray):
-        return None
-    return BatchRequest(args.manifest, args.shard, args.ray)
+    """The settings of a run from its arguments; a command may lack those of a batch."""
+    return RunSettings(**{field.name: getattr(args, field.name, field.default) for field in fields(RunSettings)})
 
 
 def settings_of(args: argparse.Namespace, upper: bool = False) -> Job:
@@ -268,6 +195,12 @@ def settings_of(args: argparse.Namespace, upper: bool = False) -> Job:
     # argparse collects repeated options in lists; options are frozen and hashed.
     values.update({name: tuple(value) for name, value in values.items() if isinstance(value, list)})
     options = InferenceOptions(**{**values, "plan": _plan_of(args)})
+    if options.cues and options.face != "full":
+        from gesticulator.plan.gestures import EXPRESSIONS
+
+        # Without a face the cue would have no effect, which no message would tell.
+        if any(cue.gesture in EXPRESSIONS for cue in options.cues):
+            raise InputError("--cue", "names an expression of the face", "add --face full, or leave it out")
     return Job(None, options=options, character=_character_of(args, upper), any_length=args.any_length)
 
 
@@ -285,9 +218,8 @@ def _character_of(args: argparse.Namespace, upper: bool) -> CharacterRequest | N
             if getattr(args, name) is not None:
                 raise InputError(f"--{name.replace('_', '-')}", "is about a character", "name one with --character")
         return None
-    # None leaves it to the character's own pose (`retargeter_for`).
-    legs = False if args.seated or upper else True if args.legs else None
-    return CharacterRequest(args.character, args.mapping, args.save_mapping, not args.no_contacts, legs)
+    return CharacterRequest(args.character, args.mapping, args.save_mapping, not args.no_contacts,
+                            not (args.seated or upper))
 
 
 def jobs_of(args: argparse.Namespace) -> list[Job]:

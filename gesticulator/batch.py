@@ -1,8 +1,7 @@
-"""Batches: which recordings to process, in which order, on which worker, and what to record of each.
+"""Batches: recordings that are missing or changed are processed, the longest first, and noted in a manifest.
 
-Work is divided by duration, longest first, from the files alone, so every machine divides it alike. Each result is
-written atomically and does not depend on the worker that made it; so any number of workers, any order and any restart
-give the same bytes.
+Work is divided by duration, from the files alone, so every machine divides it alike. Each result is written atomically
+and does not depend on the worker that made it; so any number of workers, any order and any restart give the same bytes.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
 
@@ -23,68 +22,29 @@ from data_module.files import remove_unfinished_of
 from data_module.settings import whole_number
 from gesticulator.bundle.files import INDEX, bundle_folder, read_index
 from gesticulator.cli import PROGRAM
-from gesticulator.jobs import BatchRequest, Job, file_hash
-from gesticulator.manifest import DONE, FAILED, Manifest, ManifestRow, check_manifest, default_name, table
+from gesticulator.jobs import Job, RunSettings, file_hash
+from gesticulator.manifest import SUFFIX, ManifestRow, check_manifest, opened_manifest
 from gesticulator.version import __version__
 
-Doing: TypeAlias = "Callable[[int], float]"
-"""Processes the recording of that number and returns its duration in seconds; raises InputError or OSError."""
+Doing: TypeAlias = "Callable[[str], float]"
+"""Processes the recording of that path and returns its duration in seconds; raises InputError or OSError."""
 Maker: TypeAlias = "Callable[[], Doing]"
 """Loads the models. It is called once in each worker and must be picklable."""
-Outcomes: TypeAlias = "Callable[[Sequence[int]], Iterator[TaskOutcome]]"
-"""Processes the recordings of these numbers; the outcomes come in any order."""
+Processing: TypeAlias = "Callable[[Sequence[ManifestRow]], Iterator[ManifestRow]]"
+"""Processes the recordings of rows, and gives back the rows with what came of it, in any order."""
 READERS = 8
-"""Threads that read and hash recordings before processing."""
+"""Threads that read and hash recordings: a shared folder is slow to answer, but answers many at a time."""
 _MOST_SHARDS = 10**9
 _BYTES_PER_SECOND = 16_000
 """Assumed for files whose header lacks a duration, such as MP3 at 128 kbit/s; affects only how work is divided."""
 
 
-@dataclass(frozen=True)
-class BatchTask:
-    """A recording to process. number: its index for `Doing`; source: its file; outputs: the files to write; made_with:
-    program, bundle and settings, see `ManifestRow`; fault: why it cannot be processed, if known."""
-
-    number: int
-    source: Path
-    outputs: tuple[Path, ...]
-    made_with: tuple[str, str, str]
-    fault: InputError | None = None
-    seconds: float = 0.0
-
-    @property
-    def order(self) -> tuple[float, str]:
-        """Sort key: longest first, then by name, independent of the folder's location."""
-        return -self.seconds, self.source.name
-
-    def row(self) -> ManifestRow:
-        """Its manifest row before processing; reads the file to hash it."""
-        program, bundle, settings = self.made_with
-        try:
-            digest = file_hash(self.source)
-        except OSError:
-            digest = ""
-        return ManifestRow(str(self.source), digest, self.seconds, tuple(map(str, self.outputs)), program=program,
-                           bundle=bundle, settings=settings)
-
-
-@dataclass(frozen=True)
-class TaskOutcome:
-    """The outcome of a recording: its number, duration in seconds (0 on failure), error message, computing time in
-    seconds, and worker."""
-
-    number: int
-    seconds: float
-    error: str
-    time: float
-    worker: str
-
-
-def estimated_seconds(path: Path) -> float:
+def estimated_seconds(row: ManifestRow) -> float:
     """Duration of a recording from its header, else estimated from its size (MP3, whose header takes a process to
     read); 0 if it cannot be read."""
     from data_module.speech.audio import header_seconds
 
+    path = Path(row.input)
     try:
         return header_seconds(path) or path.stat().st_size / _BYTES_PER_SECOND
     except OSError:
@@ -93,115 +53,103 @@ def estimated_seconds(path: Path) -> float:
 
 def parse_shard(text: str | None) -> tuple[int, int]:
     """Parse a shard such as 2/8; None means 1/1, all of it."""
-    first, mark, last = (text or "1/1").partition("/")
+    first, _, last = (text or "1/1").partition("/")
     index, count = whole_number(first, _MOST_SHARDS), whole_number(last, _MOST_SHARDS)
     if not index or not count or index > count:
-        raise InputError(f"--shard {first[:20]}{mark}{last[:20]}", "is not a shard", "write it as 1/8 to 8/8")
+        raise InputError(f"--shard {str(text)[:40]}", "is not a shard", "write it as 1/8 to 8/8")
     return index, count
 
 
-def sharded(tasks: Sequence[BatchTask], shard: int, count: int) -> list[BatchTask]:
-    """The tasks of one shard (1 to `count`): longest first, each goes to the shard with the least work so far."""
+def sharded(rows: Sequence[ManifestRow], shard: int, count: int) -> list[ManifestRow]:
+    """The rows of one shard (1 to `count`): longest first, each goes to the shard with the least work so far."""
     # A heap of (work so far, shard): equal work goes to the lower number, so all machines agree.
     loads = [(0.0, index) for index in range(1, count + 1)]
     chosen = []
-    for task in sorted(tasks, key=lambda task: task.order):
-        # Greedy longest-first scheduling: the least loaded shard takes the next task.
+    # By name, not by path: the folder may lie elsewhere on another machine.
+    for row in sorted(rows, key=lambda row: (-row.seconds, Path(row.input).name)):
         load, index = heapq.heappop(loads)
         # Recordings of unknown duration still take some time, so they are spread too.
-        heapq.heappush(loads, (load + max(task.seconds, 0.1), index))
+        heapq.heappush(loads, (load + max(row.seconds, 0.1), index))
         if index == shard:
-            chosen.append(task)
+            chosen.append(row)
     return chosen
 
 
-def attempted(doing: Doing, number: int) -> TaskOutcome:
-    """Process a recording; an error becomes part of the outcome."""
+def attempted(doing: Doing, row: ManifestRow) -> ManifestRow:
+    """Process a recording; an error becomes part of its row."""
     # An error is a result, because one bad file must not end a batch of thousands.
-    begin, seconds, fault = time.perf_counter(), 0.0, ""
+    begin, seconds, error = time.perf_counter(), row.seconds, ""
     try:
-        seconds = doing(number)
-    except (InputError, OSError) as error:
-        fault = one_line(error)
-    return TaskOutcome(number, seconds, fault, time.perf_counter() - begin, f"{socket.gethostname()}:{os.getpid()}")
+        seconds = doing(row.input)
+    except (InputError, OSError) as fault:
+        error = one_line(fault)
+    return replace(row, seconds=seconds, error=error, time=time.perf_counter() - begin,
+                   worker=f"{socket.gethostname()}:{os.getpid()}")
 
 
-def done_here(make: Maker, numbers: Sequence[int]) -> Iterator[TaskOutcome]:
+def done_here(make: Maker, rows: Sequence[ManifestRow]) -> Iterator[ManifestRow]:
     """Process recordings one by one in this process."""
     doing = make()
-    for number in numbers:
-        yield attempted(doing, number)
+    for row in rows:
+        yield attempted(doing, row)
 
 
-def run_jobs(jobs: Sequence[Job], request: BatchRequest, bundle: str | None, threads: int, quiet: bool,
-             outcomes: Outcomes) -> tuple[int, int]:
-    """Process recordings that are missing or changed; returns (number of recordings, number done).
-
-    bundle: its name or folder. threads: of torch, which decide the last bits of the output. outcomes: see `run_batch`.
-    `InputError` for invalid input.
-    """
+def run_jobs(jobs: Sequence[Job], settings: RunSettings, processing: Processing) -> tuple[int, int]:
+    """Process recordings that are missing or changed; returns (number done, number of recordings). `InputError` for
+    invalid input."""
     if any(job.source is None for job in jobs):
         raise InputError("standard input", "is not a recording of a batch", "name files or folders")
-    shard = parse_shard(request.shard)
+    index, count = parse_shard(settings.shard)
     # Beside the outputs, so that a folder of results is self-contained.
-    path = Path(request.manifest or jobs[0].targets[0].parent / default_name(*shard))
+    name = f"manifest{'' if count == 1 else f'.{index}-of-{count}'}{SUFFIX}"
+    path = Path(settings.manifest or jobs[0].targets[0].parent / name)
     check_manifest(path)
-    folder = bundle_folder(bundle)
+    folder = bundle_folder(settings.bundle)
     # A broken bundle is refused before recordings are hashed, which may take minutes.
     read_index(folder)
-    index = file_hash(folder / INDEX)
-    tasks = [BatchTask(number, job.source, job.targets, (__version__, index, _settings(job, threads)), job.fault)
-             for number, job in enumerate(jobs) if job.source is not None]
-    return run_batch(tasks, path, outcomes, shard, quiet)
+    made_by = file_hash(folder / INDEX)
+    # The number of threads decides the last bits of the output.
+    digests = [hashlib.sha256(f"{job.digest} {settings.threads}".encode()).hexdigest() for job in jobs]
+    rows = [ManifestRow(str(job.source), output=tuple(map(str, job.targets)), program=__version__, bundle=made_by,
+                        settings=digest) for job, digest in zip(jobs, digests, strict=True)]
+    return run_batch(rows, path, processing, (index, count), settings.quiet)
 
 
-def _settings(job: Job, threads: int) -> str:
-    return hashlib.sha256(f"{job.digest} {threads}".encode()).hexdigest()
-
-
-def run_batch(tasks: Sequence[BatchTask], manifest: Path, outcomes: Outcomes, shard: tuple[int, int] = (1, 1),
+def run_batch(rows: Sequence[ManifestRow], path: Path, processing: Processing, shard: tuple[int, int] = (1, 1),
               quiet: bool = False) -> tuple[int, int]:
-    """Process recordings that are missing or changed and record them; returns (recordings in the shard, number done).
-
-    outcomes: processes recordings by number, given longest first, yielding in any order. `InputError` if another
-    process has locked the manifest.
-    """
+    """Process the recordings of rows that are missing or changed, and add the rows to the manifest at `path`; returns
+    (number done, recordings in the shard)."""
     from concurrent.futures import ThreadPoolExecutor
 
     from tqdm import tqdm
 
-    # Threads, because a shared folder has high latency but serves many requests at a time.
-    with ThreadPoolExecutor(READERS, thread_name_prefix="reader") as readers, Manifest(manifest) as notes:
-        lengths = readers.map(estimated_seconds, [task.source for task in tasks])
-        chosen = sharded([replace(task, seconds=seconds) for task, seconds in zip(tasks, lengths, strict=True)], *shard)
-        waiting: dict[int, ManifestRow] = {}
-        for task, row in zip(chosen, readers.map(BatchTask.row, chosen), strict=True):
-            # A row counts as done only if recording, program, bundle, settings and outputs are those of now.
-            before = notes.rows.get(str(task.source))
-            if task.fault is not None:
-                notes.add(replace(row, status=FAILED, error=one_line(task.fault)))
-                complain(f"{PROGRAM}: {one_line(task.fault)}")
-            elif before is None or before.made_of != row.made_of or not before.stands():
-                waiting[task.number] = row
-        # Rows of an earlier run that are still valid.
-        unchanged = sum(notes.rows[str(task.source)].status == DONE for task in chosen
-                        if task.number not in waiting and task.fault is None)
-        # A killed run or worker may have left partially written files.
-        # Only files of this shard: another machine may be writing its own into the same folder.
-        outputs = [output for task in chosen if task.number in waiting for output in task.outputs]
+    with ThreadPoolExecutor(READERS, thread_name_prefix="reader") as readers, opened_manifest(path) as manifest:
+        chosen = sharded([replace(row, seconds=seconds)
+                          for row, seconds in zip(rows, readers.map(estimated_seconds, rows), strict=True)], *shard)
+        chosen = list(readers.map(_hashed, chosen))
+        waiting = [row for row in chosen if not row.is_done_by(manifest.rows.get(row.input))]
+        # A killed run or worker may have left partially written files. Only files of this shard: another machine may be
+        # writing its own into the same folder.
+        outputs = [Path(output) for row in waiting for output in row.output]
         remove_unfinished_of(outputs)
-        with tqdm(total=round(sum(row.seconds for row in waiting.values())), unit=" s of sound",
-                  disable=quiet or not sys.stderr.isatty()) as bar:
-            for outcome in outcomes(list(waiting)) if waiting else ():
-                row = waiting[outcome.number]
-                bar.update(round(row.seconds))
-                notes.add(replace(row, seconds=outcome.seconds or row.seconds, status=FAILED if outcome.error else DONE,
-                                  error=outcome.error, time=outcome.time, worker=outcome.worker))
-                if outcome.error:
-                    complain(f"{PROGRAM}: {outcome.error}")
+        with tqdm(total=len(waiting), unit=" recordings", disable=quiet or not sys.stderr.isatty()) as bar:
+            for row in processing(waiting) if waiting else ():
+                bar.update()
+                manifest.add(row)
+                if row.error:
+                    complain(f"{PROGRAM}: {row.error}")
         remove_unfinished_of(outputs)
         # Rows of recordings that are no longer named stay in the manifest, but not in the summary.
-        rows = [notes.rows[str(task.source)] for task in chosen]
+        done = [row for row in (manifest.rows[row.input] for row in chosen) if not row.error]
     if not quiet:
-        print(f"{manifest}:\n{table(rows, unchanged)}", flush=True)
-    return len(rows), sum(row.status == DONE for row in rows)
+        print(f"{path}: {len(done)} of {len(chosen)} recordings done, {len(chosen) - len(waiting)} of them before; "
+              f"{sum(row.seconds for row in done) / 3600:.2f} h of sound, {sum(row.time for row in done) / 3600:.2f} h "
+              "of computing", flush=True)
+    return len(done), len(chosen)
+
+
+def _hashed(row: ManifestRow) -> ManifestRow:
+    try:
+        return replace(row, sha256=file_hash(Path(row.input)))
+    except OSError:
+        return row  # the error is that of processing it

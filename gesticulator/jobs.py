@@ -43,14 +43,14 @@ class CharacterRequest:
 
     file: its path, or FILE#NAME for one of several in a file. mapping: a file that says which nodes are which joints;
     save_mapping: where to write it. contacts: whether the hands are kept outside the trunk. legs: whether its legs
-    move; None: unless it is seated in its file.
+    move.
     """
 
     file: str
     mapping: str | None = None
     save_mapping: str | None = None
     contacts: bool = True
-    legs: bool | None = None
+    legs: bool = True
 
 
 @dataclass(frozen=True)
@@ -88,13 +88,22 @@ class Job:
 
 
 @dataclass(frozen=True)
-class BatchRequest:
-    """How many recordings are to be processed together. manifest: its file; None: the default beside the outputs.
-    shard: such as 2/8; None: all. ray: where a Ray cluster is; None: process in this process."""
+class RunSettings:
+    """How a command runs. bundle: its name or folder; None: the default. threads: of torch. quiet: print no progress
+    bar and no summary. manifest: the file that records a batch; None: beside the outputs. shard: such as 2/8; None:
+    all. ray: where a Ray cluster is; None: process in this process."""
 
+    bundle: str | None = None
+    threads: int = 1
+    quiet: bool = False
     manifest: str | None = None
     shard: str | None = None
     ray: str | None = None
+
+    @property
+    def is_batch(self) -> bool:
+        """Whether a manifest records what was done."""
+        return bool(self.manifest or self.shard or self.ray)
 
 
 def _content(value: Any) -> object:
@@ -118,31 +127,6 @@ def file_hash(path: Path) -> str:
     """SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """The result of processing a recording.
-
-    name: of the recording. seconds: of sound; beats: their number; used: different lexemes, of `lexicon`; factor:
-    computing time over duration (real-time factor). written: the files. notes: remarks for the user, a line each.
-    """
-
-    name: str
-    seconds: float
-    beats: int
-    used: int
-    lexicon: int
-    factor: float
-    written: tuple[Path, ...]
-    notes: tuple[str, ...] = ()
-
-    def __str__(self) -> str:
-        """The summary that is printed."""
-        pages = [f"  open {page} in a browser to watch it" for page in self.written if page.suffix.lower() == ".html"]
-        line = (f"{self.name}: {self.seconds:.1f} s, {self.beats} beats, {self.used} of {self.lexicon} lexemes, "
-                f"real-time factor {self.factor:.3f} -> {printable(', '.join(map(str, self.written)))}")
-        return "\n".join([line, *(f"  {note}" for note in self.notes), *pages])
 
 
 def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None = None) -> list[Job]:
@@ -291,9 +275,6 @@ def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> R
     retargeter = Retargeter(rig, mapping, contacts=character.contacts, legs=character.legs)
     remarks = [note] if note else []
     remarks += [f"{doubt}; look at the result" for doubt in retargeter.doubts]
-    # A chair cannot be seen in a skeleton, so legs of a seated character are not moved by default.
-    if character.legs is None and not retargeter.legs:
-        remarks.append("is seated, so hips and legs stay as they are; --legs makes it stand")
     for remark in () if quiet else remarks:
         complain(f"{PROGRAM}: {character.file}: {remark}")
     return retargeter
@@ -308,21 +289,22 @@ class Worker:
     retargeter: Retargeter | None = None
     quiet: bool = False
 
-    def perform(self, job: Job) -> Outcome:
-        """Process one recording: read it, generate its gestures and write the files."""
+    def perform(self, job: Job) -> tuple[float, str]:
+        """Process one recording: read it, generate its gestures and write the files. Returns seconds of sound, and the
+        summary for the user."""
         check_job(job)
         speech = load(job)
         # Without reading: the factor compares computing with the duration.
         begin = time.perf_counter()
         performance = self._laid_out(job, self.performed(job, speech))
-        spent = time.perf_counter() - begin
-        written = tuple(performance.save(target) for target in job.targets)
-        notes = performance.notes
-        if performance.retiming is not None:
-            notes += tuple(performance.retiming.lines()[1:])
+        factor = (time.perf_counter() - begin) / speech.duration
+        written = [performance.save(target) for target in job.targets]
+        pages = [f"open {page} in a browser to watch it" for page in written if page.suffix.lower() == ".html"]
         lexemes = performance.lexemes.tolist()
-        return Outcome(job.name, speech.duration, len(lexemes) - 1, len(set(lexemes)),
-                       len(self.gesticulator.bundle.vectors), spent / speech.duration, written, notes)
+        line = (f"{job.name}: {speech.duration:.1f} s, {len(lexemes) - 1} beats, {len(set(lexemes))} of "
+                f"{len(self.gesticulator.bundle.vectors)} lexemes, real-time factor {factor:.3f} -> "
+                f"{printable(', '.join(map(str, written)))}")
+        return speech.duration, "\n  ".join([line, *performance.notes, *pages])
 
     def performed(self, job: Job, speech: Speech) -> Performance:
         """The performance of a recording, on the default skeleton, with a progress bar on the terminal; with legs, too,

@@ -25,8 +25,6 @@ import soundfile
 from hypothesis import strategies as st
 
 from data_module.arrays import read_npz
-from data_module.build_report import report_of
-from data_module.controls import FEATURES, read_curve
 from data_module.corpora.base import Options
 from data_module.corpora.folder import FolderOptions
 from data_module.corpora.serialised import deserialise
@@ -46,10 +44,8 @@ from data_module.truth import Phrase, PlayedStroke, Syllable, Truth
 from data_module.types import Speech, Word
 from eval.clip import foreign
 from eval.metrics.eye import ReferenceSpace
-from eval.metrics.gesture_features import Autoencoder, AutoencoderConfig, Encoder
-from eval.metrics.gesture_features import load as load_network
+from eval.metrics.gesture_features import PUBLISHED, Encoder
 from eval.metrics.gesture_features import published as published_network
-from eval.metrics.gesture_features import save as save_network
 
 RATE = 16000
 
@@ -169,25 +165,13 @@ def _arrays(shapes: dict[str, tuple[int, ...]]) -> Callable[[Path], Path]:
     return write
 
 
-def _published_network(damaged: str) -> Callable[[Path], Path]:
+def _published_network(folder: Path) -> Path:
     """A network in the shape of the published one."""
-    def write(folder: Path) -> Path:
-        from safetensors.torch import save_file
+    from safetensors.torch import save_file
 
-        network = Encoder(34, slope=1.0)
-        theirs = {"convolutions": "net", "linear": "out_net", "feature": "fc_mu"}
-        save_file({f"pose_encoder.{theirs[part]}.{rest}": value.contiguous() for key, value
-                   in network.state_dict().items() for part, _, rest in (key.partition("."),)},
-                  folder / "h36m_gesture_encoder.safetensors")
-        (folder / "h36m_gesture_encoder.json").write_text(json.dumps({"frames": 34, "fps": 15, "dim": 27}))
-        return folder / damaged
-
-    return write
-
-
-def _our_network(folder: Path) -> Path:
-    save_network(Autoencoder(AutoencoderConfig(frames=34)), folder)
-    return folder / "gesture_features.safetensors"
+    save_file({f"pose_encoder.{key}": value.contiguous() for key, value in Encoder().state_dict().items()},
+              folder / PUBLISHED)
+    return folder / PUBLISHED
 
 
 def _positions(mutated: str) -> Callable[[Path], Path]:
@@ -232,7 +216,7 @@ def _store(mutated: str) -> Callable[[Path], Path]:
 def _read_store(file: Path) -> object:
     folder = next(parent for parent in file.parents if parent.name == "s")
     store = Store.open(folder)
-    return [store.load(name) for name in store.names], report_of(store)
+    return [store.load(name) for name in store.names]
 
 
 def _with_hashes(pack: Callable[[Path, bytes], object]) -> Callable[[Path, bytes], object]:
@@ -472,26 +456,24 @@ def _read_request(file: Path) -> object:
 
 def _manifest(name: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
-        from gesticulator.manifest import FAILED, ManifestRow, write_manifest
+        from gesticulator.manifest import ManifestRow, opened_manifest
 
-        rows = [ManifestRow("a.wav", "12", 3.25, ("x.bvh", "y.glb"), FAILED, "cut short", 0.125, "1", "2", "3", "h"),
-                ManifestRow("b.wav", "13", 1.0, ("b.bvh",))]
-        write_manifest(folder / name, rows)
+        with opened_manifest(folder / name) as manifest:
+            manifest.add(ManifestRow("a.wav", "12", 3.25, ("x.bvh", "y.glb"), "cut short", 0.125, "1", "2", "3", "h"))
+            manifest.add(ManifestRow("b.wav", "13", 1.0, ("b.bvh",)))
         return folder / name
 
     return write
 
 
 def _read_manifest(file: Path) -> object:
-    """The rows, written back."""
-    from gesticulator.manifest import read_manifest, table, write_manifest
+    """The rows as they would be written."""
+    from gesticulator.manifest import read_manifest
 
-    rows = read_manifest(file)
-    write_manifest(file.with_name("back.jsonl"), rows.values())
-    return table(list(rows.values()))
+    return [row.line for row in read_manifest(file).values()]
 
 
-_KEY = {"study": "s", "systems": ["ours", "truth"], "aspects": ["beat_match"], "clips": [{}], "scale": [1, 5],
+_KEY = {"study": "s", "systems": ["ours", "truth"], "aspects": ["beat_match"], "clips": [{}],
         "items": {"x": {"clip": 0, "system": "ours"}, "y": {"clip": 0, "system": "truth"}}}
 _ANSWERS = {"study": "s", "rater": "1", "answers": [{"item": "x", "ratings": {"beat_match": 3}},
                                                     {"item": "y", "ratings": {"beat_match": 5}}]}
@@ -501,7 +483,6 @@ def _study(name: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         (folder / "key.json").write_text(json.dumps(_KEY))
         (folder / "1.json").write_text(json.dumps(_ANSWERS))
-        (folder / "1.csv").write_text("study,rater,item,aspect,rating\ns,2,x,beat_match,4\ns,2,y,beat_match,5\n")
         return folder / name
 
     return write
@@ -511,7 +492,7 @@ def _read_study(file: Path) -> object:
     from eval.study import anova
 
     key = anova.read_key(file.with_name("key.json"))
-    return anova.gather(anova.read_answers([file.with_name("1.json"), file.with_name("1.csv")], key), key)
+    return anova.read_ratings([file.with_name("1.json")], key)
 
 
 def _read_tables(file: Path) -> object:
@@ -520,30 +501,9 @@ def _read_tables(file: Path) -> object:
     return table.load(file)
 
 
-def _report(name: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        (folder / "ablation").mkdir()
-        _results(folder).rename(folder / "claims.json")
-        text = (folder / "claims.json").read_text().replace('"facts": {', '"facts": {"count": {"holds": 3}, ', 1)
-        (folder / "claims.json").write_text(text)
-        (folder / "ablation" / "figures.json").write_text(json.dumps({"figure-1": {
-            "figure": "RG Fig. 18", "title": "a", "caption": "b"}}))
-        return folder / name
-
-    return write
-
-
-def _read_report(file: Path) -> object:
-    from eval.report import document
-
-    folder = file.parents[file.parent.name == "ablation"]
-    return document(folder, folder / "out")
-
-
 def _read_words_of_a_command(file: Path) -> object:
     """Each line of the file as what a user writes on a command line."""
     from data_module.settings import with_settings
-    from eval.score.command import _positive
     from gesticulator.arguments import _cue, _seconds
     from gesticulator.batch import parse_shard
     from gesticulator.bundle.command import lexemes
@@ -555,7 +515,7 @@ def _read_words_of_a_command(file: Path) -> object:
     readers: tuple[Callable[[str], object], ...] = (
         read_target, parse_shard, _cue, lambda text: with_settings(LstmConfig(), [text]),
         lambda text: RANGES["seed"].parse("--seed", text), lambda text: RANGES["temperature"].parse("-t", text),
-        _seconds, lambda text: lexemes(text, 24), lambda text: _positive("--seconds", text))
+        _seconds, lambda text: lexemes(text, 24))
     refusals = []
     for read, line in zip(readers, lines, strict=False):
         try:
@@ -576,12 +536,6 @@ def _read_sound_message(file: Path) -> object:
     from gesticulator.live.protocol import StreamRequest
 
     return [StreamRequest(RATE, format).samples(file.read_bytes()) for format in ("pcm16", "float32")]
-
-
-def _read_edges(file: Path) -> object:
-    from eval.clip.foreign import edges_of_plan
-
-    return edges_of_plan(file)
 
 
 def _read_token(file: Path) -> object:
@@ -618,20 +572,14 @@ READERS: dict[str, Case] = {
     **{f"{kind}, {name}": Case(_arrays(shapes), read, _member(f"{name}.npy"), _with_member(f"{name}.npy"), 0.5)
        for kind, shapes, read in (("eye's space", _SPACE, ReferenceSpace.load),) for name in tuple(shapes)[:2]},
     "eye's space, the archive": Case(_arrays(_SPACE), ReferenceSpace.load, examples=0.5),
-    **{f"published network, {name}": Case(_published_network(name), lambda file: published_network(file.parent),
-                                          examples=0.5)
-       for name in ("h36m_gesture_encoder.json", "h36m_gesture_encoder.safetensors")},
-    "our network": Case(_our_network, lambda file: load_network(file.parent), examples=0.5),
+    "published network": Case(_published_network, lambda file: published_network(file.parent), examples=0.5),
     **{f"transcript {suffix}": Case(_written(f"a{suffix}", text), lambda file: read_transcript(file, _SPEECH))
        for suffix, text in TRANSCRIPTS.items()},
     **{f"transcript of {name}": Case(_written(f"a{suffix}", write(MARKED)), lambda file: read_transcript(file, _SPEECH),
                                      examples=0.3)
        for name, (suffix, write) in recogniser_samples.FILES.items()},
-    "control curve": Case(_written("a.csv", "time,height,speed\n0,0.1,0.3\n1.5,0.2,0.4\n"),
-                          lambda file: [read_curve(file, feature) for feature in FEATURES[:2]]),
     "store, listing": Case(_store("store.json"), _read_store),
     "store, edited listing": Case(_store("store.json"), _read_store, packed=_with_fingerprint),
-    "store, report": Case(_store("report.json"), _read_store, lambda file: b'{"recordings": 1}'),
     "store, sound": Case(_store("recordings/a.flac"), _read_store, packed=_with_hashes(Path.write_bytes)),
     **{f"store, {name}": Case(_store("recordings/a.npz"), _read_store, _member(f"{name}.npy"),
                               _with_hashes(_with_member(f"{name}.npy")))
@@ -662,19 +610,15 @@ READERS: dict[str, Case] = {
         0, 16, (40, 12), dtype=np.uint8))), lambda file: fingerprint_frames(file.read_text("latin-1"))),
     "request to the server of a page": Case(_request, _read_request, examples=2.0),
     "manifest": Case(_manifest("m.jsonl"), _read_manifest),
-    **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json", "1.csv")},
+    **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json")},
     "table of results": Case(_results, _read_tables),
-    **{f"report, {name}": Case(_report(name), _read_report) for name in (
-        "claims.json", "ablation/figures.json")},
     "words of a command": Case(_written("a.txt", "\n".join((
-        "127.0.0.1:39539", "2/8", "hello:2=wave", "width=30", "a=1..9:log", "7", "1.5", "3.2-5.0", "3, 7,9", "2"))),
+        "127.0.0.1:39539", "2/8", "hello:2=wave", "width=30", "a=1..9:log", "7", "1.5", "3.2-5.0", "3, 7,9"))),
                                _read_words_of_a_command, examples=2.0),
     "message of a client": Case(_written("a.json", json.dumps({
         "type": "hello", "protocol": 1, "sample_rate": 16000, "format": "pcm16", "fps": 30, "seed": 4,
         "options": {"speaker": "ann", "temperature": 1.0}})), _read_message),
     "sound of a client": Case(_written("a.raw", _noise(0.05).astype("<f4").tobytes()), _read_sound_message),
-    "edges of a plan": Case(_written("a.json", '{"blocks": [{"start": 0, "end": 0.5}, {"start": 0.5, "end": 1}]}'),
-                            _read_edges),
     "token": Case(_written("a.txt", "secret\n"), _read_token)
 }
 

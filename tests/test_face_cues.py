@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import warnings
 from dataclasses import replace
 from typing import Any
@@ -17,7 +18,7 @@ from data_module.errors import InputError
 from data_module.text.marks import marked_text
 from data_module.types import Array, Speech, Word
 from gesticulator import Gesticulator
-from gesticulator.arguments import check_cues
+from gesticulator.arguments import infer_arguments, settings_of
 from gesticulator.directing.cues import stroke_of_word
 from gesticulator.directing.marks import MarkWarning, expression_of_mark, gesture_of_mark, mark_cues, warn_of_unknown
 from gesticulator.face.motion import FaceMotion
@@ -101,11 +102,12 @@ def test_gestures_and_expressions_have_different_names() -> None:
 
 
 def test_a_cue_of_the_face_needs_one_on_the_command_line() -> None:
-    options = InferenceOptions(cues=(GestureCue("smile", time=1.0),))
-    check_cues(None, replace(options, face="full"))  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="--face full"):
-        check_cues(None, replace(options, face="lips"))  # type: ignore[arg-type]
+    parser = argparse.ArgumentParser()
+    infer_arguments(parser)
+    options = settings_of(parser.parse_args(["a.wav", "--cue", "1=smile", "--face", "full"])).options
     assert not options.directed and not options.shaped
+    with pytest.raises(InputError, match="--face full"):
+        settings_of(parser.parse_args(["a.wav", "--cue", "1=smile", "--face", "lips"]))
 
 
 # ------------------------------------------------------------------------------------------ a performance, a stream

@@ -14,15 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_module.errors import InputError
-from gesticulator.arguments import (
-    RunSettings,
-    check_choices,
-    performance_arguments,
-    run_settings_of,
-    settings_of,
-)
+from gesticulator.arguments import performance_arguments, run_settings_of, settings_of
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
-from gesticulator.jobs import STDIN, Job, Worker, load
+from gesticulator.jobs import STDIN, Job, RunSettings, Worker, load
 from gesticulator.page.saved_edits import place_of, put_aside, read_saved, save
 
 if TYPE_CHECKING:
@@ -50,7 +44,6 @@ def run(args: argparse.Namespace) -> int:
 
     settings = run_settings_of(args)
     job = _job(args)
-    check_choices(job.options)
     with PageServer(args.port) as server, our_warnings(), limited_threads(settings.threads):
         _prepare(server, job, settings, args.anew)
         _serve(server, args.no_browser)
@@ -97,9 +90,8 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings, anew: bool) ->
             "levels": levels_of(gesticulator.bundle), "speakers": list(gesticulator.speakers)}
     more = {"live": live, **({} if chosen is None else html.character_data(*chosen, scene.face))}
     if performance.retiming is not None:
-        lines = performance.retiming.lines()
-        print("\n".join(f"  {line}" for line in lines), flush=True)
-        more["notice"] = "The edits were moved onto the new sound. " + " ".join(lines)
+        print(f"  {performance.retiming}", flush=True)
+        more["notice"] = f"The edits were moved onto the new sound. {performance.retiming}"
     server.page = html.page({performance.decided.interpreter: scene}, html.title_of(source), more=more).encode()
     # What is only tried is not saved.
     session.on_edit = lambda request, plan: None if request.get("trial") else save(source, plan)
@@ -122,14 +114,12 @@ def _character(job: Job) -> tuple[tuple[Character, dict[str, int]] | None, bool]
     """The requested character with our joint -> its node in the file, if any, and whether it stands on its legs."""
     if job.character is None:
         return None, False
-    from gesticulator.characters.frames import measure
     from gesticulator.characters.reading import choose
 
     # The mapping may be saved before anything else: it is what a user corrects when joints are wrong.
     character, mapping = choose(job.character.file, job.character.mapping, job.character.save_mapping)
     joints = {joint: character.node_ids[node] for joint, node in mapping.named().items()}
-    sits = job.options.seated or (not job.options.legs and measure(character, mapping).sits)
-    return (character, joints), mapping.legs and not sits
+    return (character, joints), mapping.legs and not job.options.seated
 
 
 def _with_saved_edits(gesticulator: Gesticulator, job: Job) -> Job:
