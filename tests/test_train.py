@@ -164,14 +164,6 @@ def test_only_what_a_setting_shapes_is_trained_again(setting: str, stages: set[s
     assert {stage for stage in BATTERY if base[stage] != other[stage]} == stages
 
 
-def test_another_store_is_refused_in_a_used_work_folder(tiny_store: Path, work: Path, tmp_path: Path) -> None:
-    class Other:
-        path, fingerprint = tiny_store, "another"
-
-    with pytest.raises(InputError, match="not the store"):
-        training.claim(work, Other())  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize(("arguments", "said"), [
     (["--data", "nowhere"], "nowhere"), (["--preset", "huge"], "huge"), (["--set", "lexicon.siez=3"], "siez"),
     (["--set", "motion.representation=dance"], "dance"),

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
-from data_module.errors import InputError
-from data_module.files import lock, read_object, write_text
-from data_module.store import Store
+from data_module.files import lock
 from gesticulator.bundle.bundle import Bundle, save
 from gesticulator.bundle.card import model_card
 from gesticulator.training.stages import BLOCKS, CORPUS, Run, assemble, wanted
@@ -19,10 +15,9 @@ from gesticulator.training.stages import BLOCKS, CORPUS, Run, assemble, wanted
 def train(run: Run, out: Path) -> Bundle:
     """Run all unfinished stages and write the bundle.
 
-    InputError if settings and store do not match, or another training has locked the work folder.
+    InputError if settings and store do not match, or if another training has locked the work folder.
     """
     with lock(run.work, "a training"):
-        claim(run.work, run.store)
         run.get(BLOCKS)  # report problems of the store before hours of training
         plan = wanted(run.config)
         for place, stage in enumerate(plan):
@@ -33,19 +28,6 @@ def train(run: Run, out: Path) -> Bundle:
         trained = assemble(run, provenance(run))
         save(trained, out, model_card(trained))
         return trained
-
-
-def claim(work: Path, store: Store) -> None:
-    """Assign a work folder to a store; InputError if it belongs to another."""
-    record, known = work / "store.json", None
-    if record.exists():
-        with contextlib.suppress(InputError):  # truncated by a crash: write again
-            known = read_object(record, "delete it").get("fingerprint")
-    if known not in (None, store.fingerprint):
-        raise InputError(store.path, f"is not the store that {work} was started with (its settings or contents "
-                         "differ)", "give another --work folder or delete that one")
-    if known is None:
-        write_text(record, json.dumps({"fingerprint": store.fingerprint}))
 
 
 def provenance(run: Run) -> dict[str, Any]:
