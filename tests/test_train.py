@@ -170,7 +170,7 @@ def test_only_what_a_setting_shapes_is_trained_again(setting: str, stages: set[s
     (["--set", "front_end.name=ears"], "ears"), (["--set", "encoder.width=0"], "encoder.width"),
     (["--set", "schedules.lexicon.steps=-3"], "schedules.lexicon.steps"), (["--set", "lexicon.size=0"], "lexicon.size"),
     (["--set", "front_end.bands=0"], "front_end.bands"), (["--set", "generator.velocity=NaN"], "generator.velocity"),
-    (["--threads", "0"], "--threads 0"), (["--threads", "100000"], "--threads 100000"), (["--seed", "-1"], "seed"),
+    (["--threads", "0"], "--threads 0"), (["--seed", "-1"], "seed"),
     (["--seed", str(2**31)], "seed"),
 ])
 def test_bad_arguments_are_one_line_and_exit_code_2(tiny_store: Path, work: Path, tmp_path: Path,

@@ -24,8 +24,8 @@ from gesticulator.export.nodes import NodeMotion
 VERSION = 2
 _TYPES = {np.dtype("<f4"): 5126, np.dtype("u1"): 5121, np.dtype("<u2"): 5123}
 _KINDS = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
-VERTICES, TRIANGLES = 34962, 34963
-"""Targets of a buffer view: vertex attributes, and indices."""
+VERTICES = 34962
+"""Target of a buffer view with vertex attributes."""
 TRANSLATION, ROTATION, WEIGHTS = "translation", "rotation", "weights"
 """Animated properties of a node."""
 _PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}

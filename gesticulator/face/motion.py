@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.types import Array
-from gesticulator.face.visemes import opening
 
 _PARTS = ("visemes", "blink", "brows", "smile", "gaze")
 """Fields over time, in the order of `FaceMotion.values`."""
@@ -42,11 +41,6 @@ class FaceMotion:
     def times(self) -> Array:
         """[T] seconds."""
         return np.arange(len(self)) / self.fps
-
-    @property
-    def opening(self) -> Array:
-        """[T] opening of the mouth, 0 to 1."""
-        return opening(self.visemes)
 
     def values(self) -> Array:
         """[T, 20] everything in one table: visemes, blink, brows, smile, and gaze to the left and up."""

@@ -18,8 +18,6 @@ from gesticulator.characters.rig import Character
 from gesticulator.face.motion import FaceMotion
 from gesticulator.face.shapes import VRM, VRM_0, curves, find_shapes, is_lips, jaw_angles
 
-_MOST_TARGETS = 4096
-"""Most morph targets of a mesh."""
 _EYES = {"Left": re.compile(r"(left[ _.]?eye|eye[ _.]?left|eye[_.]l|l[_.]eye|cc_base_l_eye|facial_l_eye)", re.I),
          "Right": re.compile(r"(right[ _.]?eye|eye[ _.]?right|eye[_.]r|r[_.]eye|cc_base_r_eye|facial_r_eye)", re.I)}
 _JAW = re.compile(r"(cc_base_|facial_c_|mixamorig:?|def[-_.])?(jaw|jaw[ _.]?(root|bone|master)|lower[ _]?jaw)", re.I)
@@ -49,11 +47,10 @@ class FaceRig:
         known, out = curves(face), {}
         for node, rows in self.morphs.items():
             values = np.tile(self.base[node], (len(face), 1))
-            driven = {index for index, curve, _ in rows if is_lips(curve) or not face.lips_only}
-            values[:, sorted(driven)] = 0.0
-            for index, curve, share in rows:
-                if index in driven and (is_lips(curve) or not face.lips_only):
-                    values[:, index] += share * known[curve]
+            driven = [row for row in rows if is_lips(row[1]) or not face.lips_only]
+            values[:, [index for index, _, _ in driven]] = 0.0
+            for index, curve, share in driven:
+                values[:, index] += share * known[curve]
             out[node] = np.clip(values, 0.0, 1.0)
         return out
 
@@ -99,7 +96,7 @@ def _found(file: GltfFile, character: Character) -> FaceRig:
     for number, node in enumerate(file.rows("nodes")):
         mesh = file.rows("meshes")[node["mesh"]] if "mesh" in node else {}
         count = max((len(part.get("targets", [])) for part in mesh.get("primitives", [])), default=0)
-        if not 0 < count <= _MOST_TARGETS:
+        if not count:
             continue
         # A node overrides its mesh, and both may give fewer weights than there are targets.
         given = node.get("weights", mesh.get("weights", []))

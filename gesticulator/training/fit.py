@@ -24,12 +24,9 @@ from tqdm import tqdm
 from data_module.files import new_file, parse_json
 from gesticulator.bundle.config import FitSettings
 
-__all__ = ["FitOptions", "Task", "fit"]
-
 Batch = dict[str, Tensor]
 MakeBatch = Callable[[np.random.Generator, int], Batch]
 Losses = Callable[[Batch, float], dict[str, Tensor]]
-Validate = Callable[[], dict[str, float]]
 
 LARGEST_GRADIENT = 1.0
 """Largest gradient norm; longer gradients are clipped."""
@@ -135,7 +132,7 @@ class Task:
 
     make_batch: MakeBatch
     losses: Losses | None = None
-    validate: Validate | None = None
+    validate: Callable[[], dict[str, float]] | None = None
     before_step: Callable[[int], None] | None = None
     watch: str = ""
     learner: nn.Module | None = None

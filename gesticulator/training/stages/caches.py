@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -19,7 +18,6 @@ from tqdm import tqdm
 from data_module import blocks as block_module
 from data_module import controls
 from data_module.blocks import first_pose, normalise_motion
-from data_module.errors import InputError
 from data_module.files import new_file
 from data_module.speech.silence import reference_level
 from data_module.store import Store
@@ -151,9 +149,6 @@ def word_file(store: Store, config: Config, folder: Path, *, progress: bool = Tr
 
 
 def read_arrays(file: Path, only: tuple[str, ...] | None = None) -> dict[str, NDArray[Any]]:
-    """The arrays of a cached file, or only `only`; InputError if it is damaged."""
-    try:
-        with np.load(file, allow_pickle=False) as arrays:
-            return {key: arrays[key] for key in arrays.files if only is None or key in only}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(file, f"is damaged ({error})", "delete it and start again") from None
+    """The arrays of a cached file, or only `only`."""
+    with np.load(file, allow_pickle=False) as arrays:
+        return {key: arrays[key] for key in arrays.files if only is None or key in only}
