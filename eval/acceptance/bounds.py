@@ -78,9 +78,10 @@ class Verdict:
     def entry(self) -> dict[str, Any]:
         """For JSON: name, value, low, high, n, bound, holds, reason."""
         undefined = self.holds is False and not math.isfinite(self.value.mean)
+        reasons = ("undefined: the motion has nothing of it" if undefined else "", self.reason)
         return {"name": self.figure, "value": self.value.mean, "low": self.value.low, "high": self.value.high,
                 "n": self.value.n, "bound": self.bound.text(self.digits), "holds": self.holds,
-                "reason": f"undefined: the motion has nothing of it; {self.reason}" if undefined else self.reason}
+                "reason": "; ".join(filter(None, reasons))}
 
     @property
     def row(self) -> dict[str, Cell]:
