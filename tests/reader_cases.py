@@ -29,7 +29,6 @@ from data_module.corpora.base import Options
 from data_module.corpora.folder import FolderOptions
 from data_module.corpora.serialised import deserialise
 from data_module.corpora.table import open_corpus
-from data_module.corpora.trinity import read_words
 from data_module.errors import InputError
 from data_module.motion import skeletons
 from data_module.motion.bvh import read_bvh, read_hierarchy, write_bvh
@@ -264,10 +263,6 @@ def _folder_splits(folder: Path) -> Path:
 def _read_pairs(file: Path) -> object:
     reader = open_corpus("folder", file.parent, Options())
     return [reader.read(item) for item in reader.items()]
-
-
-def _zeroeggs(folder: Path) -> Path:
-    return published_bvh.zeroeggs(folder, (1, 5)) / "info.csv"
 
 
 def _ted(folder: Path) -> Path:
@@ -631,9 +626,7 @@ READERS: dict[str, Case] = {
     "folder, NAME.json": Case(_pairs, _read_pairs),
     "folder, its splits": Case(_folder_splits, lambda file: open_corpus("folder", file.parent,
                                                                           FolderOptions(split=str(file))).items()),
-    "trinity, words": Case(_written("a.json", json.dumps(published_bvh.google(WORDS))), read_words),
     "beat2, its list": Case(published.listed_beat2, lambda file: open_corpus("beat2", file.parent, Options()).items()),
-    "zeroeggs, its list": Case(_zeroeggs, lambda file: open_corpus("zeroeggs", file.parent, Options()).items()),
     "ted, a value": Case(_ted, lambda file: deserialise(file.read_bytes(), source=file)),
     "fairseq checkpoint": Case(_checkpoint, load_fairseq),
     "bundle, index": Case(_bundle("bundle.json"), _read_bundle),
