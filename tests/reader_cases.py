@@ -468,7 +468,7 @@ def _read_manifest(file: Path) -> object:
     return [row.line for row in read_manifest(file).values()]
 
 
-_KEY = {"study": "s", "systems": ["ours", "truth"], "aspects": ["beat_match"], "clips": [{}], "scale": [1, 5],
+_KEY = {"study": "s", "systems": ["ours", "truth"], "aspects": ["beat_match"], "clips": [{}],
         "items": {"x": {"clip": 0, "system": "ours"}, "y": {"clip": 0, "system": "truth"}}}
 _ANSWERS = {"study": "s", "rater": "1", "answers": [{"item": "x", "ratings": {"beat_match": 3}},
                                                     {"item": "y", "ratings": {"beat_match": 5}}]}
@@ -478,7 +478,6 @@ def _study(name: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         (folder / "key.json").write_text(json.dumps(_KEY))
         (folder / "1.json").write_text(json.dumps(_ANSWERS))
-        (folder / "1.csv").write_text("study,rater,item,aspect,rating\ns,2,x,beat_match,4\ns,2,y,beat_match,5\n")
         return folder / name
 
     return write
@@ -488,7 +487,7 @@ def _read_study(file: Path) -> object:
     from eval.study import anova
 
     key = anova.read_key(file.with_name("key.json"))
-    return anova.gather(anova.read_answers([file.with_name("1.json"), file.with_name("1.csv")], key), key)
+    return anova.read_ratings([file.with_name("1.json")], key)
 
 
 def _lips(folder: Path) -> Path:
@@ -511,30 +510,9 @@ def _read_tables(file: Path) -> object:
     return table.load(file)
 
 
-def _report(name: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        (folder / "ablation").mkdir()
-        _results(folder).rename(folder / "claims.json")
-        text = (folder / "claims.json").read_text().replace('"facts": {', '"facts": {"count": {"holds": 3}, ', 1)
-        (folder / "claims.json").write_text(text)
-        (folder / "ablation" / "figures.json").write_text(json.dumps({"figure-1": {
-            "figure": "RG Fig. 18", "title": "a", "caption": "b"}}))
-        return folder / name
-
-    return write
-
-
-def _read_report(file: Path) -> object:
-    from eval.report import document
-
-    folder = file.parents[file.parent.name == "ablation"]
-    return document(folder, folder / "out")
-
-
 def _read_words_of_a_command(file: Path) -> object:
     """Each line of the file as what a user writes on a command line."""
     from data_module.settings import with_settings
-    from eval.score.command import _positive
     from gesticulator.arguments import _cue, _seconds
     from gesticulator.batch import parse_shard
     from gesticulator.bundle.command import lexemes
@@ -546,7 +524,7 @@ def _read_words_of_a_command(file: Path) -> object:
     readers: tuple[Callable[[str], object], ...] = (
         read_target, parse_shard, _cue, lambda text: with_settings(LstmConfig(), [text]),
         lambda text: RANGES["seed"].parse("--seed", text), lambda text: RANGES["temperature"].parse("-t", text),
-        _seconds, lambda text: lexemes(text, 24), lambda text: _positive("--seconds", text))
+        _seconds, lambda text: lexemes(text, 24))
     refusals = []
     for read, line in zip(readers, lines, strict=False):
         try:
@@ -567,12 +545,6 @@ def _read_sound_message(file: Path) -> object:
     from gesticulator.live.protocol import StreamRequest
 
     return [StreamRequest(RATE, format).samples(file.read_bytes()) for format in ("pcm16", "float32")]
-
-
-def _read_edges(file: Path) -> object:
-    from eval.clip.foreign import edges_of_plan
-
-    return edges_of_plan(file)
 
 
 def _read_token(file: Path) -> object:
@@ -645,20 +617,16 @@ READERS: dict[str, Case] = {
         0, 16, (40, 12), dtype=np.uint8))), lambda file: fingerprint_frames(file.read_text("latin-1"))),
     "request to the server of a page": Case(_request, _read_request, examples=2.0),
     "manifest": Case(_manifest("m.jsonl"), _read_manifest),
-    **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json", "1.csv")},
+    **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json")},
     "weights of the lips": Case(_lips, _read_lips),
     "table of results": Case(_results, _read_tables),
-    **{f"report, {name}": Case(_report(name), _read_report) for name in (
-        "claims.json", "ablation/figures.json")},
     "words of a command": Case(_written("a.txt", "\n".join((
-        "127.0.0.1:39539", "2/8", "hello:2=wave", "width=30", "a=1..9:log", "7", "1.5", "3.2-5.0", "3, 7,9", "2"))),
+        "127.0.0.1:39539", "2/8", "hello:2=wave", "width=30", "a=1..9:log", "7", "1.5", "3.2-5.0", "3, 7,9"))),
                                _read_words_of_a_command, examples=2.0),
     "message of a client": Case(_written("a.json", json.dumps({
         "type": "hello", "protocol": 1, "sample_rate": 16000, "format": "pcm16", "fps": 30, "seed": 4,
         "options": {"speaker": "ann", "temperature": 1.0}})), _read_message),
     "sound of a client": Case(_written("a.raw", _noise(0.05).astype("<f4").tobytes()), _read_sound_message),
-    "edges of a plan": Case(_written("a.json", '{"blocks": [{"start": 0, "end": 0.5}, {"start": 0.5, "end": 1}]}'),
-                            _read_edges),
     "token": Case(_written("a.txt", "secret\n"), _read_token)
 }
 
