@@ -28,7 +28,7 @@ from data_module.files import is_free, read_json, rename, write_bytes, write_tex
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, JOINTS, resized
 from data_module.speech.audio import load_speech, write_flac
-from data_module.truth import TABLES, PlayedStroke, Truth, record
+from data_module.truth import TABLES, PlayedStroke, Truth
 from data_module.types import Motion, Speech, Word
 
 __all__ = ["SPLITS", "Recording", "RecordingInfo", "Store", "StoreWriter"]
@@ -246,7 +246,7 @@ def _columns(prefix: str, rows: Sequence[Any], names: Sequence[str]) -> dict[str
 def _rows(arrays: Mapping[str, NDArray[Any]], prefix: str, kind: type, names: Sequence[str]) -> tuple[Any, ...]:
     columns = [arrays[f"{prefix}_{name}"].tolist() for name in names]
     rows = (dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True))
-    return tuple(record(kind, row) for row in rows)
+    return tuple(msgspec.convert(row, kind) for row in rows)
 
 
 def _arrays(recording: Recording) -> dict[str, NDArray[Any]]:

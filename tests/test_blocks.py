@@ -25,7 +25,8 @@ from data_module.blocks import (
     windows_of,
 )
 from data_module.errors import InputError
-from data_module.motion import rotation, skeletons
+from data_module.motion import rotation
+from data_module.motion.representation import ROTATIONS
 from data_module.speech.beats import BeatSettings
 from data_module.types import Array, Blocks, Samples, Speech
 
@@ -141,7 +142,8 @@ def test_motion_comes_back_exactly_on_the_beats(durations: Array, seed: int) -> 
     assert knots.shape == (len(blocks), 10, 48)
     out = denormalise(knots, first_pose(motion), blocks, 20.0, smooth_over=0)
     assert len(out) == round(durations.sum() * 20)
-    wanted = rotation.from_exponential_map(skeletons.to_vector(motion)[::3].reshape(-1, 16, 3))[:len(out)]
+    sampled = ROTATIONS.vectors(motion, np.arange(0, len(motion), 3) / 60.0)
+    wanted = rotation.from_exponential_map(sampled.reshape(-1, 16, 3))[:len(out)]
     found = rotation.from_exponential_map(out.reshape(-1, 16, 3))
     error = rotation.angle_between(wanted, found).max(axis=1)
     beats = np.round(blocks.edges[:-1] * 20).astype(int)
