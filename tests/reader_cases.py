@@ -23,11 +23,9 @@ import recogniser_samples
 import soundfile
 from hypothesis import strategies as st
 
-from data_module.controls import FEATURES, read_curve
 from data_module.corpora.base import Options
 from data_module.corpora.serialised import deserialise
 from data_module.corpora.table import open_corpus
-from data_module.corpora.trinity import read_words
 from data_module.errors import InputError
 from data_module.motion import skeletons
 from data_module.motion.bvh import read_bvh, write_bvh
@@ -236,10 +234,6 @@ def _read_pairs(file: Path) -> object:
     return [reader.read(item) for item in reader.items()]
 
 
-def _zeroeggs(folder: Path) -> Path:
-    return published_bvh.zeroeggs(folder, (1, 5)) / "info.csv"
-
-
 def _ted(folder: Path) -> Path:
     pytest.importorskip("pyarrow", reason="pyarrow is in the extra 'ted'")
     return _written("value", published.ted_value("VIDEO", "100"))(folder)
@@ -423,7 +417,7 @@ def _read_manifest(file: Path) -> object:
     return [row.line for row in read_manifest(file).values()]
 
 
-_KEY = {"study": "s", "systems": ["ours", "truth"], "aspects": ["beat_match"], "clips": [{}], "scale": [1, 5],
+_KEY = {"study": "s", "systems": ["ours", "truth"], "aspects": ["beat_match"], "clips": [{}],
         "items": {"x": {"clip": 0, "system": "ours"}, "y": {"clip": 0, "system": "truth"}}}
 _ANSWERS = {"study": "s", "rater": "1", "answers": [{"item": "x", "ratings": {"beat_match": 3}},
                                                     {"item": "y", "ratings": {"beat_match": 5}}]}
@@ -433,7 +427,6 @@ def _study(name: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         (folder / "key.json").write_text(json.dumps(_KEY))
         (folder / "1.json").write_text(json.dumps(_ANSWERS))
-        (folder / "1.csv").write_text("study,rater,item,aspect,rating\ns,2,x,beat_match,4\ns,2,y,beat_match,5\n")
         return folder / name
 
     return write
@@ -443,7 +436,7 @@ def _read_study(file: Path) -> object:
     from eval.study import anova
 
     key = anova.read_key(file.with_name("key.json"))
-    return anova.gather(anova.read_answers([file.with_name("1.json"), file.with_name("1.csv")], key), key)
+    return anova.read_ratings([file.with_name("1.json")], key)
 
 
 def _read_message(file: Path) -> object:
@@ -476,17 +469,13 @@ READERS: dict[str, Case] = {
     **{f"transcript of {name}": Case(_written(f"a{suffix}", write(MARKED)), lambda file: read_transcript(file, _SPEECH),
                                      examples=0.3)
        for name, (suffix, write) in recogniser_samples.FILES.items()},
-    "control curve": Case(_written("a.csv", "time,height,speed\n0,0.1,0.3\n1.5,0.2,0.4\n"),
-                          lambda file: [read_curve(file, feature) for feature in FEATURES[:2]]),
     "store, listing": Case(_store("store.json"), _read_store, packed=_with_fingerprint),
     "store, recording": Case(_store("recordings/a.npz"), _read_store, _member("rotations.npy"),
                              _with_hash(_with_member("rotations.npy"))),
     "foreign positions": Case(_positions("a.npy"), foreign.read_motion),
     "foreign sidecar": Case(_positions("a.json"), lambda file: foreign.read_motion(file.with_suffix(".npy"))),
     "folder, NAME.json": Case(_pairs, _read_pairs),
-    "trinity, words": Case(_written("a.json", json.dumps(published_bvh.google(WORDS))), read_words),
     "beat2, its list": Case(published.listed_beat2, lambda file: open_corpus("beat2", file.parent, Options()).items()),
-    "zeroeggs, its list": Case(_zeroeggs, lambda file: open_corpus("zeroeggs", file.parent, Options()).items()),
     "ted, a value": Case(_ted, lambda file: deserialise(file.read_bytes(), source=file)),
     "fairseq checkpoint": Case(_checkpoint, load_fairseq),
     "bundle, index": Case(_bundle("bundle.json"), _read_bundle),
@@ -499,7 +488,7 @@ READERS: dict[str, Case] = {
         0, 16, (40, 12), dtype=np.uint8))), lambda file: fingerprint_frames(file.read_text("latin-1"))),
     "request to the server of a page": Case(_request, _read_request, examples=2.0),
     "manifest": Case(_manifest, _read_manifest),
-    **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json", "1.csv")},
+    **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json")},
     "message of a client": Case(_written("a.json", json.dumps({
         "type": "hello", "protocol": 1, "sample_rate": 16000, "format": "pcm16", "fps": 30, "seed": 4,
         "options": {"speaker": "ann", "temperature": 1.0}})), _read_message),

@@ -118,7 +118,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eval.ablate.run import RgRows
     from eval.context import EvalContext, opened, provenance
     from eval.metrics.gesture_features import at_hand, spaces
-    from eval.table import load
+    from eval.table import load, markdown
     from gesticulator.bundle.files import bundle_folder
     from gesticulator.training.stages import Run
 
@@ -128,5 +128,5 @@ def run(arguments: argparse.Namespace) -> int:
     bundle = str(bundle_folder(arguments.bundle)) if arguments.bundle else None
     Ablation(rg, CellStore(Path(arguments.out)), bundle).run(
         arguments.only, arguments.seeds, systems, provenance(arguments))
-    print("\n".join(table.terminal() for table in load(Path(arguments.out) / "table.json")), end="")
+    print(markdown(load(Path(arguments.out) / "table.json")), end="")
     return 0

@@ -42,8 +42,8 @@ from eval.ablate.rows import COLUMNS, FLOOR, OURS, PERFORMER, REAL_TAKE, ROWS
 from eval.baselines.controls import split_halves
 from eval.baselines.interpreters import RandomStyle
 from eval.clip.clip_set import TRUTH, ClipSet
+from eval.clip.excerpts import real_take
 from eval.clip.foreign import find_motions, read_folder
-from eval.clip.measure import real_take
 from eval.context import EvalContext
 from eval.metrics import fgd, pmb
 from eval.metrics.gesture_features import pooled
@@ -329,14 +329,13 @@ class RgRows:
         if not self.context.networks:
             return None
         truth = scored.clips.motions[TRUTH]
-        place = {id(motion): k for k, motion in enumerate(truth)}
         real, clips = pooled(list(truth), next(iter(self.context.networks.values()))), []
         for seed in range(FLOOR_DRAWS):
             try:
-                halves = split_halves(truth, seed, scored.clips.groups)
+                halves = split_halves(truth, scored.clips.groups, seed)
             except ValueError:
                 return None
-            first, second = (np.concatenate([real[place[id(motion)]] for motion in half]) for half in halves)
+            first, second = (np.concatenate([real[k] for k in half]) for half in halves)
             if min(len(first), len(second)) > 1:
                 clips.append({"name": f"halving {seed}", "fgd": fgd.distance(first, second)})
         return {"clips": clips, "sets": {}} if clips else None
