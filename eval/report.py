@@ -35,7 +35,7 @@ def document(folder: Path, out: Path) -> str:
     unreadable = []
     for name in dict.fromkeys((*FIRST, *names)):
         try:
-            # The figures of an ablation are pictures with captions; every other file holds tables.
+            # The figures of an ablation are pictures with titles; every other file holds tables.
             parts = _figures(folder, name, out) if name.endswith("figures") else {name: _section(folder, name)}
         except InputError:
             unreadable.append(f"`{name}.json`")
@@ -60,22 +60,22 @@ def _section(folder: Path, name: str) -> list[str]:
 
 
 def _figures(folder: Path, name: str, out: Path) -> dict[str, list[str]]:
-    """Name -> lines of the figures of an ablation with their captions; InputError where the file holds no figures."""
+    """Name -> lines of the figures of an ablation with their titles; InputError where the file holds no figures."""
     file = folder / f"{name}.json"
     try:
-        drawn = [(file.with_name(figure), f"{facts['figure']}: {facts['title']}", str(facts["caption"]))
+        drawn = [(file.with_name(figure), f"{facts['figure']}: {facts['title']}")
                  for figure, facts in loads(read_text(file, "draw them again")).items()]
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(file, "holds no figures of an ablation", "draw them again") from error
-    return {place.name: _figure(place, title, caption, out) for place, title, caption in drawn}
+    return {place.name: _figure(place, title, out) for place, title in drawn}
 
 
-def _figure(place: Path, title: str, caption: str, out: Path) -> list[str]:
-    """A picture, whose path has no suffix here, with its caption."""
+def _figure(place: Path, title: str, out: Path) -> list[str]:
+    """A picture, whose path has no suffix here, with its title."""
     picture = next((file for ending in (".svg", ".png") if (file := Path(f"{place}{ending}")).is_file()), None)
     link = quote(Path(os.path.relpath(picture, out)).as_posix()) if picture else ""
     alt = re.sub(r"[\[\]\n]", " ", title)
-    return [f"![{alt}]({link})" if picture else "The picture is not there.", "", f"{title}. {caption}"]
+    return [f"![{alt}]({link})" if picture else "The picture is not there.", "", f"{title}."]
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -45,7 +45,7 @@ def results(tmp_path: Path) -> Path:
                                ("ablation/table", "RG Table 1 (test)", 12.5)):
         save([one(title, value)], folder / f"{name}.json", ABOUT)
     (folder / "ablation" / "figures.json").write_text(dumps({"figure-18": {
-        "figure": "RG Fig. 18", "title": "how many lexemes", "caption": "Of different sizes.", "numbers": {}}}))
+        "figure": "RG Fig. 18", "title": "how many lexemes"}}))
     (folder / "ablation" / "figure-18.svg").write_text("<svg/>")
     return folder
 
