@@ -10,7 +10,9 @@ import pytest
 
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, from_vector
-from data_module.types import Speech
+from data_module.store import Recording, RecordingInfo
+from data_module.types import Speech, Word
+from eval.clip.excerpts import excerpt
 from eval.clip.measure import ClipMeasurement, measure
 
 
@@ -52,3 +54,24 @@ def test_motion_in_time_is_above_chance_and_motion_at_random_is_not() -> None:
     random = np.cumsum(np.random.default_rng(1).uniform(0.2, 0.6, 100))
     assert abs(ClipMeasurement(onsets, random, 60.0, *none).rhythm()[2]) < 15
     assert math.isnan(ClipMeasurement(onsets, np.zeros(0), 60.0, *none).rhythm()[2])
+
+
+def test_an_excerpt_is_the_middle_with_sound_words_and_motion_together() -> None:
+    def recording(seconds: float) -> Recording:
+        words = tuple(Word(str(n), n + 0.1, n + 0.9) for n in range(int(seconds)))
+        samples = np.linspace(0, 0.5, round(seconds * 16000)).astype(np.float32)
+        motion = from_vector(np.zeros((round(20 * seconds), 3 * len(CHARACTER))), 20.0)
+        place = np.outer(np.arange(len(motion)) / 20, [1.0, 0.0, 0.0])
+        return Recording(RecordingInfo("one", "test", "brad", "awb", "en"), Speech(samples, 16000, words),
+                         dataclasses.replace(motion, root_positions=place))
+
+    cut = excerpt(recording(20.0), 10.0)
+    assert cut.speech.duration == pytest.approx(10) and cut.motion.duration == pytest.approx(10)
+    assert cut.speech.samples[0] == pytest.approx(0.5 * 5 / 20, abs=1e-5)
+    assert cut.motion.root_positions[0, 0] == pytest.approx(5)
+    assert cut.speech.words is not None and [w.text for w in cut.speech.words] == [str(n) for n in range(5, 15)]
+    assert cut.speech.words[0].start == pytest.approx(0.1)
+    narrow = excerpt(recording(20.0), 9.0)
+    assert narrow.speech.words is not None and narrow.speech.words[0].text == "6", "a word that is cut is left out"
+    whole = excerpt(recording(6.0), 10.0)
+    assert whole.speech.duration == pytest.approx(6) and len(whole.motion) == 120

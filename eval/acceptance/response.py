@@ -23,11 +23,10 @@ from typing import Any
 
 import numpy as np
 
-from data_module.controls import FEATURES, LEVELS, UNITS
+from data_module.controls import FEATURES, LEVELS, UNITS, per_frame
 from data_module.errors import InputError
 from data_module.types import Array, Speech
 from eval import stats
-from eval.ablate.style_editing import realised
 from eval.acceptance.bounds import Measured, Results
 from eval.acceptance.stimuli import (
     EXPORTS,
@@ -164,7 +163,8 @@ def _style_controls(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> 
         for level in LEVELS:
             # The same seed at every level: only the request differs.
             request: dict[str, Any] = {f"hand_{feature}": level}
-            values[feature, level] = np.array([realised(system.render(voice, 0, **request).motion)[column]
+            # Means over all frames, nothing smoothed.
+            values[feature, level] = np.array([per_frame(system.render(voice, 0, **request).motion).mean(axis=0)[column]
                                                for voice in voices])
     return order_figures(values), [order_table(values)]
 
