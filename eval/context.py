@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import torch
@@ -90,9 +90,8 @@ class EvalContext:
 
     @property
     def run(self) -> Run:
-        """The data with its settings; InputError where no store was given."""
-        if self.data is None:
-            raise InputError("--data", "is missing", "give a store built by `gesticulator build`")
+        """The data with its settings."""
+        assert self.data is not None
         return self.data
 
     @property
@@ -152,16 +151,6 @@ class EvalContext:
     def loaded(self, number: int) -> Recording:
         """A recording with its sound and motion."""
         return self.store.load(self.corpus.names[number], self.run.config.motion.joints)
-
-    def recordings(self, split: str = "test") -> list[Recording]:
-        """Those of a split, `limit` at most."""
-        return [self.loaded(number) for number in self.numbers(split)]
-
-    def described(self) -> dict[str, Any]:
-        """The data, for the facts of a table."""
-        return {"store": {"name": self.store.corpus, "fingerprint": self.store.fingerprint,
-                          "test_recordings": len(self.numbers())}}
-
 
 def opened(data: str, work: str | None) -> tuple[Store, Path]:
     """A store with a test split, and its work folder (default: STORE.work), made where it is not there."""

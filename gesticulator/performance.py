@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from gesticulator.characters.retarget import Retargeter
     from gesticulator.characters.rig import Character, CharacterMotion
     from gesticulator.editing.render import Generation
-    from gesticulator.editing.retiming import RetimingReport
     from gesticulator.export.clip import ClipLayout
     from gesticulator.export.writers import Scene
     from gesticulator.face.motion import FaceMotion
@@ -51,7 +50,7 @@ class Performance:
     """The options of the performance, with the bundle's defaults filled in."""
     names: Callable[[], tuple[LexemeName, ...]] | None = None
     """Returns the names of the lexemes."""
-    retiming: RetimingReport | None = None
+    retiming: str | None = None
     """What became of a plan that was moved onto this sound (`InferenceOptions.retime`)."""
     generation: Generation | None = field(default=None, repr=False, compare=False)
     """The first generation, from which edits start (`Gesticulator.keeps_generations`)."""
@@ -220,7 +219,7 @@ class Performance:
         rig = character if isinstance(character, Character) else read_character(character)
         joints = mapping if mapping is None or isinstance(mapping, RigMapping) else load_mapping(mapping, rig)
         # A clip of the upper body must not key the legs, or it could not be laid over a walk.
-        legs = False if self.clip is not None and self.clip.bare else None
+        legs = self.clip is None or not self.clip.bare
         return self.moved_by(Retargeter(rig, joints, contacts=contacts, legs=legs))
 
     def moved_by(self, retargeter: Retargeter) -> Performance:

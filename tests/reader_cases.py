@@ -25,13 +25,10 @@ import soundfile
 from hypothesis import strategies as st
 
 from data_module.arrays import read_npz
-from data_module.build_report import report_of
-from data_module.controls import FEATURES, read_curve
 from data_module.corpora.base import Options
 from data_module.corpora.folder import FolderOptions
 from data_module.corpora.serialised import deserialise
 from data_module.corpora.table import open_corpus
-from data_module.corpora.trinity import read_words
 from data_module.errors import InputError
 from data_module.motion import skeletons
 from data_module.motion.bvh import read_bvh, read_hierarchy, write_bvh
@@ -218,7 +215,7 @@ def _store(mutated: str) -> Callable[[Path], Path]:
 def _read_store(file: Path) -> object:
     folder = next(parent for parent in file.parents if parent.name == "s")
     store = Store.open(folder)
-    return [store.load(name) for name in store.names], report_of(store)
+    return [store.load(name) for name in store.names]
 
 
 def _with_hashes(pack: Callable[[Path, bytes], object]) -> Callable[[Path, bytes], object]:
@@ -266,10 +263,6 @@ def _folder_splits(folder: Path) -> Path:
 def _read_pairs(file: Path) -> object:
     reader = open_corpus("folder", file.parent, Options())
     return [reader.read(item) for item in reader.items()]
-
-
-def _zeroeggs(folder: Path) -> Path:
-    return published_bvh.zeroeggs(folder, (1, 5)) / "info.csv"
 
 
 def _ted(folder: Path) -> Path:
@@ -475,7 +468,7 @@ def _read_manifest(file: Path) -> object:
     return [row.line for row in read_manifest(file).values()]
 
 
-_KEY = {"study": "s", "systems": ["ours", "truth"], "aspects": ["beat_match"], "clips": [{}], "scale": [1, 5],
+_KEY = {"study": "s", "systems": ["ours", "truth"], "aspects": ["beat_match"], "clips": [{}],
         "items": {"x": {"clip": 0, "system": "ours"}, "y": {"clip": 0, "system": "truth"}}}
 _ANSWERS = {"study": "s", "rater": "1", "answers": [{"item": "x", "ratings": {"beat_match": 3}},
                                                     {"item": "y", "ratings": {"beat_match": 5}}]}
@@ -485,7 +478,6 @@ def _study(name: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         (folder / "key.json").write_text(json.dumps(_KEY))
         (folder / "1.json").write_text(json.dumps(_ANSWERS))
-        (folder / "1.csv").write_text("study,rater,item,aspect,rating\ns,2,x,beat_match,4\ns,2,y,beat_match,5\n")
         return folder / name
 
     return write
@@ -495,7 +487,7 @@ def _read_study(file: Path) -> object:
     from eval.study import anova
 
     key = anova.read_key(file.with_name("key.json"))
-    return anova.gather(anova.read_answers([file.with_name("1.json"), file.with_name("1.csv")], key), key)
+    return anova.read_ratings([file.with_name("1.json")], key)
 
 
 def _lips(folder: Path) -> Path:
@@ -518,30 +510,9 @@ def _read_tables(file: Path) -> object:
     return table.load(file)
 
 
-def _report(name: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        (folder / "ablation").mkdir()
-        _results(folder).rename(folder / "claims.json")
-        text = (folder / "claims.json").read_text().replace('"facts": {', '"facts": {"count": {"holds": 3}, ', 1)
-        (folder / "claims.json").write_text(text)
-        (folder / "ablation" / "figures.json").write_text(json.dumps({"figure-1": {
-            "figure": "RG Fig. 18", "title": "a", "caption": "b"}}))
-        return folder / name
-
-    return write
-
-
-def _read_report(file: Path) -> object:
-    from eval.report import document
-
-    folder = file.parents[file.parent.name == "ablation"]
-    return document(folder, folder / "out")
-
-
 def _read_words_of_a_command(file: Path) -> object:
     """Each line of the file as what a user writes on a command line."""
     from data_module.settings import with_settings
-    from eval.score.command import _positive
     from gesticulator.arguments import _cue, _seconds
     from gesticulator.batch import parse_shard
     from gesticulator.bundle.command import lexemes
@@ -553,7 +524,7 @@ def _read_words_of_a_command(file: Path) -> object:
     readers: tuple[Callable[[str], object], ...] = (
         read_target, parse_shard, _cue, lambda text: with_settings(LstmConfig(), [text]),
         lambda text: RANGES["seed"].parse("--seed", text), lambda text: RANGES["temperature"].parse("-t", text),
-        _seconds, lambda text: lexemes(text, 24), lambda text: _positive("--seconds", text))
+        _seconds, lambda text: lexemes(text, 24))
     refusals = []
     for read, line in zip(readers, lines, strict=False):
         try:
@@ -574,12 +545,6 @@ def _read_sound_message(file: Path) -> object:
     from gesticulator.live.protocol import StreamRequest
 
     return [StreamRequest(RATE, format).samples(file.read_bytes()) for format in ("pcm16", "float32")]
-
-
-def _read_edges(file: Path) -> object:
-    from eval.clip.foreign import edges_of_plan
-
-    return edges_of_plan(file)
 
 
 def _read_token(file: Path) -> object:
@@ -622,11 +587,8 @@ READERS: dict[str, Case] = {
     **{f"transcript of {name}": Case(_written(f"a{suffix}", write(MARKED)), lambda file: read_transcript(file, _SPEECH),
                                      examples=0.3)
        for name, (suffix, write) in recogniser_samples.FILES.items()},
-    "control curve": Case(_written("a.csv", "time,height,speed\n0,0.1,0.3\n1.5,0.2,0.4\n"),
-                          lambda file: [read_curve(file, feature) for feature in FEATURES[:2]]),
     "store, listing": Case(_store("store.json"), _read_store),
     "store, edited listing": Case(_store("store.json"), _read_store, packed=_with_fingerprint),
-    "store, report": Case(_store("report.json"), _read_store, lambda file: b'{"recordings": 1}'),
     "store, sound": Case(_store("recordings/a.flac"), _read_store, packed=_with_hashes(Path.write_bytes)),
     **{f"store, {name}": Case(_store("recordings/a.npz"), _read_store, _member(f"{name}.npy"),
                               _with_hashes(_with_member(f"{name}.npy")))
@@ -636,9 +598,7 @@ READERS: dict[str, Case] = {
     "folder, NAME.json": Case(_pairs, _read_pairs),
     "folder, its splits": Case(_folder_splits, lambda file: open_corpus("folder", file.parent,
                                                                           FolderOptions(split=str(file))).items()),
-    "trinity, words": Case(_written("a.json", json.dumps(published_bvh.google(WORDS))), read_words),
     "beat2, its list": Case(published.listed_beat2, lambda file: open_corpus("beat2", file.parent, Options()).items()),
-    "zeroeggs, its list": Case(_zeroeggs, lambda file: open_corpus("zeroeggs", file.parent, Options()).items()),
     "ted, a value": Case(_ted, lambda file: deserialise(file.read_bytes(), source=file)),
     "fairseq checkpoint": Case(_checkpoint, load_fairseq),
     "bundle, index": Case(_bundle("bundle.json"), _read_bundle),
@@ -657,20 +617,16 @@ READERS: dict[str, Case] = {
         0, 16, (40, 12), dtype=np.uint8))), lambda file: fingerprint_frames(file.read_text("latin-1"))),
     "request to the server of a page": Case(_request, _read_request, examples=2.0),
     "manifest": Case(_manifest("m.jsonl"), _read_manifest),
-    **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json", "1.csv")},
+    **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json")},
     "weights of the lips": Case(_lips, _read_lips),
     "table of results": Case(_results, _read_tables),
-    **{f"report, {name}": Case(_report(name), _read_report) for name in (
-        "claims.json", "ablation/figures.json")},
     "words of a command": Case(_written("a.txt", "\n".join((
-        "127.0.0.1:39539", "2/8", "hello:2=wave", "width=30", "a=1..9:log", "7", "1.5", "3.2-5.0", "3, 7,9", "2"))),
+        "127.0.0.1:39539", "2/8", "hello:2=wave", "width=30", "a=1..9:log", "7", "1.5", "3.2-5.0", "3, 7,9"))),
                                _read_words_of_a_command, examples=2.0),
     "message of a client": Case(_written("a.json", json.dumps({
         "type": "hello", "protocol": 1, "sample_rate": 16000, "format": "pcm16", "fps": 30, "seed": 4,
         "options": {"speaker": "ann", "temperature": 1.0}})), _read_message),
     "sound of a client": Case(_written("a.raw", _noise(0.05).astype("<f4").tobytes()), _read_sound_message),
-    "edges of a plan": Case(_written("a.json", '{"blocks": [{"start": 0, "end": 0.5}, {"start": 0.5, "end": 1}]}'),
-                            _read_edges),
     "token": Case(_written("a.txt", "secret\n"), _read_token)
 }
 

@@ -24,7 +24,7 @@ from eval.baselines.interpreters import RandomStyle
 from eval.commands import ABLATE
 from eval.context import EvalContext
 from eval.metrics.gesture_features import RawFeatures
-from eval.table import NO_BUNDLE, NOT_RECORDED, Provenance, load, loads
+from eval.table import NO_BUNDLE, NOT_RECORDED, Provenance, load
 from gesticulator.bundle import config as configs
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages import LABELS, Run
@@ -90,8 +90,6 @@ def test_rows_and_figures_of_the_paper(ablation: Ablation, tmp_path: Path) -> No
 
 
 def check_figure(here: Ablation, name: str, kind: str) -> None:
-    figure = loads((here.cells.out / "figures.json").read_text())[name]
-    assert figure["figure"].startswith("RG Fig.") and figure["title"]
     assert (here.cells.out / f"{name}.{kind}").stat().st_size > 1000
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from data_module.errors import InputError
 from data_module.speech import onsets
 from data_module.speech.audio import load_speech
-from data_module.speech.beats import RULES, BeatSettings, BeatTracker, find_beats, next_beat, place_beats
+from data_module.speech.beats import RULES, BeatSettings, BeatTracker, find_beats, next_beat
 from data_module.speech.onsets import (
     LOOK_AHEAD,
     OnsetTracker,
@@ -20,7 +20,7 @@ from data_module.speech.onsets import (
     merged,
 )
 from data_module.speech.silence import LoudnessTracker, frame_levels
-from data_module.types import Array, BeatFlag, Samples, Speech
+from data_module.types import Array, BeatFlag, Beats, Samples, Speech
 
 RATE = 16000
 RANGES = [(0.2, 0.5), (0.3, 0.6), (0.2, 1.0), (0.5, 1.0), (0.25, 0.5)]
@@ -52,6 +52,17 @@ def babble(seconds: float, seed: int = 0) -> Samples:
         envelope += rng.uniform(0.05, 0.3) * rise * fall
         at += length + rng.choice([0.05, 0.1, 0.9])
     return (buzz * envelope + 1e-3 * rng.standard_normal(len(time))).astype(np.float32)
+
+
+def place_beats(onsets: Array, loud: Array, duration: float, settings: BeatSettings, strengths: Array | None = None
+                ) -> Beats:
+    """The beats of a recording whose onsets and loud moments are known, seconds."""
+    tracker = BeatTracker(settings)
+    tracker._loud = loud
+    strengths = np.zeros(len(onsets)) if strengths is None else strengths
+    beats = [(0.0, BeatFlag.BOUNDARY),
+             *tracker.finish(list(zip(onsets.tolist(), strengths.tolist(), strict=True)), [], duration)]
+    return Beats(np.array([time for time, _ in beats]), np.array([flag for _, flag in beats], np.int8))
 
 
 def in_range(intervals: Array, settings: BeatSettings) -> bool:

@@ -25,7 +25,7 @@ from gesticulator.directing.shaping import (
     FADE,
     MIRROR_FADE,
     REST_FADE,
-    ArmScales,
+    ShapeLevels,
     Shaper,
     rest_share,
 )
@@ -169,9 +169,9 @@ def poses_of(made: Performance, step: int = 3) -> tuple[Array, Array]:
     return poses, np.arange(len(poses)) * step / made.fps
 
 
-def sized(count: int, left: float, right: float, both: float = 0.0) -> ArmScales:
+def sized(count: int, left: float, right: float, both: float = 0.0, mirrored: float = 0.0) -> ShapeLevels:
     intensity = np.tile([left, right], (count, 1))
-    return ArmScales(intensity, rest_share(intensity), np.full(count, both))
+    return ShapeLevels(intensity, rest_share(intensity), np.full(count, both), np.full(count, mirrored))
 
 
 @pytest.fixture(scope="module")
@@ -187,8 +187,7 @@ def test_shaping_needs_no_later_frames_and_can_go_back(new_shaper: Callable[[], 
     shaper = new_shaper()
     for first, last in ((0, 7), (7, 60), (60, 61), (61, 90), (40, 70), (70, len(poses))):  # one of them goes back
         part = slice(first, last)
-        own = ArmScales(asked.intensity[part], asked.share[part], asked.both[part])
-        got = shaper.shaped(poses[part], times[part], own)
+        got = shaper.shaped(poses[part], times[part], sized(len(poses[part]), 0.7, 1.6, 1.0))
         np.testing.assert_allclose(got, whole[part], rtol=0, atol=1e-12)
 
 
@@ -196,7 +195,8 @@ def test_nothing_asked_is_nothing_done(new_shaper: Callable[[], Shaper], drawn: 
     poses, times = poses_of(drawn)
     shaper = new_shaper()
     np.testing.assert_array_equal(shaper.shaped(poses, times, sized(len(poses), 1.0, 1.0)), poses)
-    twice = shaper.mirrored(shaper.mirrored(poses, np.ones(len(poses))), np.ones(len(poses)))
+    mirror = sized(len(poses), 1.0, 1.0, mirrored=1.0)
+    twice = new_shaper().shaped(new_shaper().shaped(poses, times, mirror), times, mirror)
     np.testing.assert_array_equal(twice, poses)
 
 

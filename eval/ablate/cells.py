@@ -20,7 +20,7 @@ from data_module.types import Array
 from eval import stats
 from eval.ablate.rows import COLUMNS, DECIDED
 from eval.crossed import crossed
-from eval.table import dumps, loads
+from eval.table import dumps, undefined
 
 FOLDER = "cells"
 LARGEST = 1 << 24
@@ -64,7 +64,7 @@ class CellStore:
 
 def _read(file: Path) -> Cell:
     remedy = "remove it, and the same command makes it again"
-    cell: Cell = loads(dumps(read_object(file, remedy, LARGEST)))  # null becomes NaN
+    cell: Cell = undefined(read_object(file, remedy, LARGEST))
     if not {"row", "seed", "key", "shared", "clips", "sets"} <= set(cell) or not isinstance(cell["clips"], list):
         raise InputError(file, "is no cell of an ablation", remedy)
     return cell

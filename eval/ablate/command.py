@@ -100,12 +100,12 @@ def run(arguments: argparse.Namespace) -> int:
     from eval.ablate.run import RgRows
     from eval.context import EvalContext, opened, provenance
     from eval.metrics.gesture_features import at_hand, spaces
-    from eval.table import load
+    from eval.table import load, markdown
     from gesticulator.training.stages import Run
 
     store, work = opened(arguments.data, arguments.work)
     first = Run(PRESETS[arguments.preset](), store, work, progress=not arguments.quiet, workers=os.cpu_count() or 1)
     rg = RgRows(EvalContext(first, networks=spaces(at_hand()), limit=arguments.limit))
     Ablation(rg, CellStore(Path(arguments.out))).run(arguments.only, arguments.seeds, systems, provenance(arguments))
-    print("\n".join(table.terminal() for table in load(Path(arguments.out) / "table.json")), end="")
+    print(markdown(load(Path(arguments.out) / "table.json")), end="")
     return 0

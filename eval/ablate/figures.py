@@ -1,8 +1,7 @@
 """The papers' figures, drawn from what the rows of an ablation left behind (see `eval.ablate.command`).
 
-A figure is FIGURE.svg or FIGURE.png in the folder of the cells. figures.json there holds for each which figure of the
-paper it is, and its title. The motion that it shows is of the first seed and, where one clip is shown, of
-the first test recording, whatever it looks like.
+A figure is FIGURE.svg or FIGURE.png in the folder of the cells. The motion that it shows is of the first seed and,
+where one clip is shown, of the first test recording, whatever it looks like.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ import torch
 from data_module import intervals
 from data_module.blocks import cut
 from data_module.errors import InputError
-from data_module.files import read_object, write_text
 from data_module.motion.motion_beats import motion_beats
 from data_module.speech.beats import find_beats
 from data_module.speech.onsets import detect_onsets
@@ -33,14 +31,11 @@ from eval.pictures.canvas import STYLE
 from eval.pictures.embedding import embed, embedding_panels, joint_embedding, neighbours_agree
 from eval.pictures.plots import beat_strips, cluster_bars, delta_curves, size_sweep
 from eval.pictures.strips import PAGE, Source, draw_page, save_strip
-from eval.table import dumps
 from gesticulator.training.stages import LABELS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
-DRAWN = "figures.json"
-"""The file of the titles of all figures."""
 POINTS = 3000
 """Blocks in the picture of the lexicon."""
 EACH = 500
@@ -171,10 +166,8 @@ def sizes(rg: RgRows, rows: Summaries) -> Picture:
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """A figure: which of the paper it is, what it shows, how, the rows that it is drawn from; dots: as PNG."""
+    """A figure: how it is drawn, the rows that it is drawn from; dots: as PNG."""
 
-    paper: str
-    title: str
     draw: Draw
     rows: tuple[str, ...] = ()
     dots: bool = False
@@ -184,28 +177,20 @@ _STEPS = (PERFORMER, "no-audio-no-style", "no-style", "random-style", OURS)
 _LEXEMES = (PERFORMER, "no-lexemes", OURS)
 _RANGES = tuple(line.row for line in TABLES["RG Table 4"].lines)
 FIGURES: dict[str, PaperFigure] = {
-    "figure-5": PaperFigure("RG Fig. 5 and 8a", "intervals between onsets of the speech, and between beats",
-                            onset_intervals),
-    "figure-6": PaperFigure("RG Fig. 6 and 8b", "E(M) of blocks by t-SNE, coloured by lexeme, silent ones crossed",
-                            lexicon, dots=True),
-    "figure-9-performer": PaperFigure("RG Fig. 9", "the performer", strip(PERFORMER), (PERFORMER,), dots=True),
-    "figure-9-ours": PaperFigure("RG Fig. 9", "ours", strip(OURS), (OURS,), dots=True),
-    "figure-11": PaperFigure("RG Fig. 11", "PMB over delta; shuffled motion shows how much of it is chance", curves),
-    "figure-14": PaperFigure("RG Fig. 14", "H(lexeme of the motion | cluster of the audio), by level of the audio",
-                             clusters, (PERFORMER, OURS)),
-    "figure-15": PaperFigure("RG Fig. 15", "what style codes add: latents of motion in one t-SNE", panels(*_STEPS),
-                             _STEPS, dots=True),
-    "figure-16": PaperFigure("RG Fig. 16", "beats under three ranges of intervals; most find an onset in any motion",
-                             strips_of_beats, (*_RANGES, PERFORMER)),
-    "figure-17": PaperFigure("RG Fig. 17", "what lexemes add: latents of motion in one t-SNE", panels(*_LEXEMES),
-                             _LEXEMES, dots=True),
-    "figure-18": PaperFigure("RG Fig. 18", "how many lexemes, on the validation split; the performer dashed", sizes),
+    "figure-5": PaperFigure(onset_intervals), "figure-6": PaperFigure(lexicon, dots=True),
+    "figure-9-performer": PaperFigure(strip(PERFORMER), (PERFORMER,), dots=True),
+    "figure-9-ours": PaperFigure(strip(OURS), (OURS,), dots=True),
+    "figure-11": PaperFigure(curves), "figure-14": PaperFigure(clusters, (PERFORMER, OURS)),
+    "figure-15": PaperFigure(panels(*_STEPS), _STEPS, dots=True),
+    "figure-16": PaperFigure(strips_of_beats, (*_RANGES, PERFORMER)),
+    "figure-17": PaperFigure(panels(*_LEXEMES), _LEXEMES, dots=True),
+    "figure-18": PaperFigure(sizes),
 }
 
 
 def draw(rg: RgRows, name: str, rows: Summaries, out: Path) -> str:
-    """Write a figure and its title to a folder; why it cannot be drawn, or ""."""
-    figure, place = FIGURES[name], out / DRAWN
+    """Write a figure to a folder; why it cannot be drawn, or ""."""
+    figure = FIGURES[name]
     lacking = [row for row in figure.rows if row not in rows]
     if lacking:
         return f"not run: {', '.join(lacking)}"
@@ -216,7 +201,4 @@ def draw(rg: RgRows, name: str, rows: Summaries, out: Path) -> str:
             save_strip(figure.draw(rg, rows), out / f"{name}.{'png' if figure.dots else 'svg'}")
     except (ImportError, InputError) as error:
         return str(error)
-    drawn = read_object(place, "remove it, and draw the figures again") if place.exists() else {}
-    drawn[name] = {"figure": figure.paper, "title": figure.title}
-    write_text(place, dumps(dict(sorted(drawn.items()))))
     return ""

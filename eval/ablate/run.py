@@ -39,8 +39,8 @@ from eval.ablate.rows import COLUMNS, FLOOR, OURS, PERFORMER, REAL_TAKE, ROWS
 from eval.baselines.controls import split_halves
 from eval.baselines.interpreters import RandomStyle
 from eval.clip.clip_set import TRUTH, ClipSet
+from eval.clip.excerpts import real_take
 from eval.clip.foreign import find_motions, read_folder
-from eval.clip.measure import real_take
 from eval.context import EvalContext
 from eval.metrics import fgd, pmb
 from eval.metrics.gesture_features import pooled
@@ -297,13 +297,13 @@ class RgRows:
         if not self.context.networks:
             return None
         truth, clips = scored.clips.motions[TRUTH], []
-        real = dict(zip(map(id, truth), pooled(truth, next(iter(self.context.networks.values()))), strict=True))
+        real = pooled(truth, next(iter(self.context.networks.values())))
         for seed in range(FLOOR_DRAWS):
             try:
-                halves = split_halves(truth, seed, scored.clips.groups)
+                halves = split_halves(truth, scored.clips.groups, seed)
             except ValueError:
                 return None
-            value = fgd.of_clips(*([real[id(motion)] for motion in half] for half in halves))
+            value = fgd.of_clips(*([real[k] for k in half] for half in halves))
             clips += [{"name": f"halving {seed}", "fgd": value}] if np.isfinite(value) else []
         return {"clips": clips, "sets": {}} if clips else None
 

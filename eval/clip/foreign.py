@@ -26,7 +26,7 @@ import numpy as np
 
 from data_module.arrays import as_floats, read_npy
 from data_module.errors import InputError, shown
-from data_module.files import read_json, read_object
+from data_module.files import read_json
 from data_module.motion import rotation
 from data_module.motion.bvh import FRAME_RATE_ADVICE, BvhWarning, read_bvh
 from data_module.motion.representation import TED_JOINTS, rotations_from_positions, ted_positions
@@ -50,7 +50,7 @@ _CROWNS = ("headtop", "head_top", "headend", "head_end", "headtop_end", "crown")
 _EPS = 1e-9
 _FARTHEST = 1e9
 """Units, whichever they are, of a position: a thousand kilometres in millimetres."""
-_RATE_ADVICE = 'give the frame rate: {"fps": RATE} in NAME.json beside it, or --fps NAME=RATE of a command that has it'
+_RATE_ADVICE = 'give the frame rate: {"fps": RATE} in NAME.json beside it'
 
 
 @dataclass(frozen=True)
@@ -98,12 +98,12 @@ def names_in(folder: Path, split: str = "test") -> list[str]:
     return list(find_motions(folder)[0])
 
 
-def read_folder(folder: Path, speech: Path | None = None, fps: float | None = None,
-                only: Sequence[str] | None = None, split: str = "test") -> tuple[dict[str, Clip], list[str]]:
+def read_folder(folder: Path, speech: Path | None = None, only: Sequence[str] | None = None, split: str = "test"
+                ) -> tuple[dict[str, Clip], list[str]]:
     """The clips of a folder, or of a store's split ("all" for every one), by name; and what was left out.
 
-    speech: where the sounds lie, beside the motion when not told. fps: where the files have none or a wrong one. only:
-    names to read (None: all). InputError for a file that cannot be read, and for a speech folder that is none.
+    speech: where the sounds lie, beside the motion when not told. only: names to read (None: all). InputError for a
+    file that cannot be read, and for a speech folder that is none.
     """
     if speech is not None and not speech.is_dir():
         raise InputError(speech, "is not a folder", f"name one that holds NAME{' or NAME'.join(SOUNDS)}")
@@ -120,7 +120,7 @@ def read_folder(folder: Path, speech: Path | None = None, fps: float | None = No
     for name, file in files.items():
         if only is None or name in only:
             sound = find_sound(speech or folder, name)
-            clips[name] = Clip(name, read_motion(file, fps), load_speech(sound) if sound else None, name)
+            clips[name] = Clip(name, read_motion(file), load_speech(sound) if sound else None, name)
     return clips, notes
 
 
@@ -274,19 +274,3 @@ def named(entries: Sequence[str], what: str) -> dict[str, str]:
             raise InputError(f"{what} {entry}", "has a name that was given before", "choose another")
         table[name] = value
     return table
-
-
-def edges_of_plan(plan: Path) -> Array | None:
-    """[N + 1] seconds of the blocks of a plan (`infer --explain`, or {"edges": [...]}); None where there is none."""
-    if not plan.is_file():
-        return None
-    try:
-        document = read_object(plan, "write it with infer --explain, or take it away", 1 << 26)
-        edges = np.array(document["edges"] if "edges" in document else
-                         [*(block["start"] for block in document["blocks"]), document["blocks"][-1]["end"]],
-                         dtype=np.float64)
-    except (ValueError, KeyError, TypeError, IndexError):
-        raise InputError(plan, "tells no block edges", "write it with infer --explain, or take it away") from None
-    if edges.ndim != 1 or not np.isfinite(edges).all() or (np.diff(edges) <= 0).any():
-        raise InputError(plan, "has edges that do not rise", "write it again")
-    return edges

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from operator import attrgetter
 
 import numpy as np
@@ -21,7 +20,7 @@ from gesticulator.directing.shaping import (
     MIRROR_FADE,
     OTHER_HAND,
     REST_FADE,
-    ArmScales,
+    ShapeLevels,
     Shaper,
     eased_levels,
     levels_at,
@@ -30,7 +29,7 @@ from gesticulator.directing.shaping import (
 )
 from gesticulator.directing.strokes import smooth_step
 from gesticulator.options import InferenceOptions
-from gesticulator.plan.plan import ENERGIES, ENERGY_SIZES, GesturePlan, KnobCurve, PlanKnobs
+from gesticulator.plan.plan import PlanKnobs
 
 MeantCues = Callable[[float], Sequence[TimedCue]]
 """Gives the gestures that the words call for, or that are marked in them, and that begin up to a time."""
@@ -38,14 +37,6 @@ LONGEST_GESTURE = 4.0
 """Seconds from the start of a named gesture to its apex, or from there to its end, at most (a test measures it)."""
 _BROKEN_OFF = 1.2
 """Seconds in which a gesture ends that an interruption breaks off: so long the hands take to hang."""
-
-
-@dataclass(frozen=True)
-class ShapeLevels:
-    """What the knobs ask for at M times. arms: sizes of the arms; mirrored: [M] the way to the mirror image."""
-
-    arms: ArmScales
-    mirrored: Array
 
 
 class Shaping:
@@ -61,7 +52,7 @@ class Shaping:
                              "this one has joint positions", "leave them out")
         self._edges, self._meant, self._seed = edges, meant, options.seed or 0
         self._sizes, self._both, self._mirrored, self._locked = _levels(options, len(edges) - 1)
-        self._curves = [] if options.plan is None else _sizing(options.plan)
+        self._curve = None if options.plan is None else options.plan.curve("intensity")
         self._shares = [eased_levels(edges, rest_share(side), REST_FADE, self._locked) for side in self._sizes.T]
         cues = cues_at(options.cues, words, float(edges[-1]), lambda: lexeme_names(bundle))
         self._cues = sorted((cue for cue in cues if cue.lexeme is None), key=_TIME)
@@ -72,13 +63,13 @@ class Shaping:
         edges, locked = self._edges, self._locked
         intensity = np.stack([levels_at(edges, side, times, FADE, locked) for side in self._sizes.T], axis=1)
         share = np.stack([levels_at(edges, side, times, REST_FADE, locked) for side in self._shares], axis=1)
-        if self._curves:
-            factor = np.prod([_sizes_at(curve, times) for curve in self._curves], axis=0)
+        if self._curve is not None:
+            factor = np.interp(times, self._curve.times, self._curve.values)
             # Locked blocks keep the size of the first generation, which had no curves.
             factor = 1.0 + (factor - 1.0) * levels_at(edges, 1.0 - locked, times, FADE, locked)
             intensity = np.minimum(intensity * factor[:, None], 2.0)
             share = share * rest_share(np.minimum(factor, 1.0))[:, None]
-        return ShapeLevels(ArmScales(intensity, share, levels_at(edges, self._both, times, REST_FADE, locked)),
+        return ShapeLevels(intensity, share, levels_at(edges, self._both, times, REST_FADE, locked),
                            levels_at(edges, self._mirrored, times, MIRROR_FADE, locked))
 
     def named(self, times: Array) -> list[TimedCue]:
@@ -93,8 +84,7 @@ class Shaping:
 
     def __call__(self, poses: Array, times: Array) -> Array:
         """The next poses."""
-        levels = self.levels(times)
-        poses = self._shaper.mirrored(self._shaper.shaped(poses, times, levels.arms), levels.mirrored)
+        poses = self._shaper.shaped(poses, times, self.levels(times))
         return _with_gestures(poses, times, self.named(times), self._seed)
 
 
@@ -140,7 +130,7 @@ def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, Array,
         return np.array([_hands(options.knobs)] * count), both, np.zeros(count), np.zeros(count, bool)
     blocks, now, first = options.plan.blocks, options.plan.knobs, options.plan.drawn.knobs
     locked = np.array([block.locked for block in blocks])
-    hands = np.where(locked[:, None], _hands(first), _hands(now, _steady_energy(options.plan)))
+    hands = np.where(locked[:, None], _hands(first), _hands(now))
     sizes = np.minimum(np.array([block.intensity for block in blocks])[:, None] * hands, 2.0)
     # Where the whole motion is mirrored at the end, the knob has been seen to already.
     whole = options.mirrored
@@ -149,30 +139,7 @@ def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, Array,
     return sizes, both, np.array(mirrored, dtype=np.float64), locked
 
 
-def _hands(knobs: PlanKnobs, factor: float = 1.0) -> tuple[float, float]:
-    """Intensities of the left and the right hand. factor: on the size, by a curve that is constant."""
-    size = min(knobs.size * factor, 2.0)
-    return (size * (OTHER_HAND if knobs.handedness == "right" else 1.0),
-            size * (OTHER_HAND if knobs.handedness == "left" else 1.0))
-
-
-def _sizing(plan: GesturePlan) -> list[KnobCurve]:
-    """The curves that vary the size of gestures; one of energy that is constant is as the knob (`_steady_energy`)."""
-    intensity, energy = plan.curve("intensity"), plan.curve("energy")
-    return [curve for curve in (intensity, None if _is_steady(energy) else energy) if curve is not None]
-
-
-def _is_steady(curve: KnobCurve | None) -> bool:
-    return curve is not None and len(set(curve.values)) == 1
-
-
-def _steady_energy(plan: GesturePlan) -> float:
-    """The factor on intensity of a curve of energy that is constant; 1 for another one, and without one."""
-    curve = plan.curve("energy")
-    return float(_sizes_at(curve, np.zeros(1))[0]) if curve is not None and _is_steady(curve) else 1.0
-
-
-def _sizes_at(curve: KnobCurve, times: Array) -> Array:
-    """[M] the factor on intensity at `times` [M] of a curve of intensity or of energy."""
-    values: Array = np.interp(times, curve.times, curve.values)
-    return np.interp(values, np.arange(len(ENERGIES)), ENERGY_SIZES) if curve.knob == "energy" else values
+def _hands(knobs: PlanKnobs) -> tuple[float, float]:
+    """Intensities of the left and the right hand."""
+    return (knobs.size * (OTHER_HAND if knobs.handedness == "right" else 1.0),
+            knobs.size * (OTHER_HAND if knobs.handedness == "left" else 1.0))

@@ -37,18 +37,18 @@ _SIDES = ("Right", "Left")
 
 @dataclass(frozen=True)
 class HandWays:
-    """Movements of the hands in S lexemes, the right hand first. ways: [S, 2, 3] displacement from start to end, metres
-    outwards from the body's middle, up and forward; paths: [S, 2] length of the path, metres; heights: [S, 2] metres
-    above the hips at the end."""
+    """Movements of the hands in S lexemes, the right hand first. motion: of all of them, one after the other, of equal
+    length; ways: [S, 2, 3] displacement from start to end, metres outwards from the body's middle, up and forward;
+    paths: [S, 2] length of the path, metres; heights: [S, 2] metres above the hips at the end."""
 
+    motion: Motion
     ways: Array
     paths: Array
     heights: Array
 
 
-def decoded_motion(bundle: Bundle) -> Motion | None:
-    """The movements of all lexemes, one after the other, of equal length; None if lexemes cannot be decoded one by one
-    (RACER's codes)."""
+def hand_ways(bundle: Bundle) -> HandWays | None:
+    """Movements of the hands in every lexeme; None if lexemes cannot be decoded one by one (RACER's codes)."""
     import torch
 
     from lexicon.movement import MovementLexicon
@@ -63,21 +63,14 @@ def decoded_motion(bundle: Bundle) -> Motion | None:
             blocks = torch.cat([lexicon.examples[:, -1:], blocks], dim=1)
     statistics = bundle.statistics
     poses = blocks.double().cpu().numpy() * statistics.deviation + statistics.mean_pose.mean(axis=0)
-    return representation_of(bundle.config).motion(poses.reshape(-1, poses.shape[-1]), 1.0)
-
-
-def hand_ways(bundle: Bundle) -> HandWays | None:
-    """Movements of the hands in every lexeme; None as `decoded_motion`."""
-    motion = decoded_motion(bundle)
-    if motion is None:
-        return None
+    motion = representation_of(bundle.config).motion(poses.reshape(-1, poses.shape[-1]), 1.0)
     names = motion.skeleton.names
     places = positions_of(motion).reshape(len(bundle.vectors), -1, len(names), 3)
     hands = places[:, :, [names.index(side + "Hand") for side in _SIDES]] - places[:, :, :1]
     # Outwards is to the right for the right hand.
     hands = hands * np.array([[-1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
-    return HandWays(hands[:, -1] - hands[:, 0], np.linalg.norm(np.diff(hands, axis=1), axis=-1).sum(axis=1),
-                    hands[:, -1, :, 1])
+    paths = np.linalg.norm(np.diff(hands, axis=1), axis=-1).sum(axis=1)
+    return HandWays(motion, hands[:, -1] - hands[:, 0], paths, hands[:, -1, :, 1])
 
 
 def lexeme_names(bundle: Bundle) -> tuple[LexemeName, ...]:

@@ -108,13 +108,15 @@ def eased_levels(edges: Array, levels: NDArray[np.floating], fade: float, locked
 
 
 @dataclass(frozen=True)
-class ArmScales:
-    """Scaling of the arms at M times. intensity: [M, 2] of the left and the right arm; share: [M, 2] of the way from
-    rest to the pose (`rest_share`); both: [M] how much each hand joins in the other's strokes, 0 to 1."""
+class ShapeLevels:
+    """What the knobs ask for at M times. intensity: [M, 2] of the left and the right arm; share: [M, 2] of the way from
+    rest to the pose (`rest_share`); both: [M] how much each hand joins in the other's strokes, 0 to 1; mirrored: [M]
+    the way to the mirror image."""
 
     intensity: Array
     share: Array
     both: Array
+    mirrored: Array
 
     @property
     def changed(self) -> NDArray[np.int64]:
@@ -167,15 +169,22 @@ class Shaper:
         self._trunk = _columns([j for j, name in enumerate(names) if name.startswith(("Spine", "Neck", "Head"))])
         self._mean = mean
 
-    def shaped(self, poses: Array, times: Array, scales: ArmScales) -> Array:
-        """Scale the next poses [M, 3 J] at rising seconds [M]. Poses without change stay the same bit for bit. If the
-        times go back, later poses are forgotten."""
+    def shaped(self, poses: Array, times: Array, levels: ShapeLevels) -> Array:
+        """The next poses [M, 3 J] at rising seconds [M], scaled and mirrored. Poses without change stay the same bit
+        for bit. If the times go back, later poses are forgotten."""
         for arm in self._arms:
             arm.large.push(times, poses)
             arm.fine.push(times, poses)
-        at = scales.changed
-        if not len(at):
-            return poses
+        result, at = poses.copy(), levels.changed
+        if len(at):
+            result[at] = self._scaled(poses, times, levels, at)
+        at = np.flatnonzero(levels.mirrored)
+        turned = result[at].reshape(len(at), len(self._swapped), 3)[:, self._swapped] * _FLIP
+        result[at] = _towards(result[at], turned.reshape(len(at), poses.shape[1]), levels.mirrored[at][:, None])
+        return result
+
+    def _scaled(self, poses: Array, times: Array, scales: ShapeLevels, at: NDArray[np.int64]) -> Array:
+        """The poses `at` [n] of [M, 3 J], scaled."""
         # Only the poses that change are computed; the others keep their bits, which edits of a plan rely on.
         before, out = poses[at], poses[at].copy()
         intensity, both = scales.intensity[at], scales.both[at, None]
@@ -201,9 +210,7 @@ class Shaper:
         gain = np.where(most > 1.0, np.maximum(most, 1.0) ** TRUNK, TRUNK_LEAST + (1.0 - TRUNK_LEAST) * most)
         trunk = before[:, self._trunk]
         out[:, self._trunk] = self._within(trunk, (gain - 1.0) * (trunk - self._mean[self._trunk]), self._trunk)
-        result = poses.copy()
-        result[at] = out
-        return result
+        return out
 
     def _within(self, poses: Array, added: Array, columns: NDArray[np.int64]) -> Array:
         """Poses [M, D] with a displacement added, limited smoothly at the bounds of the training data."""
@@ -211,17 +218,6 @@ class Shaper:
         outwards = added * (poses - self._mean[columns]) > 0
         room = np.maximum(np.where(added > 0, self._high[columns] - poses, poses - self._low[columns]), 1e-9)
         return poses + np.where(outwards, room * np.tanh(added / room), added)
-
-    def mirrored(self, poses: Array, share: Array) -> Array:
-        """Poses [M, 3 J], each a share [M] of the way to its mirror image; exact at 0 and 1."""
-        at = np.flatnonzero(share)
-        if not len(at):
-            return poses
-        turned = poses[at].reshape(len(at), -1, 3)[:, self._swapped] * _FLIP
-        turned = turned.reshape(len(at), -1)
-        result, part = poses.copy(), share[at][:, None]
-        result[at] = np.where(part == 1.0, turned, poses[at] + part * (turned - poses[at]))
-        return result
 
 
 def _columns(joints: list[int]) -> NDArray[np.int64]:

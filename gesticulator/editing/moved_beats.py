@@ -93,6 +93,10 @@ class BeatMap:
                         for name in ("times", "there"))
         return float(np.interp(time, times, np.maximum.accumulate(there)))
 
+    def at(self, time: float) -> float:
+        """`anywhere` as a plan stores it: in microseconds, and not before the start."""
+        return round(max(self.anywhere(time), 0.0), 6)
+
     def replaced(self, start: float, end: float) -> float:
         """Share of a block whose sound was replaced by other sound."""
         seconds = 0.0

@@ -58,7 +58,7 @@ class Recutter:
         at, number = start
         # A copy of the copy, which must serve other edits as well.
         cutter = self._cutters[at].fork()
-        cutter.cut_on_at(list(ends[index[cutter.uncut[-1]]:wanted[-1] + 2]))
+        cutter.cut_at(list(ends[index[cutter.uncut[-1]]:wanted[-1] + 2]))
         for piece in range(at * CUTTER_EVERY, len(self._samples), CUTTER_EVERY):
             for block in cutter.feed(self._samples[piece:piece + CUTTER_EVERY]):
                 blocks[number] = block

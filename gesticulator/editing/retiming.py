@@ -45,38 +45,18 @@ is shorter than the first goes to the next block that is kept."""
 
 
 @dataclass(frozen=True)
-class RetimingReport:
-    """Statistics of a plan that was moved onto another export of its sound.
+class Retimed:
+    """A plan for the new sound. kept, anew, dropped: numbers of blocks with their old decisions, of blocks that the
+    bundle decided, and of old blocks that are gone; losses: a line for each pin, cue or edit that was lost."""
 
-    kept, anew, dropped: numbers of blocks with their old decisions, of blocks that the bundle decided, and of old
-    blocks that are gone. anew_at: stretches of the new sound with blocks of the second kind, seconds. losses: a line
-    for each pin, cue or edit that was lost. words_lost: words whose sound is gone.
-    """
-
+    plan: GesturePlan
     kept: int
     anew: int = 0
     dropped: int = 0
-    anew_at: tuple[tuple[float, float], ...] = ()
     losses: tuple[str, ...] = ()
-    words_lost: int = 0
 
-    def lines(self) -> tuple[str, ...]:
-        """The report as text; losses are not repeated."""
-        out = [f"re-timed: {self.kept} block{'s' * (self.kept != 1)} kept, {self.anew} decided anew, "
-               f"{self.dropped} dropped"]
-        if self.anew_at:
-            out.append("decided anew: " + ", ".join(f"{start:.2f}-{end:.2f} s" for start, end in self.anew_at))
-        if self.words_lost:
-            out.append(f"{self.words_lost} words are gone; give the new text to have those of the new sound")
-        return tuple(out)
-
-
-@dataclass(frozen=True)
-class Retimed:
-    """A plan for the new sound, and a report of the old one."""
-
-    plan: GesturePlan
-    report: RetimingReport
+    def __str__(self) -> str:
+        return f"re-timed: {self.kept} blocks kept, {self.anew} decided anew, {self.dropped} dropped"
 
 
 @dataclass(frozen=True)
@@ -220,19 +200,13 @@ def drafted(plan: GesturePlan, speech: Speech, features: SpeechFeatures, words: 
     # A new block has the random numbers of the generation's block that begins with it, as any other.
     numbers = dict(zip(drawn.edges, _numbers(drawn), strict=False))
     blocks = tuple(_block(plan, piece, numbers.get(piece.start, 0)) for piece in cut.blocks)
-    parts, losses, words_lost = moved_sections(plan, beats, words, drawn.edges[-1])
+    parts, losses = moved_sections(plan, beats, words, drawn.edges[-1])
     moved = replace(plan, **parts, drawn=drawn, blocks=blocks, source="plan",
                     sound=PlanSound("", speech.duration, speech.sample_rate, sound_hash(speech)),
                     fingerprint=fingerprint_text(sounds.new))
     gone = sorted(set(range(len(plan.blocks))) - {piece.source for piece in cut.blocks})
-    anew = [(piece.start, piece.end) for piece in cut.blocks if piece.source is None]
-    return Retimed(moved, RetimingReport(len(blocks) - len(anew), len(anew), len(gone), _joined(anew),
-                                         (*losses, *_lost_edits(plan, gone)), words_lost))
-
-
-def unchanged(plan: GesturePlan) -> Retimed:
-    """The plan itself, where the sound is the very same."""
-    return Retimed(plan, RetimingReport(len(plan.blocks)))
+    anew = sum(piece.source is None for piece in cut.blocks)
+    return Retimed(moved, len(blocks) - anew, anew, len(gone), (*losses, *_lost_edits(plan, gone)))
 
 
 def _numbers(drawn: DrawnBlocks) -> Sequence[int]:
@@ -270,16 +244,6 @@ def decided(draft: GesturePlan, generated: Sequence[BlockMotion]) -> GesturePlan
     return replace(draft, drawn=replace(drawn, lexemes=tuple(block.lexeme for block in generated)),
                    blocks=tuple(replace(by_start[block.start], start=block.start, end=block.end, silent=block.silent)
                                 if block.start in new else block for block in draft.blocks))
-
-
-def _joined(stretches: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
-    """Stretches of seconds with those joined that follow each other."""
-    out: list[tuple[float, float]] = []
-    for start, end in stretches:
-        if out and out[-1][1] == start:
-            start = out.pop()[0]
-        out.append((start, end))
-    return tuple(out)
 
 
 def _lost_edits(plan: GesturePlan, gone: Sequence[int]) -> list[str]:

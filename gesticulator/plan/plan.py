@@ -39,8 +39,6 @@ Place: TypeAlias = tuple[str | int, ...]
 Energy = Literal["calm", "neutral", "lively"]
 ENERGIES: Mapping[str, tuple[float, float]] = {"calm": (0.6, 0.6), "neutral": (1.0, 1.0), "lively": (1.5, 1.0)}
 """Energy -> factors on intensity and activity. Calm: smaller gestures, in six tenths of the phrases."""
-ENERGY_SIZES, ENERGY_SHARES = zip(*ENERGIES.values(), strict=True)
-"""Factors on intensity and on activity of the energies, in order: of 0, 1 and 2 of a curve, which is linear between."""
 
 Hand = Literal["left", "right", "both"]
 HANDS: tuple[Hand, ...] = get_args(Hand)
@@ -54,9 +52,8 @@ SETTLES = 0.42
 
 PhaseKind = Literal["preparation", "pre-stroke hold", "stroke", "post-stroke hold", "retraction"]
 """Phases of a gesture unit (Kendon; Kita et al.), in their order."""
-CurveKnob = Literal["intensity", "activity", "energy", "height", "speed", "radius"]
-"""Knobs that a curve can vary: intensity, activity, energy (0 calm, 1 neutral, 2 lively), and the three hand controls
-(metres, metres per second, metres)."""
+CurveKnob = Literal["intensity", "height", "speed", "radius"]
+"""Knobs that a curve can vary: intensity, and the three hand controls (metres, metres per second, metres)."""
 
 Seconds = Annotated[float, Meta(ge=0.0)]
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -232,6 +229,12 @@ class PlanKnobs:
         """Activity with the factor of the energy, 0 to 1."""
         return self.activity * ENERGIES[self.energy][1]
 
+    @property
+    def manner(self) -> tuple[float, Hand | None]:
+        """What blocks are generated with: share and handedness. Intensity and mirroring are applied afterwards, and
+        stillness concerns single blocks (`still_at`)."""
+        return self.share, self.handedness
+
     def still_at(self, start: float, end: float) -> tuple[tuple[float, float], ...]:
         """The parts of the range from start to end in which the hands should rest or go to rest."""
         # Hands need time to come to rest, so the blocks before a range are concerned, too.
@@ -343,31 +346,6 @@ class KnobCurve:
     """[M] the knob's value at these times, in its unit."""
 
 
-def _share_at(curve: KnobCurve, time: float) -> float:
-    """The factor on activity at a time, seconds, of a curve of activity or of energy."""
-    import numpy as np  # here, because options are checked before anything heavy is imported
-
-    value = np.interp(time, curve.times, curve.values)
-    return float(np.interp(value, range(len(ENERGIES)), ENERGY_SHARES) if curve.knob == "energy" else value)
-
-
-@dataclass(frozen=True)
-class GenerationKnobs:
-    """What blocks are generated with. share: of the speaking time with gestures; curves: factors on it over time, for
-    as far as they change."""
-
-    share: float
-    handedness: str | None
-    curves: tuple[KnobCurve, ...] = ()
-
-    def share_at(self, time: float) -> float:
-        """The share of the speaking time with gestures of a block that begins at `time`, seconds."""
-        share = self.share
-        for curve in self.curves:
-            share *= _share_at(curve, time)
-        return share
-
-
 @dataclass(frozen=True)
 class GesturePlan:
     """The decisions for one recording, and their edits."""
@@ -428,25 +406,6 @@ class GesturePlan:
     def curve(self, knob: str) -> KnobCurve | None:
         """The curve of a knob; None without one."""
         return next((curve for curve in self.curves if curve.knob == knob), None)
-
-    @property
-    def manner(self) -> GenerationKnobs:
-        """What unlocked blocks are generated with; locked ones are with that of the first generation. Intensity and
-        mirroring are applied afterwards, and stillness concerns single blocks (`PlanKnobs.still_at`)."""
-        # A curve that is constant is the same as the knob: it must not count as another manner of generation.
-        share, varying = self.knobs.share, []
-        for curve in filter(None, (self.curve("activity"), self.curve("energy"))):
-            first, *others = [_share_at(curve, time) for time in curve.times]
-            if all(other == first for other in others):
-                share *= first
-            else:
-                varying.append(curve)
-        return GenerationKnobs(share, self.knobs.handedness, tuple(varying))
-
-    @property
-    def drawn_manner(self) -> GenerationKnobs:
-        """What the blocks of the first generation were generated with."""
-        return GenerationKnobs(self.drawn.knobs.share, self.drawn.knobs.handedness)
 
     # Every error about a plan names its file first, then the path, so that an editor can jump there.
     def error(self, place: Place, wrong: str, advice: str) -> InputError:
@@ -516,7 +475,7 @@ def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
     """
     # Handedness and activity change every block that is not locked; size and mirroring are applied afterwards.
     edited = edited_themselves(plan)
-    if plan.manner == plan.drawn_manner:
+    if plan.knobs.manner == plan.drawn.knobs.manner:
         return edited
     return tuple([changed or not block.locked for changed, block in zip(edited, plan.blocks, strict=True)])
 
@@ -543,7 +502,7 @@ def shapes(plan: GesturePlan) -> bool:
     """Whether the plan may change the generated poses, by intensity, mirroring or handedness."""
     # Most plans change no pose: then none of the arms' movements need to be remembered.
     knobs = plan.knobs
-    if knobs.size != 1.0 or knobs.handedness is not None or plan.curve("intensity") or plan.curve("energy"):
+    if knobs.size != 1.0 or knobs.handedness is not None or plan.curve("intensity"):
         return True
     return any(block.intensity != 1.0 or block.mirror or (block.locked and knobs != plan.drawn.knobs)
                for block in plan.blocks)

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.blocks import CONTEXT, samples_per_frame, stretch_piece
-from data_module.errors import InputError
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.speech.beats import BeatTracker
 from data_module.speech.front_ends import FrontEnd
@@ -42,8 +41,6 @@ from gesticulator.systems import system_of
 if TYPE_CHECKING:
     from data_module.text.word_vectors import WordEncoder
 
-LATENCIES = ("full", "low")
-"""Latency modes, see `BlockCutter`."""
 TICK = 320
 """Samples (20 ms) that are processed at a time, as a microphone delivers them: two frames, two spectra."""
 _AT_ONCE = 10 * TICK
@@ -122,16 +119,16 @@ class _PauseFlags:
 class BlockCutter:
     """Cuts speech at 16 kHz at its beats as it arrives, and encodes each window of three blocks.
 
-    latency: "full" returns a block once the next block is known, which is the input the models were trained with. "low"
-    returns it once its end is known, with a guess in place of the next block (`_foreseen`). It may be set at any time,
-    and affects the blocks that were not returned yet.
+    low: of low latency. Otherwise a block is returned once the next block is known, which is the input the models were
+    trained with; with it, once its end is known, with a guess in place of the next block (`_foreseen`). It may be set
+    at any time, and affects the blocks that were not returned yet.
     """
 
     def __init__(self, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
-                 latency: str = "full", start: float = 0.0) -> None:
+                 low: bool = False, start: float = 0.0) -> None:
         """words: encoder of the words that `add_words` will add, or None; start: where the first block begins, seconds
         of the sound."""
-        self._config, self._front, self.latency = config, front or front_end_for(config), latency
+        self._config, self._front, self.low = config, front or front_end_for(config), low
         self._length = config.rhythm.frames * samples_per_frame(SAMPLE_RATE, config.rhythm.fps)
         self._context = round(CONTEXT * SAMPLE_RATE)
         self._words = None if words is None else WordTrack(words, config.selection.words_so_far)
@@ -150,20 +147,9 @@ class BlockCutter:
         self._ended = self._beats_given = False
 
     def cut_at(self, beats: Sequence[tuple[float, BeatFlag]]) -> None:
-        """Cut at these beats, rising seconds with their flags, and detect none. Call it before anything is fed."""
-        self._edges += beats
-        self._beats_given = True
-
-    @property
-    def latency(self) -> str:
-        """One of `LATENCIES`."""
-        return "low" if self._low else "full"
-
-    @latency.setter
-    def latency(self, latency: str) -> None:
-        if latency not in LATENCIES:
-            raise InputError(f"latency {latency!r}", "is unknown", f"choose among {', '.join(LATENCIES)}")
-        self._low = latency == "low"
+        """Cut at these beats from now on, rising seconds with their flags, all of them after the last of `uncut`, and
+        detect none."""
+        self._edges, self._beats_given = [self._edges[0], *beats], True
 
     def fork(self) -> BlockCutter:
         """An independent copy, which shares what never changes."""
@@ -184,10 +170,6 @@ class BlockCutter:
     def returned(self) -> int:
         """Number of blocks that were returned."""
         return self._count
-
-    def cut_on_at(self, beats: Sequence[tuple[float, BeatFlag]]) -> None:
-        """Cut at these beats from now on, all of them after the last of `uncut`, and detect none."""
-        self._edges, self._beats_given = [self._edges[0], *beats], True
 
     @property
     def reads(self) -> bool:
@@ -219,7 +201,7 @@ class BlockCutter:
             whole = len(sound) - len(sound) % TICK
             # Only what is returned before the next block is known depends on when that is.
             # Larger steps are faster; the blocks are the same with any size.
-            size = TICK if self._low else _AT_ONCE
+            size = TICK if self.low else _AT_ONCE
             for start in range(0, whole, size):
                 out += self._tick(sound[start:min(start + size, whole)])
             self._pending, self._waiting = [sound[whole:]], len(sound) - whole
@@ -268,7 +250,7 @@ class BlockCutter:
         while len(self._cut) > (self._count > 0):
             at = int(self._count > 0)
             current, last = self._cut[at], len(self._cut) == at + 1
-            if last and not self._ended and not self._low:
+            if last and not self._ended and not self.low:
                 return
             after = self._cut[at + 1] if not last else None if self._ended else self._foreseen(current)
             block = self._encoded(self._cut[0] if at else None, current, after)
@@ -286,7 +268,7 @@ class BlockCutter:
         if self._onsets.known_until <= end + _SAME:
             return False
         # The middle or end of a frame may lie one frame beyond.
-        return self._low or min(self._pauses.certain, self._quiet.certain) > end / FRAME + 1
+        return self.low or min(self._pauses.certain, self._quiet.certain) > end / FRAME + 1
 
     def _cut_block(self, start: float, end: float, flag: BeatFlag) -> _CutBlock:
         ended = self._ended

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -80,8 +80,7 @@ class Request:
 
     control: rows [K, 2 F], or None. lexeme: the lexeme to show; None lets the interpreter choose. keys: of the noise
     and the choice of an edited block; None for those of the performance. still: [K] frames in which the hands are to
-    rest, or None. bias: [S] added to the interpreter's scores, or None. activity: share of the speaking time with
-    gestures from this block on; None for as before. fast: sample at lower cost, if the system can.
+    rest, or None. bias: [S] added to the interpreter's scores, or None. fast: sample at lower cost, if the system can.
     """
 
     speech: SpeechBlock
@@ -90,7 +89,6 @@ class Request:
     keys: Keys | None = None
     still: Flags | None = None
     bias: Scores | None = None
-    activity: float | None = None
     fast: bool = False
 
 
@@ -151,19 +149,6 @@ class GeneratedMotion:
     motion: NDArray[np.float32]
 
 
-class Sampler(Protocol):
-    """The part of a system that the loop calls: the functions of these names in its module (`gesticulator.systems`)."""
-
-    def begin(self, bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
-        """The state before the first block; see `begin` below."""
-
-    def step(self, bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
-        """The next block, and the state after it."""
-
-    def motion_of(self, bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
-        """[N, K, D_m] motion of all blocks of a performance."""
-
-
 # ------------------------------------------------------------------------------------------------------------ the loop
 
 @torch.inference_mode()
@@ -174,7 +159,7 @@ def begin(bundle: Bundle, setup: Setup, text: bool = False, keys: Keys | None = 
     its lexemes as without one, and shows the motion of a second state.
     """
     # A variation runs beside the plain performance, whose lexemes it shows.
-    start = sampler_of(bundle).begin
+    start: Callable[..., State] = bundle.system.begin
     if setup.variation:
         varied = start(bundle, setup, text, Keys(setup.seed, setup.variation))
         return replace(start(bundle, setup, text, Keys(setup.seed)), varied=varied)
@@ -184,23 +169,13 @@ def begin(bundle: Bundle, setup: Setup, text: bool = False, keys: Keys | None = 
 @torch.inference_mode()
 def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
     """The next block, and the state after it."""
-    take = sampler_of(bundle).step
+    take = bundle.system.step
     block, after = take(bundle, setup, state, request)
     if state.varied is None:
         return block, after
     # The lexeme is given, so both states hear the same decisions and move otherwise.
     varied, varied_after = take(bundle, setup, state.varied, replace(request, lexeme=block.lexeme))
     return varied, replace(after, varied=varied_after)
-
-
-def sampler_of(bundle: Bundle) -> Sampler:
-    """The functions of the bundle's system."""
-    return cast(Sampler, bundle.system)
-
-
-def motion_of(bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
-    """[N, K, D_m] motion of all N blocks of a performance."""
-    return sampler_of(bundle).motion_of(bundle, setup, blocks)
 
 
 @torch.inference_mode()
@@ -302,17 +277,15 @@ class Resting:
 def resting(bundle: Bundle, setup: Setup, state: State, request: Request, features: BlockFeatures, still: Flags | None
             ) -> Resting:
     """Decide whether the hands rest: by the gate, by pauses and phrases, and in the frames `still` [K]."""
-    # A plan may hold a curve of activity; then each block has its own.
-    activity = setup.activity if request.activity is None else request.activity
     # At activity 0 the hands rest whatever the gate says.
-    closed, probability, gate = activity == 0, math.nan, state.gate
+    closed, probability, gate = setup.activity == 0, math.nan, state.gate
     if gate is not None and bundle.gate is not None:
         probability, gate = bundle.gate.step(gate, features)
-        closed = not bundle.gate.opened(probability, activity)
+        closed = not bundle.gate.opened(probability, setup.activity)
     if state.rest is None:
         return Resting(closed or (still is not None and bool(still.mean() >= 0.5)), probability, gate, None)
     rest = state.rest.fork()
-    return Resting(rest.analyse(request.speech.span, probability, still, activity), probability, gate, rest)
+    return Resting(rest.analyse(request.speech.span, probability, still), probability, gate, rest)
 
 
 def scores_of(bundle: Bundle, setup: Setup, state: State, features: BlockFeatures) -> tuple[Scores, Any, Any]:
