@@ -92,7 +92,7 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
                                 "elsewhere; see gesticulator character --help.")
     body.add_argument("--character", metavar="FILE",
                       help="animate this character: .bvh, .glb, .gltf, .vrm, or .fbx if Blender is installed "
-                      "(FILE#NAME: one of several in the file); it stands unless it is seated in the file or --seated "
+                      "(FILE#NAME: one of several in the file); it stands unless --seated "
                       "is given")
     body.add_argument("--mapping", metavar="FILE.json",
                       help="which nodes are which joints, if they are not identified automatically")
@@ -222,9 +222,8 @@ def _character_of(args: argparse.Namespace, upper: bool) -> CharacterRequest | N
             if getattr(args, name) is not None:
                 raise InputError(f"--{name.replace('_', '-')}", "is about a character", "name one with --character")
         return None
-    # None leaves it to the character's own pose (`retargeter_for`).
-    legs = False if args.seated or upper else True if args.legs else None
-    return CharacterRequest(args.character, args.mapping, args.save_mapping, not args.no_contacts, legs)
+    return CharacterRequest(args.character, args.mapping, args.save_mapping, not args.no_contacts,
+                            not (args.seated or upper))
 
 
 def jobs_of(args: argparse.Namespace) -> list[Job]:

@@ -43,14 +43,14 @@ class CharacterRequest:
 
     file: its path, or FILE#NAME for one of several in a file. mapping: a file that says which nodes are which joints;
     save_mapping: where to write it. contacts: whether the hands are kept outside the trunk. legs: whether its legs
-    move; None: unless it is seated in its file.
+    move.
     """
 
     file: str
     mapping: str | None = None
     save_mapping: str | None = None
     contacts: bool = True
-    legs: bool | None = None
+    legs: bool = True
 
 
 @dataclass(frozen=True)
@@ -276,9 +276,6 @@ def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> R
     retargeter = Retargeter(rig, mapping, contacts=character.contacts, legs=character.legs)
     remarks = [note] if note else []
     remarks += [f"{doubt}; look at the result" for doubt in retargeter.doubts]
-    # A chair cannot be seen in a skeleton, so legs of a seated character are not moved by default.
-    if character.legs is None and not retargeter.legs:
-        remarks.append("is seated, so hips and legs stay as they are; --legs makes it stand")
     for remark in () if quiet else remarks:
         complain(f"{PROGRAM}: {character.file}: {remark}")
     return retargeter

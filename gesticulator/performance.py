@@ -219,7 +219,7 @@ class Performance:
         rig = character if isinstance(character, Character) else read_character(character)
         joints = mapping if mapping is None or isinstance(mapping, RigMapping) else load_mapping(mapping, rig)
         # A clip of the upper body must not key the legs, or it could not be laid over a walk.
-        legs = False if self.clip is not None and self.clip.bare else None
+        legs = self.clip is None or not self.clip.bare
         return self.moved_by(Retargeter(rig, joints, contacts=contacts, legs=legs))
 
     def moved_by(self, retargeter: Retargeter) -> Performance:
