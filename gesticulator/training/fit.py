@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from data_module.files import new_file, parse_json
+from data_module.files import new_file
 from gesticulator.bundle.config import FitSettings
 
 Batch = dict[str, Tensor]
@@ -194,26 +194,6 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
     if task.validate is not None and not figures:
         figures = task.validate()
     return figures
-
-
-def late_gain(log: Path) -> float:
-    """Relative improvement of the first validation figure in the last quarter of a run, from its log `STAGE.jsonl`:
-    (b(3/4) - b(1)) / |b(3/4)|, with b the lowest so far (whose weights a run with patience keeps). 0 without
-    improvement; NaN without a validation before the last quarter."""
-    validations: list[tuple[int, float]] = []
-    steps = 0
-    for line in log.read_text().splitlines():
-        row = parse_json(line, log, "train it again", python=True)
-        steps = int(row["step"]) + 1
-        figure = next((value for key, value in row.items() if key.startswith("val_")), None)
-        if figure is not None:
-            validations.append((steps, float(figure)))
-    before = [value for step, value in validations if step <= 0.75 * steps]
-    if not before:
-        return math.nan
-    # The lowest so far, as a run with patience keeps the weights of that validation.
-    least = min(before)
-    return (least - min(value for _, value in validations)) / abs(least) if least else 0.0
 
 
 class _Learner:
