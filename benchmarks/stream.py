@@ -30,10 +30,11 @@ import numpy as np
 import torch
 from realtime import processor
 
+from data_module.motion.skeletons import to_character
 from data_module.speech.audio import SAMPLE_RATE, load_speech
 from data_module.types import Motion, Speech
-from eval.clip.measure import measure
 from eval.crossed import crossed
+from eval.metrics.evaluate import MotionBeats, OnsetTrack, clip_values
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.stream import StreamFrames
 
@@ -70,12 +71,13 @@ def live(system: Gesticulator, speech: Speech, latency: str) -> dict[str, Any]:
 
 
 def quality(system: Gesticulator, speech: Speech, latency: str, seed: int) -> tuple[float, ...]:
-    """PMB, its chance level, how much it is above (percent), and the mean speed of the hands in speech, m/s."""
+    """PMB, its chance level, how much it is above (percent), and the mean speed of the hands, m/s."""
     stream = system.stream(latency=latency, seed=seed)
     parts = [stream.feed(speech.samples), stream.finish()]
-    clip = measure(Motion(stream.skeleton, np.concatenate([part.rotations for part in parts]),
-                          np.concatenate([part.root_positions for part in parts]), stream.fps), speech)
-    return *clip.rhythm(), clip.speech_speed
+    motion = to_character(Motion(stream.skeleton, np.concatenate([part.rotations for part in parts]),
+                                 np.concatenate([part.root_positions for part in parts]), stream.fps))
+    values = clip_values(motion, motion, MotionBeats.of(motion), OnsetTrack.of(speech), 0).numbers
+    return tuple(values[name] for name in ("pmb_A", "chance_A", "above_A", "speed_hands"))
 
 
 def main() -> None:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FPS", "RANGES", "HandControl", "InferenceOptions", "Range"]
 
-HandControl: TypeAlias = "float | str | os.PathLike[str] | Curve | None"
+HandControl: TypeAlias = "float | str | Curve | None"
 
 MEANING_LEVELS = ("off", "few", "normal", "rich")
 """How many of the gestures that the words call for are shown."""
@@ -108,8 +108,8 @@ class InferenceOptions:
     """All options of a performance. The command line is generated from these fields. None means the bundle's default.
     `InputError` for a value out of range.
 
-    A hand control is "low", "mid" or "high" (quantiles of the training data), a number in its unit, a `Curve` over
-    time, or the path of a CSV file with the columns time and value (RG 7.2.1).
+    A hand control is "low", "mid" or "high" (quantiles of the training data), a number in its unit, or a `Curve`
+    over time (RG 7.2.1).
     """
 
     speaker: str | None = _option(None, "NAME")

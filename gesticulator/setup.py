@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import os
 import warnings
 from dataclasses import replace
 from typing import Any
@@ -105,8 +104,8 @@ def hand_controls(bundle: Bundle, options: InferenceOptions) -> Controls:
     def number(feature: str, value: HandControl) -> float | Curve | None:
         if value is None or isinstance(value, Curve):
             return value
-        # The same parser as on the command line, so a level, a number and a file mean the same.
-        text = os.fspath(value) if isinstance(value, str | os.PathLike) else repr(float(value))
+        # The same parser as on the command line, so a level and a number mean the same.
+        text = value if isinstance(value, str) else repr(float(value))
         return parse(f"hand_{feature}", text, feature, levels)
 
     return Controls(**{name: number(name, hand) for name, hand in zip(FEATURES, options.hands, strict=True)})

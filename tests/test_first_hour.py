@@ -97,15 +97,6 @@ def test_a_cue_at_a_word_without_words_is_refused(g: Gesticulator) -> None:
         g(voice(), RATE, cues=(GestureCue("wave", "bread"),))
 
 
-def test_what_data_sets_of_hugging_face_give_is_taken(g: Gesticulator) -> None:
-    given = g({"array": voice(), "sampling_rate": RATE, "path": "x.wav"})
-    assert np.array_equal(given.rotations, g(voice(), RATE).rotations)
-    with pytest.raises(InputError, match="without array and sampling_rate"):
-        g({"samples": voice()})
-    with pytest.raises(InputError, match="sample_rate"):
-        g({"array": voice(), "sampling_rate": RATE}, RATE)
-
-
 def python(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False, cwd=ROOT,
                           env={**os.environ, **environment})

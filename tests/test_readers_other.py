@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from published import TAKE, poses_of, ted_value, write_beat, write_beat2, write_ted
 
-from data_module.build import main
 from data_module.corpora.base import DroppedError, Item, Options, Reader, load
 from data_module.corpora.beat import published_split
 from data_module.corpora.table import open_corpus
@@ -22,6 +21,7 @@ from data_module.motion.bvh import BvhWarning, read_bvh
 from data_module.motion.skeletons import CHARACTER
 from data_module.motion.smplx import read_smplx
 from data_module.store import Store
+from gesticulator.cli import main
 
 # ---------------------------------------------------------------------------------------------------- BEAT
 
@@ -115,7 +115,8 @@ def test_a_folder_as_beat2_is_published_is_read(tmp_path: Path) -> None:
     assert f"left out 2_scott_0_3_3: {tmp_path / 'wave16k' / '2_scott_0_3_3.wav'} missing" in notes
     assert "2_scott_0_99_99.npz: train_test_split.csv does not list it" in notes
     assert "2_scott_0_2_2.TextGrid is missing" in notes and "1 recordings listed as additional" in notes
-    assert main(["beat2", "--source", str(tmp_path), "--out", str(tmp_path / "store"), "--workers", "1"]) == 0
+    out = tmp_path / "store"
+    assert main(["build", "beat2", "--source", str(tmp_path), "--out", str(out), "--workers", "1"]) == 0
     store = Store.open(tmp_path / "store")
     assert store.names == ("2_scott_0_1_1", "2_scott_0_2_2", "2_scott_0_9_9", "2_scott_1_1_1")
     assert set(store.recordings[0].absent) == {"Spine3", "Neck1"}

@@ -79,6 +79,10 @@ class _Tokens:
             raise InputError(self.path, f"has '{shown(word)}' where a finite number belongs", "export it again")
         return value
 
+    def offset(self) -> list[float]:
+        self.take("OFFSET")
+        return [self.number() for _ in range(3)]
+
 
 def _parse_header(text: str, path: str) -> _Header:
     tokens = _Tokens(text, path)
@@ -89,37 +93,28 @@ def _parse_header(text: str, path: str) -> _Header:
     channels: list[tuple[str, ...]] = []
     tips: dict[int, Array] = {}
     stack: list[int] = []
-    tokens.take("ROOT")
-    pending: str | None = tokens.take()
-    while pending is not None or stack:
-        if pending is not None:
-            tokens.take("{")
-            names.append(pending)
+    while stack or not names:
+        word = tokens.take().upper()
+        if word == ("JOINT" if names else "ROOT"):
+            names.append(tokens.take())
             parents.append(stack[-1] if stack else -1)
             stack.append(len(names) - 1)
-            tokens.take("OFFSET")
-            offsets.append([tokens.number() for _ in range(3)])
-            joint_channels: list[str] = []
+            tokens.take("{")
+            offsets.append(tokens.offset())
+            channels.append(())
             if tokens.peek().upper() == "CHANNELS":
                 tokens.take()
-                joint_channels = [tokens.take() for _ in range(int(tokens.number()))]
-                unknown = [c for c in joint_channels if c not in _AXES and c not in _PLACES]
-                if unknown:
-                    raise InputError(path, f"has unknown channels {shown(', '.join(unknown), 100)}", "export it again")
-            channels.append(tuple(joint_channels))
-            pending = None
-            continue
-        word = tokens.take()
-        if word == "}":
-            stack.pop()
-        elif word.upper() == "JOINT":
-            pending = tokens.take()
-        elif word.upper() == "END":
+                channels[-1] = tuple(tokens.take() for _ in range(int(tokens.number())))
+            unknown = [channel for channel in channels[-1] if channel not in _AXES and channel not in _PLACES]
+            if unknown:
+                raise InputError(path, f"has unknown channels {shown(', '.join(unknown), 100)}", "export it again")
+        elif word == "END" and stack:
             tokens.take("Site")
             tokens.take("{")
-            tokens.take("OFFSET")
-            tips[stack[-1]] = np.array([tokens.number() for _ in range(3)])
+            tips[stack[-1]] = np.array(tokens.offset())
             tokens.take("}")
+        elif word == "}" and stack:
+            stack.pop()
         else:
             raise InputError(path, f"is not a BVH file ('{shown(word)}' in its hierarchy)", "export it again")
     tokens.take("MOTION")

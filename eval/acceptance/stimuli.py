@@ -115,17 +115,20 @@ def _spliced(pieces: Sequence[NDArray[np.float32]], fade: int) -> NDArray[np.flo
     return out.astype(np.float32)
 
 
+def in_noise(speech: Speech, level: float) -> Speech:
+    """A voice with white noise of that level, dBFS, and without its words."""
+    background = noise(speech.duration, level, speech.sample_rate)[:len(speech.samples)]
+    return replace(speech, samples=np.clip(speech.samples + background, -1.0, 1.0).astype(np.float32), words=None)
+
+
 def faint(speech: Speech) -> Speech:
     """A voice 46 dB too low, in noise."""
-    low = amplified(speech, FAINT_GAIN)
-    background = noise(low.duration, FAINT_NOISE, low.sample_rate)[:len(low.samples)]
-    return replace(low, samples=(low.samples + background).astype(np.float32), words=None)
+    return in_noise(amplified(speech, FAINT_GAIN), FAINT_NOISE)
 
 
 def derived(voice: AcceptanceVoice, name: str, speech: Speech) -> AcceptanceVoice:
-    """A sound made of a voice, as a voice of its own in the habits of the same performer; without words."""
-    return AcceptanceVoice(f"{voice.name} {name}", replace(speech, words=None), "derived", None, voice.performer,
-                           voice.group or voice.name)
+    """A sound made of a voice, as a voice of its own; without words."""
+    return AcceptanceVoice(f"{voice.name} {name}", replace(speech, words=None), group=voice.group or voice.name)
 
 
 def spread_out(voices: Sequence[AcceptanceVoice], count: int) -> list[AcceptanceVoice]:
@@ -203,21 +206,11 @@ def readings() -> list[tuple[str, Speech]]:
 
 # ----------------------------------------------------------------------------------------------------- second exports
 
-def _quieter(decibels: float) -> Callable[[Speech], Speech]:
-    return lambda speech: amplified(speech, -decibels)
-
-
 def _resampled(speech: Speech) -> Speech:
     """At 48 kHz and back, by a polyphase filter that the product does not use."""
     # In double precision there and back, so that what is left is the filter and no rounding.
     up = resample_poly(speech.samples.astype(np.float64), _STUDIO_RATE // SAMPLE_RATE, 1)
     return replace(speech, samples=resample_poly(up, 1, _STUDIO_RATE // SAMPLE_RATE).astype(np.float32))
-
-
-def _noisy(speech: Speech) -> Speech:
-    level = 10.0 ** (_EXPORT_NOISE / 20.0)
-    noise = level * np.random.default_rng(0).standard_normal(len(speech.samples))
-    return replace(speech, samples=np.clip(speech.samples + noise, -1.0, 1.0).astype(np.float32))
 
 
 def _as_mp3(speech: Speech) -> Speech:
@@ -254,8 +247,9 @@ def _aligned(samples: np.ndarray, reference: np.ndarray) -> np.ndarray:
 
 
 EXPORTS: Mapping[str, Callable[[Speech], Speech]] = {
-    "0.1 dB quieter": _quieter(0.1), "1 dB quieter": _quieter(1.0), "6 dB quieter": _quieter(6.0),
-    "resampled from 48 kHz": _resampled, "MP3, 192 kbit/s": _as_mp3, "noise at -60 dB": _noisy}
+    "0.1 dB quieter": lambda speech: amplified(speech, -0.1), "1 dB quieter": lambda speech: amplified(speech, -1.0),
+    "6 dB quieter": lambda speech: amplified(speech, -6.0), "resampled from 48 kHz": _resampled,
+    "MP3, 192 kbit/s": _as_mp3, "noise at -60 dB": lambda speech: in_noise(speech, _EXPORT_NOISE)}
 """Changes that a tool may make to a sound that it exports again."""
 
 

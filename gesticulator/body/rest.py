@@ -21,7 +21,6 @@ from __future__ import annotations
 import copy
 import math
 from bisect import bisect_left, bisect_right, insort
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,8 +80,6 @@ _REPAY = 6.0
 """Surplus or deficit of gestured speech that decides the next phrase for certain, seconds."""
 _TRUSTED = 4.0
 """Number of phrases after which the gate's ranking counts as much as the random number."""
-_RANKED = 1000
-"""Number of previous phrases that a phrase is ranked among: most of an hour, with bounded memory."""
 _PATH = 9
 """Places on the way to rest at which the speed of the hands is measured."""
 _SINKS_IN = 2.0
@@ -152,13 +149,12 @@ class Phrases:
     def __init__(self, activity: float, seed: int) -> None:
         self.activity, self.seed = activity, seed
         self._ranked: list[float] = []
-        self._order: deque[float] = deque()
         self._spoken = self._gestured = self._phrase = 0.0
         self._speaks, self._open = False, False
 
     def fork(self) -> Phrases:
         twin = copy.copy(self)
-        twin._ranked, twin._order = list(self._ranked), self._order.copy()
+        twin._ranked = list(self._ranked)
         return twin
 
     def step(self, span: Span, rests: Flags, score: float) -> bool:
@@ -190,9 +186,6 @@ class Phrases:
                 # A rank among few phrases says little: trust grows as n / (n + 4).
                 weight = len(self._ranked) / (len(self._ranked) + _TRUSTED)
             insort(self._ranked, score)
-            self._order.append(score)
-            if len(self._order) > _RANKED:
-                del self._ranked[bisect_left(self._ranked, self._order.popleft())]
         q = weight * rank + (1.0 - weight) * chance
         if self.activity in (0.0, 1.0):
             return self.activity == 1.0

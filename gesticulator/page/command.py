@@ -114,14 +114,12 @@ def _character(job: Job) -> tuple[tuple[Character, dict[str, int]] | None, bool]
     """The requested character with our joint -> its node in the file, if any, and whether it stands on its legs."""
     if job.character is None:
         return None, False
-    from gesticulator.characters.frames import measure
     from gesticulator.characters.reading import choose
 
     # The mapping may be saved before anything else: it is what a user corrects when joints are wrong.
     character, mapping = choose(job.character.file, job.character.mapping, job.character.save_mapping)
     joints = {joint: character.node_ids[node] for joint, node in mapping.named().items()}
-    sits = job.options.seated or (not job.options.legs and measure(character, mapping).sits)
-    return (character, joints), mapping.legs and not sits
+    return (character, joints), mapping.legs and not job.options.seated
 
 
 def _with_saved_edits(gesticulator: Gesticulator, job: Job) -> Job:
