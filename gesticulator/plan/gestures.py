@@ -2,7 +2,7 @@
 
 `gestures.csv` is the table: a name, its category, the hands that make it, whether talk often calls for it (`core`),
 whether its picture alone says little (`weak`), whether it may offend, and what it means. How they move is in
-`gesticulator.directing.gesture_phases`.
+`gesticulator.directing.named_gestures`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from data_module.files import read_table
-
-__all__ = ["ALIASES", "EXPRESSIONS", "GESTURES", "REPERTOIRE", "NamedGesture", "mark_of", "near_gestures"]
 
 _TABLE = Path(__file__).with_name("gestures.csv")
 # Marks in texts are typed by people: the shortest word that is understood has to work.

@@ -481,15 +481,10 @@ def edited_themselves(plan: GesturePlan) -> tuple[bool, ...]:
 
 
 def shapes(plan: GesturePlan) -> bool:
-    """Whether the plan may change the generated poses, by intensity or mirroring."""
+    """Whether the plan may change the generated poses, by intensity, mirroring or a gesture that shows a meaning."""
     # Most plans change no pose: then none of the arms' movements need to be remembered.
     knobs = plan.knobs
-    if knobs.size != 1.0 or plan.curve("intensity"):
+    if knobs.size != 1.0 or plan.curve("intensity") or any(meaning.gesture for meaning in plan.meanings):
         return True
     return any(block.intensity != 1.0 or block.mirror or (block.locked and knobs != plan.drawn.knobs)
                for block in plan.blocks)
-
-
-def shows_meanings(plan: GesturePlan) -> bool:
-    """Whether a meaning of the plan is shown by a gesture."""
-    return any(meaning.gesture is not None for meaning in plan.meanings)
