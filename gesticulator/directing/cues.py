@@ -54,10 +54,8 @@ def stroke_of_word(word: Word) -> float:
 def cues_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float,
             names: Callable[[], Sequence[LexemeName]]) -> list[TimedCue]:
     """The cues of the body with the times of their strokes. names: returns the lexicon's names; called only for
-    gestures that are not in `GESTURES`.
-
-    `InputError` for a word that is not spoken, a time beyond the end and an unknown gesture.
-    """
+    gestures that are not in `GESTURES`. `InputError` for a word that is not spoken, a time beyond the end and an
+    unknown gesture."""
     out, spoken = [], _spoken(words if cues else ())
     lexemes: dict[str, int] | None = None
     for cue in cues:
@@ -110,10 +108,8 @@ def _time_of(cue: GestureCue, spoken: Mapping[str, Sequence[Word]], duration: fl
 
 def without_mismatches(options: InferenceOptions, words: Sequence[Word], duration: float) -> InferenceOptions:
     """The options without cues at words that are not among `words`. Warns (`OptionWarning`) about each such cue, and
-    about each range of stillness that ends after `duration` seconds.
-
-    Without any words the cues stay: they raise an `InputError` later.
-    """
+    about each range of stillness that ends after `duration` seconds. Without any words the cues stay: they raise an
+    `InputError` later."""
     for begin, end in options.hold_still:
         if end > duration:
             _warn(f"hold_still {begin:g}-{end:g} goes beyond the end of the recording ({duration:.2f} s)")

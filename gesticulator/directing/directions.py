@@ -54,9 +54,8 @@ _OF_THE_PLAN = ("speaker", "temperature", "beta", "hand_height", "hand_speed", "
 
 def planned(options: InferenceOptions) -> InferenceOptions:
     """The options to render the plan of `options`: those of the plan, with the given knobs and cues added to the plan.
-
-    `InputError` for options that the plan determines, and for a plan without the settings that are needed to replay it.
-    """
+    `InputError` for options that the plan determines, and for a plan without the settings that are needed to replay
+    it."""
     plan = options.plan
     assert plan is not None
     determined = [name for name in _OF_THE_PLAN if getattr(options, name) is not None]

@@ -105,10 +105,8 @@ class StreamMarks:
 
     def take(self, words: Sequence[Word], final: float) -> tuple[Word, ...]:
         """The words as they are spoken, with their marks noted; a mark after the last one waits for the next call.
-
         final: seconds of motion that are final, so that a gesture can begin no earlier. `InputError` for a mark where
-        the bundle's poses are no rotations, and for too many marks.
-        """
+        the bundle's poses are no rotations, and for too many marks."""
         parts, late = marked_words([word.text for word in words])
         out, waiting = [], self._late
         for word, (text, marks) in zip(words, parts, strict=True):

@@ -151,11 +151,9 @@ def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, NDArra
 def levels_at(edges: Array, levels: NDArray[np.floating], times: Array, fade: float,
               locked: NDArray[np.bool_] | None = None) -> Array:
     """[M] level at rising times [M], where block n of edges [N + 1] has levels[n]. Between blocks of different levels
-    it changes smoothly, over `fade` seconds to both sides or half of the shorter run of blocks.
-
-    Elsewhere it is exactly the level of the block. locked: [N] blocks that must keep their level; beside them the
-    change takes place on the other side alone.
-    """
+    it changes smoothly, over `fade` seconds to both sides or half of the shorter run of blocks. Elsewhere it is exactly
+    the level of the block. locked: [N] blocks that must keep their level; beside them the change takes place on the
+    other side alone."""
     block = np.clip(np.searchsorted(edges, times, side="left") - 1, 0, len(levels) - 1)
     out = np.asarray(levels, dtype=np.float64)[block]
     # Runs of equal blocks: a change may use half of the run on either side, so that two changes never overlap.
@@ -178,10 +176,8 @@ def levels_at(edges: Array, levels: NDArray[np.floating], times: Array, fade: fl
 
 def eased_levels(edges: Array, levels: NDArray[np.floating], fade: float, locked: NDArray[np.bool_]) -> Array:
     """[N] levels of blocks in which runs of equal levels that are too short to fade are moved towards the more similar
-    neighbouring run: by 1 - duration / (2 fade) of the difference, so that the change is not too fast.
-
-    edges: [N + 1] seconds; locked: [N] blocks that keep their level.
-    """
+    neighbouring run: by 1 - duration / (2 fade) of the difference, so that the change is not too fast. edges: [N + 1]
+    seconds; locked: [N] blocks that keep their level."""
     out = np.array(levels, dtype=np.float64)
     begins = [0, *(np.flatnonzero(np.diff(levels)) + 1), len(levels)]
     for before, at, stop, after in zip([-1, *begins[:-2]], begins[:-1], begins[1:], [*begins[2:], -1], strict=True):

@@ -38,11 +38,9 @@ _TOGETHER = 64
 
 @dataclass(frozen=True)
 class EditedFrames:
-    """The frames of a rendered plan, with what they were computed from.
-
-    times: [M] seconds of the knots; inputs: [M, D_m + 3] the generated poses, normalised, and what the knobs ask for;
-    gestures: the named ones; poses: [M, D_m] with knobs and gestures applied. unpinned, motion: without and with the
-    pins of the plan."""
+    """The frames of a rendered plan, with what they were computed from. times: [M] seconds of the knots; inputs: [M,
+    D_m + 3] the generated poses, normalised, and what the knobs ask for; gestures: the named ones; poses: [M, D_m] with
+    knobs and gestures applied. unpinned, motion: without and with the pins of the plan."""
 
     times: Array
     inputs: Array

@@ -387,11 +387,10 @@ def window(edges: Sequence[float], at: int) -> Window:
 
 
 class Recutter:
-    """Cuts blocks of one recording at other beats, N blocks with edges [N + 1], seconds, as cutting all of it would.
-
-    A block's features depend on the sound of the block and its two neighbours, and on what the cutter knew at its end
-    about the sound before. So a copy of the first cutter from shortly before an edited part goes on with these beats.
-    """
+    """Cuts blocks of one recording at other beats, N blocks with edges [N + 1], seconds, as cutting all of it would. A
+    block's features depend on the sound of the block and its two neighbours, and on what the cutter knew at its end
+    about the sound before. So a copy of the first cutter from shortly before an edited part goes on with these
+    beats."""
 
     def __init__(self, samples: Samples, cutters: Sequence[BlockCutter]) -> None:
         """samples: at 16 kHz; cutters: copies before every `CUTTER_EVERY` of them (`encode_speech`)."""

@@ -179,11 +179,9 @@ class _Cutter:
 # ------------------------------------------------------------------------------------------------------ the plan
 
 def drafted(plan: GesturePlan, speech: Speech, features: SpeechFeatures, words: Sequence[PlanWord] | None) -> Retimed:
-    """The plan on a new sound, with blocks that are still to be decided (`decided`): their lexemes are None.
-
-    features: of the sound, cut at its beats; words: of a new transcript, or None. `InputError` for a plan without a
-    fingerprint, and if the sounds have too little speech in common.
-    """
+    """The plan on a new sound, with blocks that are still to be decided (`decided`): their lexemes are None. features:
+    of the sound, cut at its beats; words: of a new transcript, or None. `InputError` for a plan without a fingerprint,
+    and if the sounds have too little speech in common."""
     if plan.fingerprint is None:
         raise plan.error(("fingerprint",), "is missing, so the new sound cannot be compared with the old one",
                          "make a new plan")
@@ -256,9 +254,7 @@ def _lost_edits(plan: GesturePlan, gone: Sequence[int]) -> list[str]:
 def _sections(plan: GesturePlan, beats: BeatMap, words: Sequence[PlanWord] | None, duration: float
                    ) -> tuple[dict[str, Any], list[str]]:
     """The parts of a plan with times, moved, for `dataclasses.replace`; and a line for each pin and cue that is lost.
-
-    words: those of a new transcript, or None to move the old ones; duration: seconds that the blocks will cover.
-    """
+    words: those of a new transcript, or None to move the old ones; duration: seconds that the blocks will cover."""
     # Words come first: cues at words are looked for among those that are left, or among the new ones.
     now = tuple(words) if words is not None else _spans(plan.words, beats, duration)
     cues, pins, losses = list[GestureCue](), [], []

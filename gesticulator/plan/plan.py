@@ -450,11 +450,9 @@ def sound_hash(speech: Speech) -> str:
 
 
 def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
-    """Whether each block must be generated again; the others are replayed.
-
-    A block is replayed if its beats, lexeme, silence and random keys are those of the first generation, and the knobs
-    that influence its generation are too, unless it is locked.
-    """
+    """Whether each block must be generated again; the others are replayed. A block is replayed if its beats, lexeme,
+    silence and random keys are those of the first generation, and the knobs that influence its generation are too,
+    unless it is locked."""
     # Activity changes every block that is not locked; size and mirroring are applied afterwards.
     edited = edited_themselves(plan)
     if plan.knobs.share == plan.drawn.knobs.share:

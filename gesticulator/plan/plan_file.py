@@ -85,10 +85,8 @@ def write_plan_file(path: str | os.PathLike[str], plan: GesturePlan) -> Path:
 
 
 def schema() -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of a plan; descriptions are the docstrings below the fields.
-
-    Names of gestures are examples, as a cue may name a lexeme, too.
-    """
+    """The JSON Schema (draft 2020-12) of a plan; descriptions are the docstrings below the fields. Names of gestures
+    are examples, as a cue may name a lexeme, too."""
     whole = msgspec.json.schema(GesturePlan)
     for name, definition in whole["$defs"].items():
         kind = getattr(nouns, name)

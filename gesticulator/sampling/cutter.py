@@ -117,12 +117,10 @@ class _PauseFlags:
 
 
 class BlockCutter:
-    """Cuts speech at 16 kHz at its beats as it arrives, and encodes each window of three blocks.
-
-    low: of low latency. Otherwise a block is returned once the next block is known, which is the input the models were
-    trained with; with it, once its end is known, with a guess in place of the next block (`_foreseen`). It may be set
-    at any time, and affects the blocks that were not returned yet.
-    """
+    """Cuts speech at 16 kHz at its beats as it arrives, and encodes each window of three blocks. low: of low latency.
+    Otherwise a block is returned once the next block is known, which is the input the models were trained with; with
+    it, once its end is known, with a guess in place of the next block (`_foreseen`). It may be set at any time, and
+    affects the blocks that were not returned yet."""
 
     def __init__(self, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
                  low: bool = False, start: float = 0.0) -> None:
@@ -387,11 +385,9 @@ class WordTrack:
 
 def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
                   blocks: Blocks | None = None, cutters: list[BlockCutter] | None = None) -> SpeechFeatures:
-    """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, its text too.
-
-    blocks: cut the speech into these instead of detecting beats. cutters: receives a copy of the cutter before every
-    `CUTTER_EVERY` samples, from which parts can be cut again (`editing.render.Recutter`).
-    """
+    """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, its text too. blocks: cut the
+    speech into these instead of detecting beats. cutters: receives a copy of the cutter before every `CUTTER_EVERY`
+    samples, from which parts can be cut again (`editing.render.Recutter`)."""
     # Without words the audio-only models are used, which take no rows of text.
     read = words if speech.words is not None else None
     cutter = BlockCutter(config, front, read)
