@@ -132,16 +132,12 @@ class StreamMarks:
         # A recogniser sends a word again when it has understood it better.
         again = any(cue.cue.gesture == gesture and start == word.start for start, cue in self._marked)
         if time - spoken <= LATEST and not again:
-            self._check_room(final)
+            # Each costs computing time in every block around it, which other streams would wait for.
+            waiting = sum(cue.time > final for cue in self.cues())
+            if waiting >= ALLOWED_CUES or len(self._marked) >= max(ALLOWED_CUES, int(CUES_PER_SECOND * final)):
+                raise InputError("gesture marks", f"more than {ALLOWED_CUES} wait or {CUES_PER_SECOND:g} per second "
+                                 "came", "send fewer")
             self._marked.append((word.start, TimedCue(GestureCue(gesture, time=time, source=SOURCE), time)))
-
-    def _check_room(self, final: float) -> None:
-        """`InputError` if there are more gestures than a plan of the same length may have, or too many at once."""
-        # Each costs computing time in every block around it, which other streams would wait for.
-        waiting = sum(cue.time > final for cue in self.cues())
-        if waiting >= ALLOWED_CUES or len(self._marked) >= max(ALLOWED_CUES, int(CUES_PER_SECOND * final)):
-            raise InputError("gesture marks", f"more than {ALLOWED_CUES} wait or {CUES_PER_SECOND:g} per second came",
-                             "send fewer")
 
     def interrupt(self, at: float) -> None:
         """Forget what begins after `at` seconds, and break off what is being made."""

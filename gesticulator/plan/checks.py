@@ -58,7 +58,7 @@ def _drawn(plan: GesturePlan) -> Iterator[Fault]:
 
 
 def _blocks(plan: GesturePlan) -> Iterator[Fault]:
-    """Blocks must tile the sound and have lexemes of the lexicon."""
+    # Blocks must tile the sound and have lexemes of the lexicon.
     if not plan.blocks:
         yield ("blocks",), "is empty", "leave at least one block"
     known = [entry.lexeme for entry in plan.lexicon]
@@ -97,7 +97,7 @@ def _cues(plan: GesturePlan) -> Iterator[Fault]:
 
 
 def _bounded(plan: GesturePlan, name: str) -> Iterator[Fault]:
-    """Too many cues or pins, and those after the end."""
+    # Too many cues or pins, and those after the end.
     rows, most = getattr(plan, name), max(ALLOWED_CUES, int(CUES_PER_SECOND * plan.duration))
     if len(rows) > most:
         yield (name, most), f"is one of {len(rows)}", f"give {most} at most"
@@ -107,7 +107,7 @@ def _bounded(plan: GesturePlan, name: str) -> Iterator[Fault]:
 
 
 def _units(plan: GesturePlan) -> Iterator[Fault]:
-    """Units and their phases follow each other without overlap, phases within their unit."""
+    # Units and their phases follow each other without overlap, phases within their unit.
     # One cursor for both levels: phases fill their unit, and the next unit begins after it.
     end = 0.0
     for at, unit in enumerate(plan.units):
@@ -147,7 +147,7 @@ def _pins(plan: GesturePlan) -> Iterator[Fault]:
 
 
 def _curves(plan: GesturePlan) -> Iterator[Fault]:
-    """Ranges of stillness, and curves of knobs."""
+    # Ranges of stillness, and curves of knobs.
     for at, (start, end) in enumerate(plan.knobs.hold_still):
         if not start < end:
             yield ("knobs", "hold_still", at), f"is {start:g} to {end:g}", "give from and to, the smaller first"
