@@ -106,13 +106,9 @@ def _time_of(cue: GestureCue, spoken: Mapping[str, Sequence[Word]], duration: fl
     return stroke_of_word(matches[cue.occurrence - 1])
 
 
-def without_mismatches(options: InferenceOptions, words: Sequence[Word], duration: float) -> InferenceOptions:
-    """The options without cues at words that are not among `words`. Warns (`OptionWarning`) about each such cue, and
-    about each range of stillness that ends after `duration` seconds. Without any words the cues stay: they raise an
-    `InputError` later."""
-    for begin, end in options.hold_still:
-        if end > duration:
-            _warn(f"hold_still {begin:g}-{end:g} goes beyond the end of the recording ({duration:.2f} s)")
+def without_mismatches(options: InferenceOptions, words: Sequence[Word]) -> InferenceOptions:
+    """The options without cues at words that are not among `words`. Warns (`OptionWarning`) about each such cue.
+    Without any words the cues stay: they raise an `InputError` later."""
     spoken = _spoken([word for word in words if word.text.strip()])
     if not spoken:
         return options
@@ -123,10 +119,6 @@ def without_mismatches(options: InferenceOptions, words: Sequence[Word], duratio
         if count >= cue.occurrence:
             cues.append(cue)
         else:
-            _warn(f"the cue {cue.word}={cue.gesture}, occurrence {cue.occurrence}, is left out: the word is spoken "
-                  f"{count} times")
+            warnings.warn(OptionWarning(f"the cue {cue.word}={cue.gesture}, occurrence {cue.occurrence}, is left out: "
+                                        f"the word is spoken {count} times"), stacklevel=3)
     return replace(options, cues=tuple(cues))
-
-
-def _warn(line: str) -> None:
-    warnings.warn(OptionWarning(line), stacklevel=4)
