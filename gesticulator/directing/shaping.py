@@ -22,7 +22,6 @@ about their mean pose. Hands are kept out of the trunk afterwards (`gesticulator
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
@@ -83,7 +82,7 @@ class Shaping:
         self._curve = None if options.plan is None else options.plan.curve("intensity")
         self._shares = eased_levels(edges, rest_share(self._sizes), REST_FADE, self._locked)
         cues = cues_at(options.cues, words, float(edges[-1]), lambda: lexeme_names(bundle))
-        self._cues = sorted((cue for cue in cues if cue.lexeme is None), key=_TIME)
+        self._cues = [cue for cue in cues if cue.lexeme is None]
         self._shaper = Shaper(bundle.statistics, representation, speaker)
 
     def levels(self, times: Array) -> ShapeLevels:
@@ -105,9 +104,8 @@ class Shaping:
             return []
         # A stroke outside of these times may still reach into them with its preparation or its hold.
         begin, end = float(times[0]) - LONGEST_GESTURE, float(times[-1]) + LONGEST_GESTURE
-        cues = self._cues[bisect_left(self._cues, begin, key=_TIME):bisect_right(self._cues, end, key=_TIME)]
         called = self._meant(float(times[-1])) if self._meant else ()
-        return sorted([*cues, *(cue for cue in called if begin <= cue.time <= end)], key=_TIME)
+        return sorted((cue for cue in (*self._cues, *called) if begin <= cue.time <= end), key=_TIME)
 
     def __call__(self, poses: Array, times: Array) -> Array:
         """The next poses."""
@@ -198,11 +196,6 @@ class ShapeLevels:
     share: Array
     mirrored: Array
 
-    @property
-    def changed(self) -> NDArray[np.int64]:
-        """[n] indices of the times at which poses change."""
-        return np.flatnonzero((self.intensity != 1.0) | (self.share != 1.0))
-
 
 def rest_share(intensity: NDArray[np.floating]) -> Array:
     """The factor 2 i of the approach to rest (see the module), at most 1."""
@@ -249,7 +242,7 @@ class Shaper:
         for arm in self._arms:
             arm.large.push(times, poses)
             arm.fine.push(times, poses)
-        result, at = poses.copy(), levels.changed
+        result, at = poses.copy(), np.flatnonzero((levels.intensity != 1.0) | (levels.share != 1.0))
         if len(at):
             result[at] = self._scaled(poses, times, levels, at)
         at = np.flatnonzero(levels.mirrored)

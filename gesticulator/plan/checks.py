@@ -35,7 +35,7 @@ def plain_word(text: str) -> str:
 def check_plan(plan: GesturePlan) -> None:
     """`InputError` if the parts of a plan are inconsistent."""
     # The first generation comes first: the other checks look blocks up in it.
-    for fault in chain(*(check(plan) for check in (_drawn, _blocks, _cues, _units, _meanings, _pins, _curves))):
+    for fault in chain(*(check(plan) for check in (_drawn, _blocks, _cues, _meanings, _pins, _curves))):
         raise plan.error(*fault)
 
 
@@ -106,31 +106,11 @@ def _bounded(plan: GesturePlan, name: str) -> Iterator[Fault]:
             yield (name, at, "time"), f"is {row.time:g}", f"give 0 to {plan.duration:g} seconds"
 
 
-def _units(plan: GesturePlan) -> Iterator[Fault]:
-    # Units and their phases follow each other without overlap, phases within their unit.
-    # One cursor for both levels: phases fill their unit, and the next unit begins after it.
-    end = 0.0
-    for at, unit in enumerate(plan.units):
-        if not end <= unit.start < unit.end:
-            yield ("units", at, "start"), f"is {unit.start:g}", f"give {end:g} or more, and less than its end"
-        end = unit.start
-        for number, phase in enumerate(unit.phases):
-            if not end <= phase.start < phase.end <= unit.end:
-                yield (("units", at, "phases", number), f"is {phase.start:g} to {phase.end:g} s",
-                       f"give a range within {end:g} to {unit.end:g} s")
-            end = phase.end
-        end = unit.end
-
-
 def _meanings(plan: GesturePlan) -> Iterator[Fault]:
     for at, meaning in enumerate(plan.meanings):
-        if not meaning.start <= meaning.end:
-            yield ("meanings", at), f"is {meaning.start:g} to {meaning.end:g} s", "give from and to, the smaller first"
         if meaning.gesture is not None and meaning.gesture not in GESTURES:
             yield (("meanings", at, "gesture"), f"is {shown(meaning.gesture)}, the name of no gesture",
                    near_gestures(meaning.gesture))
-        if (meaning.gesture is None) != (meaning.time is None):
-            yield ("meanings", at), "has either a gesture or a time alone", "give both, or neither"
 
 
 def _pins(plan: GesturePlan) -> Iterator[Fault]:
