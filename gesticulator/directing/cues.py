@@ -54,8 +54,7 @@ def stroke_of_word(word: Word) -> float:
 def cues_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float,
             names: Callable[[], Sequence[LexemeName]]) -> list[TimedCue]:
     """The cues of the body with the times of their strokes. names: returns the lexicon's names; called only for
-    gestures that are not in `GESTURES`. `InputError` for a word that is not spoken, a time beyond the end and an
-    unknown gesture."""
+    gestures that are not in `GESTURES`. `InputError` for what is not spoken, known or within the sound."""
     out, spoken = [], _spoken(words if cues else ())
     lexemes: dict[str, int] | None = None
     for cue in cues:
@@ -79,7 +78,7 @@ def expressions_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: 
 
 
 def _spoken(words: Sequence[Word]) -> Mapping[str, Sequence[Word]]:
-    """Plain word -> where it is spoken."""
+    # Plain word -> where it is spoken.
     spoken = dict[str, list[Word]]()
     for word in words:
         spoken.setdefault(plain_word(word.text), []).append(word)

@@ -23,8 +23,7 @@ from gesticulator.sampling.loop import ControlRows, Request
 
 
 def still_frames(knobs: PlanKnobs, times: Array, start: float) -> NDArray[np.bool_] | None:
-    """[K] whether the knobs require the hands to rest, in the frames at `times` [K] of a block that begins at `start`;
-    None if in no frame."""
+    """[K] whether the hands are to rest, at `times` [K] of a block that begins at `start`; None if nowhere."""
     ranges = knobs.still_at(start, float(times[-1]))
     return np.any([(times > begin) & (times <= stop) for begin, stop in ranges], axis=0) if ranges else None
 
@@ -117,7 +116,6 @@ def _words(plan: GesturePlan) -> tuple[Word, ...]:
 
 
 def _cued(plan: GesturePlan) -> GesturePlan:
-    """The plan with the lexemes of its cues in their blocks."""
     # Cues of lexemes are choices of blocks; those of named gestures are blended over the motion later.
     blocks = list(plan.blocks)
     for cue in cues_at(plan.cues, _words(plan), plan.duration, lambda: plan.lexicon):

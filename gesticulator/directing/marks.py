@@ -40,8 +40,7 @@ def gesture_of_mark(name: str) -> str | None:
 
 
 def expression_of_mark(name: str) -> str | None:
-    """The expression of `plan.gestures.EXPRESSIONS` that a mark names ("smile", "mood:happy", "raise brows"); None for
-    another."""
+    """The expression of `plan.gestures.EXPRESSIONS` that a mark names ("smile", "mood:happy"); None for another."""
     plain = mark_name(name).removeprefix("mood ").removeprefix("face ")
     return plain if plain in EXPRESSIONS else None
 

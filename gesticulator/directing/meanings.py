@@ -91,8 +91,7 @@ class MeaningTrack:
         self._until = 0.0
 
     def add(self, words: Sequence[Word]) -> None:
-        """Add words with their times, seconds. Those with a mark show no meaning, and the gesture of a mark outranks
-        what is found."""
+        """Add words with their times, seconds. Words with a mark show no meaning, and their gesture outranks others."""
         self._taken += tuple(stroke_of_word(word) for word in words if gestures_of(word))
         self._words = sorted([*self._words, *(word for word in words if word.text.strip())],
                              key=lambda word: word.start)
@@ -146,8 +145,7 @@ class MeaningTrack:
 
 
 def track_of(options: InferenceOptions, speech: Speech | None = None) -> MeaningTrack | None:
-    """The track for these options; None where no meaning is to be shown. speech: the whole sound with its words, if it
-    is there."""
+    """The track for these options; None where no meaning is shown. speech: the whole sound with its words, if known."""
     knobs = options.knobs
     if options.meaning == "off" or options.plan is not None or knobs.share == 0.0 or knobs.size == 0.0:
         return None

@@ -107,7 +107,7 @@ def longest(name: str) -> Phases:
 
 
 def _hold(script: GestureScript) -> float:
-    """Seconds of a script's hold: its keys and repeated movements take place in it."""
+    # Seconds of a script's hold: its keys and repeated movements take place in it.
     ends = [part.repeat.count / part.repeat.rate for part in script.hands if part.repeat is not None]
     return max([script.hold, *ends, *(part.keys[-1].time + 0.1 for part in script.hands)])
 
@@ -194,7 +194,7 @@ def hand_turns(draw: GestureDraw, which: int, seconds: Array) -> tuple[Array, Ar
 
 @functools.cache
 def _directions(part: HandPart) -> Rotation:
-    """The rotations of a hand at its keys."""
+    # The rotations of a hand at its keys.
     return Rotation.concatenate([hand_rotation(np.array(key.fingers), np.array(key.palm)) for key in part.keys])
 
 
@@ -276,8 +276,7 @@ def _with_gesture(poses: Array, seconds: Array, cue: GestureCue, draw: GestureDr
 
 
 def _targets(draw: GestureDraw, seconds: Array) -> dict[str, Array]:
-    """Joint -> [M, 3] exponential maps that a right-handed gesture leads to: arms and fingers, and the head if a hand
-    touches it."""
+    """Joint -> [M, 3] exponential maps that a right-handed gesture leads to: arms, fingers, a head that is touched."""
     def held(name: str, factor: float) -> Array:
         return np.repeat(factor * np.radians(script.adds.get(name, (0.0, 0.0, 0.0)))[None], len(seconds), axis=0)
 
@@ -311,8 +310,7 @@ def _added(draw: GestureDraw, seconds: Array, weight: Array) -> dict[str, Array]
 
 
 def _blended(now: Array, target: Array, share: Array) -> Array:
-    """[M, 3] rotations a share [M] of the way from `now` to `target`, along the shortest turn, as the exponential maps
-    nearest to `now`."""
+    """[M, 3] rotations a share [M] of the way from `now` to `target`, as the exponential maps nearest to `now`."""
     begin = Rotation.from_rotvec(now)
     # The shortest turn from where the joint is: blending exponential maps would bend the way.
     turn = (begin.inv() * Rotation.from_rotvec(target)).as_rotvec()

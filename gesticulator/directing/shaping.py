@@ -114,8 +114,7 @@ class Shaping:
 
 
 def with_gestures(poses: Array, times: Array, cues: Sequence[TimedCue], seed: int) -> Array:
-    """Poses [M, D] at seconds [M] with named gestures, and with those that were broken off as they end; seed: of their
-    variation."""
+    """Poses [M, D] at seconds [M] with named gestures, also those that are broken off; seed: of their variation."""
     if not cues:
         return poses
     from gesticulator.directing.named_gestures import laid_over, nearest_turn
@@ -150,8 +149,7 @@ def levels_at(edges: Array, levels: NDArray[np.floating], times: Array, fade: fl
               locked: NDArray[np.bool_] | None = None) -> Array:
     """[M] level at rising times [M], where block n of edges [N + 1] has levels[n]. Between blocks of different levels
     it changes smoothly, over `fade` seconds to both sides or half of the shorter run of blocks. Elsewhere it is exactly
-    the level of the block. locked: [N] blocks that must keep their level; beside them the change takes place on the
-    other side alone."""
+    the level of the block. locked: [N] blocks that keep their level; beside them the other side alone changes."""
     block = np.clip(np.searchsorted(edges, times, side="left") - 1, 0, len(levels) - 1)
     out = np.asarray(levels, dtype=np.float64)[block]
     # Runs of equal blocks: a change may use half of the run on either side, so that two changes never overlap.
@@ -282,7 +280,7 @@ class Shaper:
 
 
 def _columns(joints: list[int]) -> NDArray[np.int64]:
-    """[3 n] columns of n joints in a pose."""
+    # [3 n] columns of n joints in a pose.
     return (3 * np.array(joints, dtype=np.int64)[:, None] + np.arange(3)).ravel()
 
 

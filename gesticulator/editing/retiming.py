@@ -84,8 +84,7 @@ def _exact(time: float, before: float) -> float:
 # ------------------------------------------------------------------------------------------------------ the blocks
 
 _Cell = tuple[list[tuple[int, float, float]], list[tuple[int, float, float]]]
-"""The blocks between two beats that the first generation and the plan have in common: index, start and end, in seconds,
-of those of both."""
+"""Index, start and end, seconds, of the blocks of the first generation and of the plan between two common beats."""
 
 
 def _cells(plan: GesturePlan) -> Iterator[_Cell]:
@@ -195,7 +194,10 @@ def drafted(plan: GesturePlan, speech: Speech, features: SpeechFeatures, words: 
     drawn = _drawn(plan, cut.drawn, beats)
     # A new block has the random numbers of the generation's block that begins with it, as any other.
     numbers = dict(zip(drawn.edges, _numbers(drawn), strict=False))
-    blocks = tuple(_block(plan, piece, numbers.get(piece.start, 0)) for piece in cut.blocks)
+    blocks = tuple(
+        Block(piece.start, piece.end, None, piece.silent, BlockDraw(plan.seed, plan.variation, numbers[piece.start]),
+              piece.flag) if piece.source is None
+        else replace(plan.blocks[piece.source], start=piece.start, end=piece.end) for piece in cut.blocks)
     parts, losses = _sections(plan, beats, words, drawn.edges[-1])
     moved = replace(plan, **parts, drawn=drawn, blocks=blocks, source="plan",
                     sound=PlanSound("", speech.duration, speech.sample_rate, sound_hash(speech)),
@@ -210,8 +212,7 @@ def _numbers(drawn: DrawnBlocks) -> Sequence[int]:
 
 
 def _drawn(plan: GesturePlan, pieces: Sequence[_Piece], beats: BeatMap) -> DrawnBlocks:
-    """The first generation on the new sound. Blocks that are kept keep the numbers of their random keys; new ones get
-    numbers that no block has."""
+    """The first generation on the new sound: kept blocks with their numbers, new ones with numbers that none has."""
     old, known = plan.drawn, _numbers(plan.drawn)
     # Beyond all numbers in use: an undone edit may name one that no block has now.
     fresh = itertools.count(max(*known, *(block.draw.block for block in plan.blocks)) + 1)
@@ -224,12 +225,6 @@ def _drawn(plan: GesturePlan, pieces: Sequence[_Piece], beats: BeatMap) -> Drawn
                        tuple(piece.silent if piece.source is None else old.silent[piece.source] for piece in pieces),
                        lexemes, _knobs(old.knobs, beats), () if numbers == tuple(range(len(numbers))) else numbers,
                        () if keyed_at == starts else keyed_at)
-
-
-def _block(plan: GesturePlan, piece: _Piece, number: int) -> Block:
-    if piece.source is not None:
-        return replace(plan.blocks[piece.source], start=piece.start, end=piece.end)
-    return Block(piece.start, piece.end, None, piece.silent, BlockDraw(plan.seed, plan.variation, number), piece.flag)
 
 
 def decided(draft: GesturePlan, generated: Sequence[BlockMotion]) -> GesturePlan:

@@ -67,8 +67,7 @@ def mark_of(name: str) -> str:
 
 
 def near_gestures(name: str, others: Iterable[str] = ()) -> str:
-    """What to say of an unknown name: the nearest names, and how to list all. others: further names that may be meant,
-    such as the lexicon's."""
+    """What to say of an unknown name: the nearest names, and how to list all. others: further names, as of lexemes."""
     near = difflib.get_close_matches(name, [*GESTURES, *others], 3, 0.55)
     return ((f"did you mean {' or '.join(near)}? " if near else "")
             + "choose a name of gesticulator gestures, or of the lexicon (gesticulator plan names)")

@@ -406,13 +406,12 @@ class GesturePlan:
 
 @functools.cache
 def members(kind: type) -> Mapping[str, bool]:
-    """Member of the file -> whether it is left out while it is null or empty: the fields of a dataclass, apart from
-    `source`, which is not compared."""
+    """Member of the file -> whether it is left out while it is null or empty: all fields of a class but `source`."""
     return {field.name: field.default in (None, ()) for field in dataclasses.fields(cast(Any, kind)) if field.compare}
 
 
 def _plain(record: Any) -> Any:
-    """Plain values for JSON."""
+    # Plain values for JSON.
     if isinstance(record, tuple | list):
         return [_plain(entry) for entry in record]
     if not dataclasses.is_dataclass(record):
@@ -422,8 +421,8 @@ def _plain(record: Any) -> Any:
 
 
 def _in_lines(value: Any, depth: int = 0) -> str:
-    """JSON text with one line for each member of the first two levels; deeper values stay on one line, so that a
-    changed block is one changed line for tools that compare files."""
+    # JSON text with one line for each member of the first two levels; deeper values stay on one line, so that a changed
+    # block is one changed line for tools that compare files.
     flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
     is_object = isinstance(value, dict)
     # Short values, lists of numbers, and everything from the rows of lists on stay on one line.

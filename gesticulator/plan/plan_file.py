@@ -64,8 +64,7 @@ def plan_from(plain: Any, source: str = "plan") -> GesturePlan:
 
 
 def _check_members(plain: Any, record: Any, path: Place, source: str) -> None:
-    """`InputError` for a member that no field has: msgspec ignores those of dataclasses, and a misspelt member of an
-    edited plan must not be ignored."""
+    # A member that no field has, such as a misspelt one, must not be ignored as msgspec does with dataclasses.
     if isinstance(plain, list):
         for at, (row, entry) in enumerate(zip(plain, record, strict=True)):
             _check_members(row, entry, (*path, at), source)

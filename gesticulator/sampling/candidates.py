@@ -205,8 +205,7 @@ def fastest(hands: Array, times: Array) -> Array:
 
 
 def slow_enough(hands: Array, times: Array) -> NDArray[np.int64]:
-    """Indices of the candidates whose hands and elbows stay under `FASTEST`, or of the slowest one if none does; see
-    `fastest`."""
+    """Indices of the candidates whose hands and elbows stay under `FASTEST` (see `fastest`), or of the slowest one."""
     speeds = fastest(hands, times)
     slow = np.flatnonzero(speeds <= FASTEST)
     return slow if len(slow) else np.array([speeds.argmin()])

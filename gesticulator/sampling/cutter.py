@@ -95,8 +95,7 @@ class _PauseFlags:
         return self._first + len(self._final)
 
     def between(self, first: int, last: int) -> NDArray[np.bool_]:
-        """Flags of the frames first to last - 1. A silence that may become a pause counts as one; frames that were not
-        added yet get the last flag."""
+        """Flags of frames first to last - 1. What may become a pause counts as one; later frames get the last flag."""
         flags = self._final + [True] * self._tracker.waiting
         flags += flags[-1:] * (last - self._first - len(flags))
         return np.array(flags[max(first - self._first, 0):last - self._first], dtype=bool)
@@ -124,8 +123,7 @@ class BlockCutter:
 
     def __init__(self, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
                  start: float = 0.0) -> None:
-        """words: encoder of the words that `add_words` will add, or None; start: where the first block begins, seconds
-        of the sound."""
+        """words: encoder of the words that `add_words` will add, or None; start: of the first block, seconds."""
         self._config, self._front, self.low = config, front or front_end_for(config), False
         self._length = config.rhythm.frames * samples_per_frame(SAMPLE_RATE, config.rhythm.fps)
         self._context = round(CONTEXT * SAMPLE_RATE)
@@ -145,8 +143,7 @@ class BlockCutter:
         self._ended = self._beats_given = False
 
     def cut_at(self, beats: Sequence[tuple[float, BeatFlag]]) -> None:
-        """Cut at these beats from now on, rising seconds with their flags, all of them after the last of `uncut`, and
-        detect none."""
+        """Cut at these beats, rising seconds after the last of `uncut` with their flags, and detect none."""
         self._edges, self._beats_given = [self._edges[0], *beats], True
 
     def fork(self) -> BlockCutter:

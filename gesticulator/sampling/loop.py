@@ -45,8 +45,8 @@ Scores = NDArray[np.float64]
 
 BEST = 5
 """Number of alternative lexemes stored for a block."""
-_CONTIGUOUS = 1e-3
-"""Seconds between two blocks without a gap."""
+CONTIGUOUS = 1e-3
+"""Most seconds between two blocks without a gap."""
 
 
 @dataclass(frozen=True)
@@ -130,8 +130,7 @@ class BlockMotion:
 
 @dataclass(frozen=True)
 class GeneratedMotion:
-    """A recording's N generated blocks and their normalised motion [N, K, D_m], K frames per block. cut: the N blocks
-    of its speech."""
+    """A recording's N generated blocks and their normalised motion [N, K, D_m]. cut: the N blocks of its speech."""
 
     cut: Blocks
     blocks: Sequence[BlockMotion]
@@ -224,11 +223,6 @@ def at_rest(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
     rest = Rest(bundle.statistics, representation_of(config), speaker, setup.activity,
                 setup.seed) if bundle.rests_by_phrase else None
     return State(keys, text, lexeme, past, past, interpreter, interpreter, gate=gate, rest=rest)
-
-
-def goes_on(state: State, speech: SpeechBlock) -> bool:
-    """Whether the block begins where the one before ended."""
-    return abs(speech.start - state.until) <= _CONTIGUOUS
 
 
 def tensor(bundle: Bundle, values: NDArray[Any]) -> Tensor:
