@@ -16,12 +16,12 @@ CUES_PER_SECOND, ALLOWED_CUES = 4.0, 100
 """Most cues per second of sound; so many are allowed in any case. A gesture takes a second, so more cannot be seen."""
 _LARGEST_SEED = 2**64 - 1
 _PUNCTUATION = " .,;:!?\"'“”‘’„«»()[]-–—…¿¡"
+# Joints that can be pinned to a place; arms and spine follow them.
 _PLACED = ("LeftHand", "RightHand", "Head")
-"""Joints that can be pinned to a place; arms and spine follow them."""
+# Largest difference of two equal times, seconds: numbers in files are rounded.
 _EPS = 1e-6
-"""Largest difference of two equal times, seconds: numbers in files are rounded."""
+# Largest deviation of the squared length of a quaternion from 1: numbers in files are rounded.
 _UNIT = 1e-3
-"""Largest deviation of the squared length of a quaternion from 1: numbers in files are rounded."""
 
 Fault = tuple[Place, str, str]
 """A part of a plan, what is wrong with it, and what to do."""
