@@ -442,7 +442,7 @@ def clips(golden: Golden) -> None:
     """Layouts of a clip, faces, and a folder of recordings."""
     sound, text = golden.sound(PIECE), golden.text()
     for name, options in {"loop": ("--loop",), "keys": ("--keys", "all"), "upper": ("--mask", "upper"),
-                          "still": ("--root", "none"), "name": ("--clip-name", "talk"), "lips": ("--face", "lips"),
+                          "name": ("--clip-name", "talk"), "lips": ("--face", "lips"),
                           "face": ("--face", "full", "--mood", ".4", "--cue", "2.5=smile"),
                           "face_legs": ("--face", "full", "--legs", "--mouth", "1.5")}.items():
         golden.infer(f"clips/{name}", sound, *options, suffixes=(".glb", ".vrma"))

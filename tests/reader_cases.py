@@ -152,7 +152,7 @@ def _positions(mutated: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         points = np.random.default_rng(0).normal(size=(6, len(TED_JOINTS), 3))
         np.save(folder / "a.npy", points.astype(np.float32))
-        (folder / "a.json").write_text(json.dumps({"joints": TED_JOINTS, "fps": 15, "up": "-Y"}))
+        (folder / "a.json").write_text(json.dumps({"fps": 15}))
         return folder / mutated
 
     return write

@@ -27,9 +27,8 @@ from data_module.speech.speech_encoder import (
     hop_and_reach,
     load_fairseq,
 )
-from data_module.store import Store
 from data_module.types import Array
-from gesticulator.training.stages.speech import Crops
+from gesticulator.training.stages.speech import crops_of
 
 PUBLISHED = [(10, 5), (8, 4), (4, 2), (4, 2), (4, 2), (1, 1), (1, 1), (1, 1)]
 FRAMES, PER_FRAME = 4, 400
@@ -228,24 +227,9 @@ def test_training_draws_level_8_to_the_words() -> None:
     assert float((best == LEVELS - 1).float().mean()) > 0.9
 
 
-# ---------------------------------------------------------------------------------------------------- crops of sound
-
-def end_to_end(sizes: list[int], length: int) -> Crops:
-    """Recordings of these sizes, each filled with its own number; the last sample says which it is in it."""
-    sizes_array = np.array(sizes)
-    samples = np.concatenate([np.full(size, number + 1.0) for number, size in enumerate(sizes)])
-    return Crops(samples.astype(np.float16), np.cumsum(sizes_array) - sizes_array, sizes_array - length + 1, length)
-
-
 @given(st.lists(st.integers(3, 40), min_size=1, max_size=6), st.integers(0, 2**31))
 def test_a_crop_never_runs_over_two_recordings(sizes: list[int], seed: int) -> None:
-    drawn = end_to_end(sizes, 3).sample(np.random.default_rng(seed), 200)
+    sounds = (np.full(size, number + 1.0, np.float32) for number, size in enumerate(sizes))
+    drawn = crops_of(sounds, 3)(np.random.default_rng(seed), 200)
     assert drawn.shape == (200, 3) and drawn.dtype == np.float32
     assert (drawn == drawn[:, :1]).all() and set(drawn[:, 0]) <= set(range(1, len(sizes) + 1))
-
-
-def test_of_a_store(tiny_store: Path) -> None:
-    store = Store.open(tiny_store)
-    crops = Crops.of_store(store, store.names[:2], 16000)
-    sizes = [len(store.load(name).speech.samples) for name in store.names[:2]]
-    assert crops.first.tolist() == [0, sizes[0]] and crops.room.tolist() == [size - 16000 + 1 for size in sizes]
