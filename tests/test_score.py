@@ -96,11 +96,11 @@ def test_controls_stand_beside_and_flag_what_they_beat(result: Scores) -> None:
     assert set(result.figures) == {TRUTH, "same", "held", FLOOR, STILL, "shuffled", "reversed", "jitter", "mirrored",
                                    "bobbing"}
     said = {(flag.metric, flag.control): flag.says for flag in result.flags}
-    assert "no worse than held" in said["jerk", "shuffled"], "the real speed of another clip is nearer than no speed"
+    assert "no worse than held" in said["jerk_hands", "shuffled"], "the real speed of another clip is nearer than no speed"
     assert FLOOR in said["raw, 12 frames", "shuffled"] and TRUTH in said["pmb_A", "bobbing"]
     assert not any(metric == "maje" and "same" in says for (metric, _), says in said.items())
     assert not any(metric.startswith("chance") for metric, _ in said)
-    assert mean_of(result.figures, "jitter", "jerk") > 5 * mean_of(result.figures, TRUTH, "jerk")
+    assert mean_of(result.figures, "jitter", "jerk_hands") > 5 * mean_of(result.figures, TRUTH, "jerk_hands")
     assert mean_of(result.figures, STILL, "maje") == pytest.approx(mean_of(result.figures, "held", "maje"))
 
 
