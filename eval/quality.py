@@ -38,6 +38,7 @@ def tables(arguments: argparse.Namespace) -> Sequence[Table]:
     """Reconstruction by the lexicon, and accuracy of the interpreters."""
     context = EvalContext.of(arguments)
     bundle = context.bundle
+    # By their own names: a row is what `--interpreter` plays.
     interpreters: dict[str, LexemeInterpreter] = {"lstm": bundle.interpreter}
     if bundle.interpreter_text is not None:
         interpreters["lstm with text"] = bundle.interpreter_text

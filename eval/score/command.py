@@ -108,6 +108,7 @@ class ScoredClips:
     def of(cls, context: EvalContext, clips: ClipSet) -> ScoredClips:
         """Each speech is heard and cut once for all rows."""
         bundle = context.models
+        # A clip without speech keeps its place: all lists go by the same numbers.
         return cls(context, clips, *(list(each) for each in zip(*((
             None if speech is None else OnsetTrack.of(speech), None if speech is None else eye.hear(speech),
             None if speech is None or bundle is None else cut(speech, bundle.config.rhythm))
@@ -129,6 +130,7 @@ class ScoredClips:
         row = ScoreRow(name, kind, motions, [MotionBeats.of(motion) for motion in motions])
         speakers = self.clips.motions[TRUTH]
         truth = [speaker.crop(0, len(motion)) for motion, speaker in zip(motions, speakers, strict=True)]
+        # Each clip with a seed of its own: equal draws of chance would tie the clips to each other.
         _put(row, MOTION_METRICS, [
             clip_values(motion, second, beats, track, self.context.seed + k) for k, (motion, second, beats, track)
             in enumerate(zip(motions, truth, row.beats, self.tracks, strict=True))])
@@ -340,6 +342,7 @@ def read_all(arguments: argparse.Namespace) -> tuple[dict[str, dict[str, Clip]],
     bundles = {name: bundle for name, place in systems.items() if (bundle := PlayedBundle.named(place))}
     places = {TRUTH: arguments.truth,
               **{name: Path(place) for name, place in systems.items() if name not in bundles}}
+    # Names before contents: thousands of files are not read for the few that all have.
     names, notes = shared_names({name: names_in(place, arguments.split) for name, place in places.items()})
     folders: dict[str, dict[str, Clip]] = {}
     for name, place in places.items():
