@@ -9,7 +9,7 @@ import re
 import threading
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
@@ -152,7 +152,7 @@ def _positions(mutated: str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         points = np.random.default_rng(0).normal(size=(6, len(TED_JOINTS), 3))
         np.save(folder / "a.npy", points.astype(np.float32))
-        (folder / "a.json").write_text(json.dumps({"joints": TED_JOINTS, "fps": 15, "up": "-Y"}))
+        (folder / "a.json").write_text(json.dumps({"fps": 15}))
         return folder / mutated
 
     return write
@@ -224,7 +224,7 @@ def _pairs(folder: Path) -> Path:
     truth = Truth((PlayedStroke("Beat", "c", "left", 0.0, 0.5, 0.7, 0.9, 0.4, 1.0, True),),
                   (Syllable(0.1, 0.15, 0.4, 0, 0.0, 0.0, 0.0),), (Phrase(0.1, 0.9, 0.0),))
     beside = {"words": [{"text": "hello", "start": 0.1, "end": 0.5}], "performer": "ann", "language": "en",
-              "split": "train"} | truth.to_json()
+              "split": "train"} | asdict(truth)
     (folder / "a.json").write_text(json.dumps(beside))
     return folder / "a.json"
 

@@ -14,9 +14,11 @@ import argparse
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from data_module.corpora.base import DroppedError, Imported, Item, Options, needed, spread
 from data_module.corpora.takes import TEXTS, read_motion, with_text
@@ -127,7 +129,7 @@ class Folder:
             fields = self._fields(name)
             speech, timing = self._with_words(name, replace(load_speech(sound), speaker=item.info.speaker), fields)
             # The strokes of a scripted performance mark a file that the build wrote itself.
-            truth = Truth.from_json(fields) if "strokes" in fields else None
+            truth = msgspec.convert(fields, Truth) if "strokes" in fields else None
         except InputError as error:
             raise DroppedError(str(error)) from None
         except (KeyError, TypeError, ValueError) as error:
@@ -237,5 +239,5 @@ def write_recording(folder: Path, recording: Recording) -> None:
         "group": info.group, "stands": recording.stands, "filled": list(recording.motion.filled),
     }
     if recording.truth is not None:
-        fields |= recording.truth.to_json()
+        fields |= asdict(recording.truth)
     write_text(folder / f"{info.name}.json", json.dumps(fields, ensure_ascii=False))
