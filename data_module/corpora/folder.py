@@ -24,7 +24,7 @@ from data_module.corpora.base import DroppedError, Imported, Item, Options, need
 from data_module.corpora.takes import TEXTS, read_motion, with_text
 from data_module.errors import InputError, shown
 from data_module.files import read_json, read_text, write_text
-from data_module.motion.bvh import bvh_text
+from data_module.motion.bvh import write_bvh
 from data_module.speech.audio import SOUNDS, load_speech
 from data_module.store import SPLITS, Recording, RecordingInfo, Split
 from data_module.truth import Truth
@@ -232,7 +232,7 @@ def speakers_by(option: str, names: Sequence[str], folder: Path) -> dict[str, st
 def write_recording(folder: Path, recording: Recording) -> None:
     """Write NAME.bvh and NAME.json, the inverse of `Folder.read` (the sound is the store's own file)."""
     info, words = recording.info, recording.speech.words
-    write_text(folder / f"{info.name}.bvh", bvh_text(recording.motion))
+    write_bvh(folder / f"{info.name}.bvh", recording.motion)
     fields: dict[str, Any] = {
         "words": None if words is None else [{"text": w.text, "start": w.start, "end": w.end} for w in words],
         "performer": info.speaker, "voice": info.voice, "language": info.language, "split": info.split,
