@@ -156,15 +156,16 @@ def _entry(source: str, item: object, where: str) -> Entry:
     text = _of(item, *_TEXTS)
     if not isinstance(text, str):
         raise InputError(source, f"{where}: has no word", "give it a 'word' or a 'text'")
+    times: Mapping[str, Any] = item
     pair = _of(item, "timestamp", "timestamps")
     if isinstance(pair, list) and len(pair) == 2:
-        item = {"start": pair[0], "end": pair[1]}
         if pair[1] is None and pair[0] is not None:
-            item["end"] = _seconds(source, pair[0], f"{where}.timestamp[0]") + _OPEN_WORD * max(1, _count(text))
+            pair[1] = _seconds(source, pair[0], f"{where}.timestamp[0]") + _OPEN_WORD * max(1, _count(text))
+        times = {"start": pair[0], "end": pair[1]}
     elif isinstance(item.get("offsets"), Mapping):
-        item = item["offsets"]
-    clock = next((clock for clock in _CLOCKS if _tells(item, clock)), _CLOCKS[0])
-    start, end = item.get(clock.start), item.get(clock.end)
+        times = item["offsets"]
+    clock = next((clock for clock in _CLOCKS if _tells(times, clock)), _CLOCKS[0])
+    start, end = times.get(clock.start), times.get(clock.end)
     if end is None and (start is None or clock.texts):
         until = _of(item, *_RESULT_ENDS)
         return Entry(text, None, None if until is None else _seconds(source, until, f"{where}.resultEndTime"), where)

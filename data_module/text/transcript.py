@@ -193,14 +193,11 @@ def _transcript(source: str, content: Content) -> Transcript:
         _check_rate(source, words)
         text = " ".join(marked_text(cue.text)[0] for cue in cues)
         return Transcript(words, text, "cues", source, cues, len(words), notes)
-    if not content.words:
-        text, marks = marked_text(content.text)
+    if all(entry.start is None for entry in content.words):
+        text, marks = marked_text(content.text or " ".join(entry.text for entry in content.words if entry.text))
         return Transcript(None, text, "none", source, marks=marks)
-    entries = _unmarked(content.words)
-    text = " ".join(entry.text for entry in entries if entry.text)
-    if all(entry.start is None for entry in entries):
-        return Transcript(None, text, "none", source, marks=_in_text(entries))
-    filled = _filled(entries)
+    filled = _filled(_unmarked(content.words))
+    text = " ".join(entry.text for entry in filled if entry.text)
     words, notes = _in_order(source, filled)
     _check_rate(source, words)
     return Transcript(words, text, "words", source, guessed=sum(e.guessed for e in filled), notes=notes)
@@ -219,15 +216,6 @@ def _unmarked(entries: Sequence[Entry]) -> list[Entry]:
     if late and last is not None:
         out[last] = replace(out[last], marks=(*out[last].marks, *late))
     return out
-
-
-def _in_text(entries: Sequence[Entry]) -> tuple[tuple[int, str], ...]:
-    """The marks of entries, by their offset in the text that joins the entries."""
-    marks, at = [], 0
-    for entry in entries:
-        marks += [(at, name) for name in entry.marks]
-        at += len(entry.text) + 1 if entry.text else 0
-    return tuple(marks)
 
 
 def _check_rate(source: str, words: Sequence[Word]) -> None:

@@ -22,11 +22,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from data_module.controls import FEATURES, LEVELS
+from data_module.controls import FEATURES, LEVELS, per_frame
 from data_module.errors import InputError
 from data_module.types import Array, Speech
 from eval import stats
-from eval.ablate.style_editing import realised
 from eval.acceptance.bounds import Measured, Results
 from eval.acceptance.stimuli import (
     EXPORTS,
@@ -138,7 +137,8 @@ def _style_controls(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> 
         return {("controls_work", ""): Measured(Interval.exact(0.0, 1), "the bundle was trained without style editing")}
     # The same seed at every level: only the request differs.
     return order_figures({(feature, level): np.array([
-        realised(system.render(voice, 0, **{f"hand_{feature}": level}).motion)[column] for voice in voices])
+        per_frame(system.render(voice, 0, **{f"hand_{feature}": level}).motion).mean(axis=0)[column]
+        for voice in voices])
         for (column, feature), level in itertools.product(enumerate(FEATURES), LEVELS)})
 
 
