@@ -84,11 +84,6 @@ def _hints(cls: Any) -> dict[str, Any]:
     return typing.get_type_hints(cls, include_extras=True)
 
 
-def limits_of(hint: Any) -> SettingRange | SettingChoice | None:
-    marks = getattr(hint, "__metadata__", ())
-    return next((mark for mark in marks if isinstance(mark, SettingRange | SettingChoice)), None)
-
-
 def check(settings: Any, path: str = "") -> None:
     """InputError for the first setting outside its range. settings: a dataclass; path: its own place in the tree, such
     as "generator"."""
@@ -98,10 +93,9 @@ def check(settings: Any, path: str = "") -> None:
         if dataclasses.is_dataclass(value):
             check(value, place)
             continue
-        if (limits := limits_of(hints[field.name])) is not None:
-            for number in value if isinstance(value, tuple) else (value,):
-                if number not in limits:
-                    raise InputError(place, f"is {value!r}", f"give {limits}")
+        for limits in getattr(hints[field.name], "__metadata__", ()):
+            if not all(number in limits for number in (value if isinstance(value, tuple) else (value,))):
+                raise InputError(place, f"is {value!r}", f"give {limits}")
 
 
 def to_dict(settings: Any) -> dict[str, Any]:

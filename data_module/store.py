@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,7 +28,7 @@ from data_module.files import is_free, read_json, rename, write_bytes, write_tex
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, JOINTS, resized
 from data_module.speech.audio import load_speech, write_flac
-from data_module.truth import TABLES, PlayedStroke, Truth, record
+from data_module.truth import TABLES, PlayedStroke, Truth
 from data_module.types import Motion, Speech, Word
 
 __all__ = ["SPLITS", "Recording", "RecordingInfo", "Store", "StoreWriter"]
@@ -66,6 +67,8 @@ class RecordingInfo:
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
             raise InputError(self.name, f"has the split '{self.split}'", f"use one of {', '.join(SPLITS)}")
+        if not all(0 <= number < np.inf for number in (self.seconds, self.frames, self.fps)):
+            raise ValueError("a length that is not a number")
         # Unprintable are control characters and invalid bytes.
         if not self.name or any(mark in self.name for mark in "/\\:") or self.name.startswith(".") \
                 or not self.name.isprintable():
@@ -84,19 +87,28 @@ class Recording:
     stands: bool = False
 
 
+@dataclass(frozen=True)
+class _Listing:
+    """The entries of `store.json`."""
+
+    corpus: str
+    settings: dict[str, Any]
+    seed: int
+    licence: str
+    fingerprint: str
+    recordings: tuple[RecordingInfo, ...]
+
+
 class Store:
     """A finished store, opened for reading."""
 
     def __init__(self, path: Path, listing: Mapping[str, Any]) -> None:
+        checked = msgspec.convert(listing, _Listing)
         self.path = path
-        self.corpus: str = _typed(listing["corpus"], str)
-        self.settings: dict[str, Any] = _typed(listing["settings"], dict)
-        self.seed: int = _typed(listing["seed"], int)
-        self.licence: str = _typed(listing["licence"], str)
-        self.fingerprint: str = _typed(listing["fingerprint"], str)
-        self.recordings: tuple[RecordingInfo, ...] = tuple(_info(entry) for entry in listing["recordings"])
-        self._hashes = {e["name"]: (_typed(e["sha256"]["flac"], str), _typed(e["sha256"]["npz"], str))
-                        for e in listing["recordings"]}
+        self.corpus, self.settings, self.seed = checked.corpus, checked.settings, checked.seed
+        self.licence, self.fingerprint, self.recordings = checked.licence, checked.fingerprint, checked.recordings
+        self._hashes = {entry["name"]: (str(entry["sha256"]["flac"]), str(entry["sha256"]["npz"]))
+                        for entry in listing["recordings"]}
         if len(self._hashes) != len(self.recordings):
             raise ValueError("two recordings share a name")
 
@@ -210,26 +222,6 @@ class StoreWriter:
         return self.partial / _FOLDER / f"{name}.json"
 
 
-def _info(entry: Mapping[str, Any]) -> RecordingInfo:
-    """An entry of the listing; ValueError, TypeError or KeyError for an invalid one."""
-    # Each value is checked below, because a listing may have been edited by hand.
-    known = {field.name: entry[field.name] for field in fields(RecordingInfo)}
-    for name in ("name", "split", "speaker", "voice", "language", "group", "part"):
-        _typed(known[name], str)
-    if not all(0 <= float(_typed(known[name], int | float)) < np.inf for name in ("seconds", "frames", "fps")):
-        raise ValueError("an invalid number")
-    lists = {key: tuple(_typed(name, str) for name in _typed(known[key], list))
-             for key in ("absent", "sources", "filled")}
-    return RecordingInfo(**known | lists)
-
-
-def _typed(value: Any, kind: Any) -> Any:
-    # True is an int to Python, but no number in a listing.
-    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-        raise TypeError(f"{type(value).__name__} is no {kind}")
-    return value
-
-
 def _files(folder: Path, name: str) -> tuple[Path, Path]:
     return folder / _FOLDER / f"{name}.flac", folder / _FOLDER / f"{name}.npz"
 
@@ -254,7 +246,7 @@ def _columns(prefix: str, rows: Sequence[Any], names: Sequence[str]) -> dict[str
 def _rows(arrays: Mapping[str, NDArray[Any]], prefix: str, kind: type, names: Sequence[str]) -> tuple[Any, ...]:
     columns = [arrays[f"{prefix}_{name}"].tolist() for name in names]
     rows = (dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True))
-    return tuple(record(kind, row) for row in rows)
+    return tuple(msgspec.convert(row, kind) for row in rows)
 
 
 def _arrays(recording: Recording) -> dict[str, NDArray[Any]]:
@@ -284,8 +276,7 @@ def _read(info: RecordingInfo, sound: Path, file: Path) -> Recording:
             raise ValueError("other joints")
         motion = Motion(skeleton, rotation.normalise(as_floats(arrays["rotations"])),
                         as_floats(arrays["root_positions"]), float(arrays["fps"].item()),
-                        *(tuple(_typed(name, str) for name in arrays[which].tolist())
-                          for which in ("absent", "filled")))
+                        *(tuple(map(str, arrays[which].tolist())) for which in ("absent", "filled")))
         words = _rows(arrays, "word", Word, _WORDS) if "word_text" in arrays else None
         # The first column of strokes marks a scripted performance; other tables may be empty.
         truth = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -209,7 +210,7 @@ class Gesticulator:
             return [Request(block, control) for block, control in parts]
         from gesticulator.directing.directions import Director
 
-        # Directions are resolved to block times once: cues, stillness and handedness.
+        # Directions are resolved to block times once: cues and stillness.
         director = Director(self.bundle, options, speech.words or (), float(encoded.blocks.edges[-1]))
         return [director.request(block, knots, control)
                 for (block, control), knots in zip(parts, times, strict=True)]
@@ -228,11 +229,12 @@ class Gesticulator:
         assert options.plan is not None
         retiming = None
         if options.retime:
-            from gesticulator.directing.cues import warn_of_losses
+            from gesticulator.directing.cues import OptionWarning
 
             moved = self.retimed(options.plan, speech, text=text)
             retiming = str(moved)
-            warn_of_losses(moved.losses)
+            for line in moved.losses:
+                warnings.warn(OptionWarning(line), stacklevel=4)
             options = replace(options, plan=moved.plan, retime=False)
         options = directing.planned(options)
         assert options.plan is not None

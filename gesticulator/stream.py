@@ -130,16 +130,17 @@ class Stream:
         # Imported where it is needed: a plain stream starts faster without it.
         if options.shaped or options.directed or self._meanings is not None:
             from gesticulator.directing.directions import Director
-            from gesticulator.directing.knobs import Shaping
+            from gesticulator.directing.shaping import Shaping
 
             self._director = Director(bundle, options, (), math.inf)
             shaping = Shaping(bundle, options, setup.speaker, (), np.array([0.0, math.inf]), self._meant)
         if self._text:
-            from gesticulator.directing.knobs import gestures_over
             from gesticulator.directing.marks import StreamMarks
+            from gesticulator.directing.shaping import with_gestures
 
             self._marks = StreamMarks(representation_of(bundle.config).name == "rotations")
-            shaping = shaping or gestures_over(self._meant, options.seed or 0)
+            shaping = shaping or (lambda poses, times: with_gestures(
+                poses, times, self._meant(float(times[-1])), options.seed or 0) if len(times) else poses)
         self._path = MotionPath(bundle, setup.speaker, options, shaping=shaping)
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
         self._turns = HeadTurns(int(options.seed), joints)

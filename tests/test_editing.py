@@ -19,8 +19,8 @@ from performances import example
 from data_module.errors import InputError
 from data_module.types import Speech
 from gesticulator import Gesticulator
-from gesticulator.directing.knobs import LONGEST_GESTURE
 from gesticulator.directing.named_gestures import span_of_gesture
+from gesticulator.directing.shaping import LONGEST_GESTURE
 from gesticulator.export.html import describe
 from gesticulator.page.server import AbandonedError
 from gesticulator.page.session import EditSession
@@ -138,7 +138,7 @@ BLOCK = {
 }
 BEATS = {"halve": _halved, "join": _joined, "move": _moved}
 KNOBS = {"intensity": (0.4, 1.0, 1.5), "activity": (0.5, 1.0), "energy": ("calm", "neutral", "lively"),
-         "handedness": (None, "left", "both"), "mirror": (True, False), "hold_still": ([], [[2.0, 3.5]])}
+         "mirror": (True, False), "hold_still": ([], [[2.0, 3.5]])}
 
 
 def edited(plan: Plain, what: str, at: int, value: int) -> Plain:

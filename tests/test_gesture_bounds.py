@@ -17,9 +17,9 @@ from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import find_table
 from data_module.types import Array, Motion, Speech
 from eval import stats
-from eval.acceptance import bounds, rest, stimuli, timing, voices
+from eval.acceptance import bounds, rest, stimuli, voices
 from eval.acceptance.bounds import Measured, Verdict
-from eval.acceptance.timing import FIRST_P, PITCH_P, Timed
+from eval.acceptance.voices import FIRST_P, PITCH_P, Timed, coupling, timing_figures
 from eval.baselines import controls as baselines
 from eval.clip.excerpts import real_take
 from eval.clip.foreign import read_motion
@@ -227,9 +227,9 @@ def test_who_answers_the_voice_is_beyond_chance_and_under_anothers_sound_is_not(
     voices, motions = zip(*recordings(), strict=True)
     right = [Timed.of(motion, said) for said, motion in zip(voices, motions, strict=True)]
     wrong = [Timed.of(motion, said) for said, motion in zip((*voices[1:], voices[0]), motions, strict=True)]
-    answers, deaf = ({name: measured.value for name, measured in timing.figures(timed).items()}
+    answers, deaf = ({name: measured.value for name, measured in timing_figures(timed).items()}
                      for timed in (right, wrong))
-    coupled = timing.coupling(right)
+    coupled = coupling(right)
     assert coupled is not None and coupled.best > 0.5 and abs(coupled.lag) <= 0.1
     assert Leads.pooled([clip.first for clip in right]).before == 100.0
     for name in (PITCH_P, FIRST_P):
@@ -239,14 +239,14 @@ def test_who_answers_the_voice_is_beyond_chance_and_under_anothers_sound_is_not(
 def test_one_voice_alone_proves_nothing() -> None:
     said, motion = recordings()[0]
     one = Timed.of(motion, said)
-    figures = {name: measured.value for name, measured in timing.figures([one] * 3).items()}
+    figures = {name: measured.value for name, measured in timing_figures([one] * 3).items()}
     assert math.isnan(figures[PITCH_P].mean) and math.isnan(figures[FIRST_P].mean)
     verdicts = judge(figures)
     assert verdicts[PITCH_P].holds is None and verdicts[FIRST_P].holds is None
-    few = timing.figures([replace(one, name=str(k)) for k in range(timing.FEWEST - 1)])
+    few = timing_figures([replace(one, name=str(k)) for k in range(voices.FEWEST - 1)])
     assert math.isnan(few[PITCH_P].value.mean) and math.isfinite(few[FIRST_P].value.mean)
     silent = AcceptanceVoice("s", Speech(np.zeros(20 * RATE, np.float32), RATE), TEST)
-    assert timing.coupling([Timed.of(motion, silent)]) is None
+    assert coupling([Timed.of(motion, silent)]) is None
 
 
 # ------------------------------------------------------------------------------------------------- speech on and on

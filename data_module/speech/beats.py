@@ -19,7 +19,7 @@ from data_module.types import Array, BeatFlag, Beats, Speech
 
 __all__ = ["BeatSettings", "BeatTracker", "find_beats"]
 
-RULES = ("bounded", "strongest", "paper", "even")
+RULES = ("bounded", "paper", "even")
 # Tolerance of times, seconds.
 _EPS = 1e-9
 
@@ -28,8 +28,8 @@ _EPS = 1e-9
 class BeatSettings:
     """The placement of beats. Seconds; every interval between beats lies in [d_min, d_max].
 
-    merge: onsets closer than this count as one. rule: "bounded", the first onset in reach; "strongest", the strongest
-    onset in reach; "paper" (RG 4.2.1, with guards); or "even": beats d_max apart whatever the sound, for a codec of a
+    merge: onsets closer than this count as one. rule: "bounded", the first onset in reach; "paper" (RG
+    4.2.1, with guards); or "even": beats d_max apart whatever the sound, for a codec of a
     fixed rate such as RACER's. Only "even" may have d_min = d_max; the last two intervals then share the remainder,
     each d_max / 2 or longer.
     """
@@ -54,12 +54,11 @@ class BeatSettings:
 
 
 def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
-              settings: BeatSettings, strengths: Array | None = None) -> tuple[float, BeatFlag]:
-    """The beat after `beat` by the rule "bounded" (or, with strengths, "strongest"), and its flag.
+              settings: BeatSettings) -> tuple[float, BeatFlag]:
+    """The beat after `beat` by the rule "bounded", and its flag.
 
     onsets, loud: rising seconds of the onsets and of the frames louder than the noise. end: the end of the recording,
-    None while it is unknown. strengths: dB of the onsets. Only the time before beat + d_max + d_min matters; `end` must
-    be given if it is earlier.
+    None while it is unknown. Only the time before beat + d_max + d_min matters; `end` must be given if it is earlier.
     """
     low, high = beat + settings.d_min, beat + settings.d_max
     horizon = high + settings.d_min
@@ -67,14 +66,11 @@ def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
     # must decide alike.
     if end is not None and end >= horizon:
         end = None
-    first_near = int(np.searchsorted(onsets, low - _EPS))
-    near = onsets[first_near:np.searchsorted(onsets, horizon)]
+    near = onsets[np.searchsorted(onsets, low - _EPS):np.searchsorted(onsets, horizon)]
     # The interval from the beat to the end must not be shorter than d_min, either.
     fits = (near <= high + _EPS) & (True if end is None else end - near >= settings.d_min - _EPS)
     if fits.any():
-        rises = None if strengths is None else strengths[first_near:first_near + len(near)]
-        at = int(fits.argmax()) if rises is None else int(np.where(fits, rises, -np.inf).argmax())
-        return float(near[at]), BeatFlag.ONSET
+        return float(near[fits.argmax()]), BeatFlag.ONSET
     if end is not None and end <= high + _EPS:
         return end, BeatFlag.BOUNDARY
     # Leave room for the next onset (even one that the unknown end may exclude) and for the end.
@@ -93,7 +89,7 @@ class BeatTracker:
     def __init__(self, settings: BeatSettings, start: float = 0.0) -> None:
         self.settings = settings
         self.last = start
-        self._onsets = self._strengths = self._loud = np.zeros(0)
+        self._onsets = self._loud = np.zeros(0)
         self._last_onset = -np.inf  # the last one that was not merged
         self._frames = self._beats = 0
 
@@ -120,14 +116,12 @@ class BeatTracker:
         return out
 
     def _take(self, onsets: Sequence[tuple[float, float]], silent: Sequence[bool]) -> None:
-        distinct = []
-        for time, strength in onsets:
+        distinct = list[float]()
+        for time, _ in onsets:
             if time - self._last_onset >= self.settings.merge - _EPS:
-                distinct.append((time, strength))
+                distinct.append(time)
                 self._last_onset = time
-        times, strengths = np.array(distinct, dtype=np.float64).reshape(-1, 2).T
-        self._onsets, self._strengths = (np.concatenate([self._onsets, times]),
-                                         np.concatenate([self._strengths, strengths]))
+        self._onsets = np.concatenate([self._onsets, distinct])
         loud = self._frames + np.flatnonzero(~np.asarray(silent, dtype=bool))
         self._loud = np.concatenate([self._loud, loud * FRAME])
         self._frames += len(silent)
@@ -147,7 +141,7 @@ class BeatTracker:
         # No onset is in reach. A loud frame is the beat if it leaves room for an onset, and an end, right after it.
         if near > high + _EPS and min(onsets_until, available) > high + _EPS and loud <= max(low, high - s.d_min):
             return True
-        if near >= onsets_until or s.rule != "bounded":
+        if near >= onsets_until:
             return False
         if near <= high + _EPS:  # the first in reach, unless the end is too close
             return bool(available >= near + s.d_min)
@@ -159,14 +153,11 @@ class BeatTracker:
         if s.rule == "even":
             beat = _even_beat(self._beats + 1, s, end)
         else:
-            strengths = self._strengths if s.rule == "strongest" else None
-            beat = next_beat(self.last, self._onsets, self._loud, end, s, strengths)
+            beat = next_beat(self.last, self._onsets, self._loud, end, s)
         self.last = beat[0]
         self._beats += 1
         # Nothing before a beat can be a later beat, so memory does not grow with the recording.
-        old = np.searchsorted(self._onsets, self.last)
-        self._onsets, self._strengths = self._onsets[old:], self._strengths[old:]
-        self._loud = self._loud[np.searchsorted(self._loud, self.last):]
+        self._onsets, self._loud = (times[np.searchsorted(times, self.last):] for times in (self._onsets, self._loud))
         return beat
 
 

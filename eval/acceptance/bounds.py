@@ -20,7 +20,7 @@ from eval.metrics import EYE_METRICS
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
 
-__all__ = ["Bound", "Measured", "Row", "Verdict", "at_least", "at_most", "verdict_table"]
+__all__ = ["Bound", "Measured", "Row", "Verdict", "verdict_table"]
 
 TABLE = Path(__file__).with_name("bounds.toml")
 SHOWN = {True: "yes", False: "NO", None: ""}
@@ -58,40 +58,30 @@ ANY = Bound()
 """Shown, not judged."""
 
 
-def at_most(high: float) -> Bound:
-    """No more than that."""
-    return Bound(high=high)
-
-
-def at_least(low: float) -> Bound:
-    """No less than that."""
-    return Bound(low=low)
-
-
 @dataclass(frozen=True)
 class Verdict:
     """A figure with its subject and unit, its bound and the measured value. digits: decimals in tables; reason: a
-    remark for the reader; decided: False where there is no value to judge."""
+    remark for the reader."""
 
     figure: str
     bound: Bound
     value: Interval
     digits: int = 2
     reason: str = ""
-    decided: bool = True
 
     @property
     def holds(self) -> bool | None:
-        """Whether the value keeps the bound; None where that is not decided."""
-        return self.bound.keeps(self.value.mean) if self.decided and self.bound != ANY else None
+        """Whether the value keeps the bound; None where there is none."""
+        return self.bound.keeps(self.value.mean) if self.bound != ANY else None
 
     @property
     def entry(self) -> dict[str, Any]:
         """For JSON: name, value, low, high, n, bound, holds, reason."""
         undefined = self.holds is False and not math.isfinite(self.value.mean)
+        reasons = ("undefined: the motion has nothing of it" if undefined else "", self.reason)
         return {"name": self.figure, "value": self.value.mean, "low": self.value.low, "high": self.value.high,
                 "n": self.value.n, "bound": self.bound.text(self.digits), "holds": self.holds,
-                "reason": f"undefined: the motion has nothing of it; {self.reason}" if undefined else self.reason}
+                "reason": "; ".join(filter(None, reasons))}
 
     @property
     def row(self) -> dict[str, Cell]:
@@ -172,7 +162,7 @@ class Row:
         if self.over and other is not None:
             value, remark = value.times(1.0 / other.value.mean), f"{value.mean:.2f} and {other.value.mean:.2f}"
         if self.limit:
-            bound = ANY if other is None else at_most(self.times * max(other.value.mean, self.least))
+            bound = ANY if other is None else Bound(high=self.times * max(other.value.mean, self.least))
         title = self.title.format(on=on)
         if lacking:
             return Verdict(title, ANY, Interval.undefined(), self.digits, f"not measured: {lacking}")
@@ -194,7 +184,7 @@ def judge(rows: Sequence[Row], figures: Results) -> list[Verdict]:
 
 @cache
 def table() -> dict[str, tuple[Row, ...]]:
-    """Group -> its rows, as `bounds.toml` has them; ValueError for a key that no row has."""
+    """Group -> its rows, as `bounds.toml` has them."""
     groups = tomllib.loads(TABLE.read_text(encoding="utf-8"))
     titles = groups.pop("titles")
     return {group: tuple(_row({"on": held.get("on", ()), **entry}, titles) for entry in held["rows"])
@@ -211,7 +201,4 @@ def _row(entry: dict[str, Any], titles: Mapping[str, str]) -> Row:
     metric = EYE_METRICS.get(figure)
     title = titles[figure] if metric is None else titles.get(figure, f"{metric.heading}, {{on}}")
     entry.setdefault("digits", 2 if metric is None else metric.digits)
-    try:
-        return Row(figure, title, bound, (on,) if isinstance(on, str) else tuple(on), **entry)
-    except TypeError as error:
-        raise ValueError(f"{TABLE.name}, {figure}: {error}") from None
+    return Row(figure, title, bound, (on,) if isinstance(on, str) else tuple(on), **entry)

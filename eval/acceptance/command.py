@@ -6,7 +6,7 @@
 The clauses stand in `bounds.toml`, in six groups that can be run alone (`--only`):
 
 - `motion`: does it read as a person, beside the interpreter `statistical`, which ignores the sound, and beside the
-  speakers themselves, the real take and the corpus? (`voices`, `timing`)
+  speakers themselves, the real take and the corpus? (`voices`)
 - `lexicon`: does a lexeme name a movement, and does the generator sample it? (`lexicon`)
 - `rest`: does it rest where nothing is said, is it alive there, and does it follow `--activity`? (`rest`)
 - `effort`, `controls`, `stability`: what changes with the effort of a voice, with style controls and words, and with a

@@ -132,11 +132,5 @@ def without_mismatches(options: InferenceOptions, words: Sequence[Word], duratio
     return replace(options, cues=tuple(cues))
 
 
-def warn_of_losses(lines: Sequence[str]) -> None:
-    """Warn (`OptionWarning`) of what a plan lost when it was moved onto another sound."""
-    for line in lines:
-        _warn(line)
-
-
 def _warn(line: str) -> None:
     warnings.warn(OptionWarning(line), stacklevel=4)

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from data_module.types import Array
-from gesticulator.directing.gesture_parts import GestureScript, HandPart, Repeat
-from gesticulator.directing.gesture_scripts import SCRIPTS
+from gesticulator.directing.gesture_scripts import SCRIPTS, GestureScript, HandPart, Repeat
 from gesticulator.directing.hands import arm_turns, best_swing, finger_turns, hand_rotation
 from gesticulator.plan.plan import GestureCue
 

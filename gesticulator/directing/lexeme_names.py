@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_module.motion.kinematics import positions_of
 from data_module.types import Array, Motion
@@ -30,8 +29,6 @@ _LEANS = 0.6
 """A direction is named if its share of the displacement is at least this part of the greatest share."""
 LIFTED = 0.12
 """Height above the hips from which a hand counts as up, metres."""
-BIAS = 2.5
-"""Bias for handedness, nats: added to the score of a lexeme of the preferred hand alone, subtracted for the other."""
 _SIDES = ("Right", "Left")
 
 
@@ -107,18 +104,3 @@ def _way(way: Array, path: float) -> str:
     order = [int(axis) for axis in np.argsort(-np.abs(way), kind="stable")]
     directions = [names[axis][int(way[axis] > 0)] for axis in order if abs(way[axis]) >= _LEANS * abs(way[order[0]])]
     return ("far " if length > FAR else "") + " and ".join(directions[:2])
-
-
-def handed_bias(bundle: Bundle, hand: str) -> NDArray[np.float64] | None:
-    """[S] nats to add to an interpreter's scores to prefer lexemes of the left, the right or both hands; None as
-    `hand_ways`."""
-    hands = hand_ways(bundle)
-    if hands is None:
-        return None
-    # From -1, the left hand alone moves, to 1, the right one alone.
-    total = hands.paths.sum(axis=1)
-    right = (hands.paths[:, 0] - hands.paths[:, 1]) / np.maximum(total, 1e-9)
-    sided = {"right": right, "left": -right, "both": 1.0 - 2.0 * np.abs(right)}[hand]
-    # A lexeme in which nothing moves gets no bias.
-    bias: NDArray[np.float64] = BIAS * sided * np.clip(total / MOVES - 1.0, 0.0, 1.0)
-    return bias

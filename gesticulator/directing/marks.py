@@ -36,7 +36,7 @@ class MarkWarning(UserWarning):
 def gesture_of_mark(name: str) -> str | None:
     """The gesture of `plan.GESTURES` that a mark names, in any spelling (`mark_name`); None for an unknown one."""
     plain = mark_name(name)
-    return plain if plain in GESTURES else next((gesture for gesture in GESTURES if mark_name(gesture) == plain), None)
+    return plain if plain in GESTURES else None
 
 
 def expression_of_mark(name: str) -> str | None:
@@ -79,9 +79,8 @@ def mark_cues(words: Sequence[Word]) -> tuple[GestureCue, ...]:
 def warn_of_unknown(names: Iterable[str], known: set[str] | None = None) -> None:
     """Warn of marks that name no gesture, once for each name. known: names that were warned of; new ones are added."""
     known = set() if known is None else known
-    unknown = [name for name in dict.fromkeys(map(mark_name, names))
-               if name not in known and name != NONE and gesture_of_mark(name) is None
-               and expression_of_mark(name) is None]
+    unknown = [name for name in dict.fromkeys(map(mark_name, names)) if name not in known and name != NONE
+               and gesture_of_mark(name) is None and expression_of_mark(name) is None]
     if not unknown:
         return
     known.update(unknown)
@@ -111,8 +110,7 @@ class StreamMarks:
         the bundle's poses are no rotations, and for too many marks.
         """
         parts, late = marked_words([word.text for word in words])
-        waiting, self._late = self._late, late
-        out = []
+        out, waiting = [], self._late
         for word, (text, marks) in zip(words, parts, strict=True):
             if text.strip():
                 out.append(replace(word, text=text, marks=(*word.marks, *waiting, *marks)))
@@ -122,26 +120,26 @@ class StreamMarks:
         self._late = (*waiting, *late)
         warn_of_unknown((name for word in out for name in word.marks), self._known)
         for word in out:
-            self._add(word, final)
+            for gesture in gestures_of(word):
+                self._add(word, gesture, final)
         self._marked = [(start, cue) for start, cue in self._marked if cue.time >= final - LONGEST_HISTORY]
         return tuple(out)
 
-    def _add(self, word: Word, final: float) -> None:
-        for gesture in gestures_of(word):
-            if not self._rotations:
-                raise InputError("gesture marks", "need a bundle of joint rotations, and this one has joint positions",
-                                 "leave them out")
-            spoken = stroke_of_word(word)
-            time = max(spoken, final + span_of_gesture(gesture)[0])
-            # A recogniser sends a word again when it has understood it better.
-            again = any(cue.cue.gesture == gesture and start == word.start for start, cue in self._marked)
-            if time - spoken <= LATEST and not again:
-                self._check_room(final)
-                self._marked.append((word.start, TimedCue(GestureCue(gesture, time=time, source=SOURCE), time)))
+    def _add(self, word: Word, gesture: str, final: float) -> None:
+        if not self._rotations:
+            raise InputError("gesture marks", "need a bundle of joint rotations, and this one has joint positions",
+                             "leave them out")
+        spoken = stroke_of_word(word)
+        time = max(spoken, final + span_of_gesture(gesture)[0])
+        # A recogniser sends a word again when it has understood it better.
+        again = any(cue.cue.gesture == gesture and start == word.start for start, cue in self._marked)
+        if time - spoken <= LATEST and not again:
+            self._check_room(final)
+            self._marked.append((word.start, TimedCue(GestureCue(gesture, time=time, source=SOURCE), time)))
 
     def _check_room(self, final: float) -> None:
-        """`InputError` if there are more gestures than a plan of the same length may have, or too many at once: each
-        costs computing time in every block around it, which other streams would wait for."""
+        """`InputError` if there are more gestures than a plan of the same length may have, or too many at once."""
+        # Each costs computing time in every block around it, which other streams would wait for.
         waiting = sum(cue.time > final for cue in self.cues())
         if waiting >= ALLOWED_CUES or len(self._marked) >= max(ALLOWED_CUES, int(CUES_PER_SECOND * final)):
             raise InputError("gesture marks", f"more than {ALLOWED_CUES} wait or {CUES_PER_SECOND:g} per second came",

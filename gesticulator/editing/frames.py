@@ -20,18 +20,17 @@ from gesticulator.body.motion_path import MotionPath
 from gesticulator.body.pins import pinned
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.directing.cues import TimedCue
-from gesticulator.directing.knobs import Shaping
-from gesticulator.directing.shaping import CALM, LAG
+from gesticulator.directing.shaping import CALM, Shaping
 from gesticulator.directing.strokes import REMEMBERED
 from gesticulator.options import InferenceOptions
 from gesticulator.plan.plan import GesturePlan
 from gesticulator.sampling.loop import GeneratedMotion
 
-_MEMORY = REMEMBERED + LAG + CALM
+_MEMORY = REMEMBERED + CALM
 """Seconds of strokes on which the size of a pose depends, with what the lift of an arm is averaged over."""
 _MARGIN = 6
 """Knots before a window of frames, more than the slope of the path needs."""
-_UNSCALED = (1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
+_UNSCALED = (1.0, 1.0, 0.0)
 """What is asked for at a knot where no knob is set."""
 _TOGETHER = 64
 """Blocks whose frames are computed at once, for bounded memory."""
@@ -41,7 +40,7 @@ _TOGETHER = 64
 class EditedFrames:
     """The frames of a rendered plan, with what they were computed from.
 
-    times: [M] seconds of the knots; inputs: [M, D_m + 6] the generated poses, normalised, and what the knobs ask for;
+    times: [M] seconds of the knots; inputs: [M, D_m + 3] the generated poses, normalised, and what the knobs ask for;
     gestures: the named ones; poses: [M, D_m] with knobs and gestures applied. unpinned, motion: without and with the
     pins of the plan."""
 
@@ -70,7 +69,7 @@ class FrameRenderer:
         asked, gestures = np.tile(_UNSCALED, (len(times), 1)), tuple[TimedCue, ...]()
         if shaping is not None:
             levels, gestures = shaping.levels(times), tuple(shaping.named(times))
-            asked = np.column_stack([levels.intensity, levels.share, levels.both, levels.mirrored])
+            asked = np.column_stack([levels.intensity, levels.share, levels.mirrored])
         # What is asked stands beside the poses, so that a knob that changes over time counts as a change of the poses.
         inputs = np.column_stack([features, asked])
         poses = self._poses(times, features, inputs, gestures, shaping, before)

@@ -1,7 +1,7 @@
 """Motion of edited plans: unchanged blocks are replayed, edited ones are generated again.
 
 Every block has a source. With the knobs of the first generation, unedited blocks are replayed from it. Where knobs were
-changed that influence generation (activity, handedness), the recording is generated again with the new ones, from the
+changed that influence generation (activity), the recording is generated again with the new ones, from the
 seed and without edits, and unedited blocks are those of this generation; locked blocks are still those of the first.
 Each run of edited blocks is generated from the pose and the state before it. Where a source takes over from another
 one, its motion x(t) continues with the difference at that beat b added, which fades out within `BLEND` seconds:
@@ -14,9 +14,10 @@ edit changes nothing elsewhere, and costs only its run. Motion is [N, K, D_m], n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cached_property
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +25,10 @@ from numpy.typing import NDArray
 from data_module.types import Array, BeatFlag, Blocks, Samples
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, SpeechFeatures
-from gesticulator.directing.directions import bias_of, still_frames
-from gesticulator.editing.recut import Recutter, window
+from gesticulator.directing.directions import still_frames
 from gesticulator.plan.plan import Block, GesturePlan, PlanKnobs, edited_themselves
 from gesticulator.sampling import loop
-from gesticulator.sampling.cutter import BlockCutter
+from gesticulator.sampling.cutter import CUTTER_EVERY, BlockCutter
 from gesticulator.sampling.loop import BlockMotion, GeneratedMotion, OnBlock, Request, Setup, State, controls_at
 from gesticulator.sampling.noise import Keys
 
@@ -37,6 +37,11 @@ BLEND = 0.6
 LEAST_REMEMBERED, REMEMBERED = 2000, 4
 """Sampled blocks in memory: at least, and for each block of the recording, so that undo finds whole generations."""
 Rows = NDArray[np.float32]
+Window = tuple[float, float, float, float]
+"""Start of the block before, start and end of a block, end of the block after; seconds, the block's own at an end."""
+Course = tuple[int, tuple[float, ...]]
+"""What the features of a block depend on: the copy of the cutter that goes on, and the edges from there to the end of
+the block after. The level of the voice is known block by block, so the edges before the window count, too."""
 
 
 def flag_numbers(flags: Sequence[str]) -> list[BeatFlag]:
@@ -92,8 +97,6 @@ class PlanRenderer:
         edits are ignored here. generation: the first one; it is sampled again where it is missing."""
         self._bundle, self._setup, self._samples, self._encode = bundle, setup, samples, encode
         self._original, self._keys = plan.drawn, Keys(plan.seed, plan.variation)
-        self.bias = cache(partial(bias_of, bundle))
-        """Handedness -> [S] its addition to the scores of lexemes; None for none."""
         self.noise_times = dict(zip(plan.drawn.numbers or range(len(plan.drawn.lexemes)),
                                     plan.drawn.keyed_at or plan.drawn.edges, strict=False))
         """Number of a block in `draw` -> seconds that key its random numbers."""
@@ -132,7 +135,7 @@ class PlanRenderer:
         total after each block that is sampled, and may raise an error to abandon the rendering: what was sampled until
         then is remembered."""
         edited = edited_themselves(plan)
-        if not any(edited) and plan.knobs.manner == self._original.knobs.manner:
+        if not any(edited) and plan.knobs.share == self._original.knobs.share:
             # Without edits the plan is its first generation, which needs no fades and no second one.
             blocks, bundle = self.generation(on_block).blocks, self._bundle
             return GeneratedMotion(self.cut(plan), blocks, bundle.system.motion_of(bundle, self._setup, blocks))
@@ -142,18 +145,17 @@ class PlanRenderer:
 
     def steps(self, knobs: PlanKnobs, on_block: OnBlock | None) -> list[SampledBlock]:
         """[N + 1] the recording generated with these knobs, without edits: the state before it, and its blocks."""
-        if knobs.manner != self._original.knobs.manner:
-            steps = [self._remembered(("beginning", knobs.manner), lambda: self._beginning(knobs))]
-            for at in range(len(self._cut)):
+        first = knobs.share == self._original.knobs.share
+        steps = self._first if first else [self._remembered(("beginning", knobs.share), lambda: self._beginning(knobs))]
+        for at in range(len(steps) - 1, len(self._cut)):
+            if first:
+                steps.append(self._sample(steps[-1], replace(self._request(at), lexeme=self._original.lexemes[at])))
+                if on_block is not None:
+                    on_block(at + 1, len(self._cut))
+            else:
                 steps.append(self.sampled(steps[-1], ("knobs", at), lambda at=at: replace(  # type: ignore[misc]
-                    self._request(at, knobs.handedness), keys=self._keys), on_block, at + 1))
-            return steps
-        for at in range(len(self._first) - 1, len(self._cut)):
-            request = replace(self._request(at, knobs.handedness), lexeme=self._original.lexemes[at])
-            self._first.append(self._sample(self._first[-1], request))
-            if on_block is not None:
-                on_block(at + 1, len(self._cut))
-        return self._first
+                    self._request(at), keys=self._keys), on_block, at + 1))
+        return steps
 
     def _beginning(self, knobs: PlanKnobs) -> SampledBlock:
         setup = replace(self._setup, activity=knobs.share)
@@ -164,12 +166,12 @@ class PlanRenderer:
         block, after = loop.step(self._bundle, before.setup, before.state, request)
         return SampledBlock(before.setup, after, block)
 
-    def _request(self, at: int, hand: str | None) -> Request:
+    def _request(self, at: int) -> Request:
         """The request for a block of the first generation, whose lexeme is chosen."""
         number = self._original.numbers[at] if self._original.numbers else at
         still = still_frames(self._original.knobs, self._times[at], float(self._cut.edges[at]))
         return Request(replace(self._speech.block(at), number=number, key=self.noise_times[number]),
-                       self.control(self._times[at]), still=still, bias=self.bias(hand))
+                       self.control(self._times[at]), still=still)
 
     def control(self, times: Array) -> loop.ControlRows | None:
         """[K, 2 F] rows of the hand controls at `times` [K] seconds, or None."""
@@ -202,19 +204,20 @@ class PlanRenderer:
                ) -> dict[int, tuple[Hashable, SpeechBlock]]:
         """Number -> speech of the wanted blocks (rising) of N blocks with edges [N + 1] and flags [N], and what its
         numbers depend on."""
-        # Blocks whose window was there before have the features of the first encoding; only the others are cut again.
-        places: dict[int, Hashable] = {at: window(edges, at) for at in wanted}
-        moved = [at for at, place in places.items() if place not in self._windows]
         if len(self._recut) > self._most:
             self._recut.clear()
-        if moved:
-            courses = self._recutter.courses(edges, moved)
-            places |= courses
-            missing = [at for at in moved if courses[at] not in self._recut]
-            self._recut |= {courses[at]: block
-                            for at, block in self._recutter.blocks(edges, flags, missing).items()}
-        return {at: (place, self._recut[place] if place in self._recut else self._speech.block(self._windows[place]))
-                for at, place in places.items()}
+        out: dict[int, tuple[Hashable, SpeechBlock]] = {}
+        for at in wanted:
+            # A block whose window was there before has the features of the first encoding; others are cut again.
+            place, known = window(edges, at), self._windows.get(window(edges, at))
+            if known is not None:
+                out[at] = place, self._speech.block(known)
+                continue
+            course = self._recutter.course(edges, at)
+            if course not in self._recut:
+                self._recut[course] = self._recutter.block(edges, flags, at)
+            out[at] = course, self._recut[course]
+        return out
 
     @cached_property
     def _recutter(self) -> Recutter:
@@ -246,7 +249,7 @@ class _PlanRun:
                  ) -> None:
         """edited: [N] whether a block is sampled and not replayed."""
         self._renderer, self._plan, self._edited, self._on_block = renderer, plan, edited, on_block
-        self._alike = plan.knobs.manner == plan.drawn.knobs.manner
+        self._alike = plan.knobs.share == plan.drawn.knobs.share
         self._edges = [0.0, *(block.end for block in plan.blocks)]
         self._flags = flag_numbers([block.flag for block in plan.blocks])
         self._speech = renderer.speech(self._edges, self._flags, np.flatnonzero(edited).tolist())
@@ -330,10 +333,10 @@ class _PlanRun:
         last, count = min(at + 1, len(plan.blocks) - 1), len(plan.blocks)
         silence = plan.blocks[max(at - 1, 0)].silent, block.silent, plan.blocks[last].silent
         removed = self._removed[at], self._removed[last]
-        hand, draw = (plan.knobs if self._anew(block) else plan.drawn.knobs).handedness, block.draw
+        draw = block.draw
         place, spoken = self._speech[at]
         key = (place, at + 1 == count, silence, removed, self._flags[at], chosen,
-               (draw.seed, draw.variation, draw.block), None if still is None else still.tobytes(), hand)
+               (draw.seed, draw.variation, draw.block), None if still is None else still.tobytes())
 
         def request() -> Request:
             quiet, ahead = spoken.quiet & (not removed[0]), spoken.ahead
@@ -341,8 +344,7 @@ class _PlanRun:
             noise_time = self._renderer.noise_times.get(draw.block, float(draw.block))
             speech = replace(spoken, number=draw.block, key=noise_time, flag=self._flags[at], silent=silence,
                              quiet=quiet, ahead=None if ahead is None else ahead & (not removed[1]))
-            return Request(speech, self._renderer.control(times), chosen, Keys(draw.seed, draw.variation), still,
-                           self._renderer.bias(hand))
+            return Request(speech, self._renderer.control(times), chosen, Keys(draw.seed, draw.variation), still)
 
         return key, request
 
@@ -375,3 +377,54 @@ def _standing(state: State, other: State) -> State:
         rest.stand_as(source.rest)
     return replace(state, past=source.past, lexeme=source.lexeme, quiet=source.quiet, generated=source.generated,
                    offset=source.offset, rest=rest, varied=varied)
+
+
+# ------------------------------------------------------------------------------------------------------- moved beats
+
+def window(edges: Sequence[float], at: int) -> Window:
+    """The window of block `at` of N blocks with edges [N + 1]."""
+    return (edges[max(at - 1, 0)], edges[at], edges[at + 1], edges[min(at + 2, len(edges) - 1)])
+
+
+class Recutter:
+    """Cuts blocks of one recording at other beats, N blocks with edges [N + 1], seconds, as cutting all of it would.
+
+    A block's features depend on the sound of the block and its two neighbours, and on what the cutter knew at its end
+    about the sound before. So a copy of the first cutter from shortly before an edited part goes on with these beats.
+    """
+
+    def __init__(self, samples: Samples, cutters: Sequence[BlockCutter]) -> None:
+        """samples: at 16 kHz; cutters: copies before every `CUTTER_EVERY` of them (`encode_speech`)."""
+        self._samples, self._cutters = samples, cutters
+
+    def course(self, edges: Sequence[float], at: int) -> Course:
+        """What the features of block `at` depend on."""
+        copy, _ = self._start(edges, at)
+        return copy, tuple(edges[edges.index(self._cutters[copy].uncut[-1]):at + 3])
+
+    def block(self, edges: Sequence[float], flags: Sequence[BeatFlag], at: int) -> SpeechBlock:
+        """Block `at`. flags: [N] of the beats at the ends of the blocks."""
+        copy, number = self._start(edges, at)
+        # A copy of the copy, which must serve other edits as well.
+        cutter = self._cutters[copy].fork()
+        cutter.cut_at(list(zip(edges[1:], flags, strict=True))[edges.index(cutter.uncut[-1]):at + 2])
+
+        def blocks() -> Iterator[SpeechBlock]:
+            for piece in range(copy * CUTTER_EVERY, len(self._samples), CUTTER_EVERY):
+                yield from cutter.feed(self._samples[piece:piece + CUTTER_EVERY])
+            yield from cutter.finish()
+
+        return next(islice(blocks(), at - number, None))
+
+    def _start(self, edges: Sequence[float], wanted: int) -> tuple[int, int]:
+        """The last copy of the cutter that has cut nothing but these blocks and has not returned the wanted one, and
+        the number of the block that it returns next."""
+        index = {edge: at for at, edge in enumerate(edges)}
+        # From the last copy backwards: the later it is, the less sound is encoded again.
+        for at in range(len(self._cutters) - 1, 0, -1):
+            starts, returned = self._cutters[at].uncut, self._cutters[at].returned > 0
+            last = index.get(starts[-1], -1)
+            first = last - len(starts) + 1
+            if 0 <= first <= wanted - returned and list(edges[first:last + 1]) == starts:
+                return at, first + returned
+        return 0, 0

@@ -32,7 +32,7 @@ from gesticulator.plan.plan_file import plan_from
 if TYPE_CHECKING:
     from data_module.types import Motion
     from gesticulator.bundle.bundle import Bundle
-    from gesticulator.directing.knobs import Shaping
+    from gesticulator.directing.shaping import Shaping
     from gesticulator.editing.render import PlanRenderer
     from gesticulator.gesticulator import Gesticulator
     from gesticulator.sampling.loop import GeneratedMotion

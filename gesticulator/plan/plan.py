@@ -17,7 +17,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, cast
 
 from msgspec import Meta
 
@@ -41,8 +41,7 @@ ENERGIES: Mapping[str, tuple[float, float]] = {"calm": (0.6, 0.6), "neutral": (1
 """Energy -> factors on intensity and activity. Calm: smaller gestures, in six tenths of the phrases."""
 
 Hand = Literal["left", "right", "both"]
-HANDS: tuple[Hand, ...] = get_args(Hand)
-"""Values of handedness, and hands of a gesture unit."""
+"""Hands of a gesture unit."""
 
 Flag = Literal["boundary", "onset", "loud_pseudo", "even_pseudo", "edited"]
 """Kinds of beats at which a block ends: the names of `BeatFlag`, and a beat that a user moved or added."""
@@ -123,10 +122,6 @@ class LexemeChoice:
     """Its name in `lexicon`."""
     score: float
     """Its score by the interpreter; `score_is` names the kind."""
-    prior: float | None = None
-    """Of the interpreter "advantage": its probability under the behaviour policy."""
-    advantage: float | None = None
-    """Of the interpreter "advantage": its expected reward above the mean, in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -174,11 +169,6 @@ class Block:
     """The score of its lexeme, as those of `alternatives`; null without scores."""
     rank: Annotated[int, Meta(ge=1, le=2**16)] | None = None
     """How many lexemes have a score as high as its lexeme, with itself; null without scores."""
-    chosen: dict[str, float] | None = None
-    """Of the interpreter "advantage": prior and advantage of the lexeme that was played."""
-    runner_up: dict[str, int | float] | None = None
-    """Of the interpreter "advantage": the best other lexeme (id), and by how much its advantage is higher
-    (worth_more)."""
 
 
 @dataclass(frozen=True)
@@ -214,8 +204,6 @@ class PlanKnobs:
     """A named pair of factors on intensity and activity."""
     activity: Share = 1.0
     """Share of the speaking time with gestures."""
-    handedness: Hand | None = None
-    """The hand whose lexemes are preferred; null for no preference."""
     hold_still: tuple[tuple[Seconds, Seconds], ...] = ()
     """Ranges (from, to) in which the hands rest, seconds."""
 
@@ -228,12 +216,6 @@ class PlanKnobs:
     def share(self) -> float:
         """Activity with the factor of the energy, 0 to 1."""
         return self.activity * ENERGIES[self.energy][1]
-
-    @property
-    def manner(self) -> tuple[float, Hand | None]:
-        """What blocks are generated with: share and handedness. Intensity and mirroring are applied afterwards, and
-        stillness concerns single blocks (`still_at`)."""
-        return self.share, self.handedness
 
     def still_at(self, start: float, end: float) -> tuple[tuple[float, float], ...]:
         """The parts of the range from start to end in which the hands should rest or go to rest."""
@@ -473,9 +455,9 @@ def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
     A block is replayed if its beats, lexeme, silence and random keys are those of the first generation, and the knobs
     that influence its generation are too, unless it is locked.
     """
-    # Handedness and activity change every block that is not locked; size and mirroring are applied afterwards.
+    # Activity changes every block that is not locked; size and mirroring are applied afterwards.
     edited = edited_themselves(plan)
-    if plan.knobs.manner == plan.drawn.knobs.manner:
+    if plan.knobs.share == plan.drawn.knobs.share:
         return edited
     return tuple([changed or not block.locked for changed, block in zip(edited, plan.blocks, strict=True)])
 
@@ -499,10 +481,10 @@ def edited_themselves(plan: GesturePlan) -> tuple[bool, ...]:
 
 
 def shapes(plan: GesturePlan) -> bool:
-    """Whether the plan may change the generated poses, by intensity, mirroring or handedness."""
+    """Whether the plan may change the generated poses, by intensity or mirroring."""
     # Most plans change no pose: then none of the arms' movements need to be remembered.
     knobs = plan.knobs
-    if knobs.size != 1.0 or knobs.handedness is not None or plan.curve("intensity"):
+    if knobs.size != 1.0 or plan.curve("intensity"):
         return True
     return any(block.intensity != 1.0 or block.mirror or (block.locked and knobs != plan.drawn.knobs)
                for block in plan.blocks)

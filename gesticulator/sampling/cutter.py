@@ -212,18 +212,17 @@ class BlockCutter:
         rest = np.concatenate(self._pending) if self._pending else np.zeros(0, np.float32)
         self._pending, self._waiting, self._ended = [], 0, True
         loudness, onsets = self._analyse(rest)
-        onsets += self._onsets.finish()
-        self._rises += [time for time, _ in onsets]
+        last = self._onsets.finish()
+        self._rises += [time for time, _ in last]
         self._quiet.add(self._start.finish().tolist())
         self._pauses.close()
         self._quiet.close()
         if not self._beats_given:
-            self._edges += self._beats.finish(onsets, loudness.silent.tolist(), self._processed / SAMPLE_RATE)
+            self._edges += self._beats.finish(onsets + last, loudness.silent.tolist(), self._processed / SAMPLE_RATE)
         return list(self._ready_blocks())
 
     def _tick(self, samples: Samples) -> list[SpeechBlock]:
         loudness, onsets = self._analyse(samples)
-        self._rises += [time for time, _ in onsets]
         if not self._beats_given:
             self._edges += self._beats.step(onsets, loudness.silent.tolist(), self._onsets.known_until,
                                             self._processed / SAMPLE_RATE)
@@ -239,7 +238,9 @@ class BlockCutter:
         self._voice.feed(loudness)
         self._pauses.add(loudness.silent.tolist())
         self._quiet.add(self._start.step(loudness.levels, loudness.silent).tolist())
-        return loudness, self._onsets.step(samples, loudness)
+        onsets = self._onsets.step(samples, loudness)
+        self._rises += [time for time, _ in onsets]
+        return loudness, onsets
 
     def _ready_blocks(self) -> Iterator[SpeechBlock]:
         """Cut and encode the blocks that are certain by now."""
@@ -277,17 +278,12 @@ class BlockCutter:
         # Pauses are known per frame of 10 ms; a block takes those that begin within it.
         first, last = frame_after(np.array([start, end])).tolist()
         silent = in_pause(self._pauses.between(first, min(last, self._frames) if ended else last))
+        begin, stop = (min(round(edge * SAMPLE_RATE), self._processed) - self._from for edge in (start, end))
+        pitch = None if self._pitch is None else self._pitch.block(
+            self._sound[begin:stop], SAMPLE_RATE, self._config.rhythm.frames)
         return _CutBlock(start, end, flag, self._stretched(start, end), silent,
                          self._quiet.at(frame_before(frames), ended), self._voice.block(end),
-                         np.array([time for time in self._rises if start - _SAME <= time <= end + _SAME]),
-                         self._pitch_of(start, end))
-
-    def _pitch_of(self, start: float, end: float) -> Array | None:
-        """[K] the block's pitch, if candidates are chosen by it."""
-        if self._pitch is None:
-            return None
-        first, last = (min(round(edge * SAMPLE_RATE), self._processed) - self._from for edge in (start, end))
-        return self._pitch.block(self._sound[first:last], SAMPLE_RATE, self._config.rhythm.frames)
+                         np.array([time for time in self._rises if start - _SAME <= time <= end + _SAME]), pitch)
 
     def _foreseen(self, block: _CutBlock) -> _CutBlock:
         """A guess of the next block: of the same length, with the sound so far, continued by its mirror image."""
@@ -321,10 +317,8 @@ class BlockCutter:
         tempo = tempo_column(durations, rhythm.beats.d_max, rhythm.frames)[1]
         low = np.concatenate([levels.low[0], tempo], axis=-1)
         high = low if levels.high is levels.low else np.concatenate([levels.high[0], tempo], axis=-1)
-        text = None
-        if self._words is not None:
-            text = np.concatenate([self._words.rows(part, rhythm.frames, rhythm.fps)
-                                   for part in (before, block, after)])
+        text = None if self._words is None else np.concatenate(
+            [self._words.rows(part, rhythm.frames, rhythm.fps) for part in (before, block, after)])
         return SpeechBlock(self._count, block.start, block.end, (three[0].duration, block.duration, three[2].duration),
                            (three[0].silent, block.silent, three[2].silent), low, high, text, block.quiet,
                            None if after is None else after.quiet, block.flag, onsets=block.onsets,
@@ -396,7 +390,7 @@ def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None,
     """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, its text too.
 
     blocks: cut the speech into these instead of detecting beats. cutters: receives a copy of the cutter before every
-    `CUTTER_EVERY` samples, from which parts can be cut again (`gesticulator.editing.recut`).
+    `CUTTER_EVERY` samples, from which parts can be cut again (`editing.render.Recutter`).
     """
     # Without words the audio-only models are used, which take no rows of text.
     read = words if speech.words is not None else None
@@ -406,12 +400,10 @@ def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None,
         cutter.cut_at([(float(edge), BeatFlag(int(flag)))
                        for edge, flag in zip(blocks.edges[1:], blocks.flags, strict=True)])
     parts: list[SpeechBlock] = []
-    if cutters is None:
-        parts += cutter.feed(speech.samples)
-    else:
-        for at in range(0, len(speech.samples), CUTTER_EVERY):
+    for at in range(0, len(speech.samples), CUTTER_EVERY):
+        if cutters is not None:
             cutters.append(cutter.fork())
-            parts += cutter.feed(speech.samples[at:at + CUTTER_EVERY])
+        parts += cutter.feed(speech.samples[at:at + CUTTER_EVERY])
     features = gathered([*parts, *cutter.finish()], config)
     return features if blocks is None else replace(features, blocks=blocks)
 
@@ -421,10 +413,10 @@ def gathered(parts: Sequence[SpeechBlock], config: Config) -> SpeechFeatures:
     edges: Array = np.array([*(block.start for block in parts), parts[-1].end])
     low = np.stack([block.low for block in parts])
     high = low if parts[0].high is parts[0].low else np.stack([block.high for block in parts])
-    text = None if parts[0].text is None else np.stack([block.text for block in parts if block.text is not None])
+    text, pitch = ([row for row in rows if row is not None] for rows in (
+        [block.text for block in parts], [block.pitch for block in parts]))
     blocks = Blocks(edges, np.array([block.flag for block in parts], np.int8),
                     np.array([block.silent[1] for block in parts]), config.rhythm.frames, config.rhythm.fps)
-    return SpeechFeatures(blocks, low, high, text, np.stack([block.quiet for block in parts]),
-                          tuple(block.onsets for block in parts),
-                          None if parts[0].pitch is None else np.stack([block.pitch for block in parts
-                                                                        if block.pitch is not None]))
+    return SpeechFeatures(blocks, low, high, np.stack(text) if text else None,
+                          np.stack([block.quiet for block in parts]), tuple(block.onsets for block in parts),
+                          np.stack(pitch) if pitch else None)

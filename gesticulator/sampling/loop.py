@@ -31,7 +31,7 @@ from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import Flags, Span, SpeechBlock, control_rows, representation_of
 from gesticulator.plan.plan import Block, BlockDraw, Flag, LexemeChoice
 from gesticulator.sampling.noise import Keys
-from interpreters.base import BlockFeatures, Explanation, Interpreter, select
+from interpreters.base import BlockFeatures, Interpreter, select
 
 if TYPE_CHECKING:
     from interpreters.planner import UnitDecision
@@ -80,7 +80,7 @@ class Request:
 
     control: rows [K, 2 F], or None. lexeme: the lexeme to show; None lets the interpreter choose. keys: of the noise
     and the choice of an edited block; None for those of the performance. still: [K] frames in which the hands are to
-    rest, or None. bias: [S] added to the interpreter's scores, or None. fast: sample at lower cost, if the system can.
+    rest, or None. fast: sample at lower cost, if the system can.
     """
 
     speech: SpeechBlock
@@ -88,7 +88,6 @@ class Request:
     lexeme: int | None = None
     keys: Keys | None = None
     still: Flags | None = None
-    bias: Scores | None = None
     fast: bool = False
 
 
@@ -308,8 +307,7 @@ def choose(setup: Setup, request: Request, scores: Scores, allowed: NDArray[np.i
         return request.lexeme
     # A variation has the lexemes of the first performance, unless the block was edited.
     keys = request.keys or Keys(setup.seed)
-    return select(scores if request.bias is None else scores + request.bias, allowed=allowed,
-                  temperature=setup.temperature,
+    return select(scores, allowed=allowed, temperature=setup.temperature,
                   noise=keys.gumbel(request.speech.keyed_at, len(scores)))
 
 
@@ -329,27 +327,15 @@ def shown(bundle: Bundle, rest: Rest | None, block: Tensor, offset: Tensor | Non
     return past, rest.alive(past[0].cpu().numpy()).astype(np.float32)
 
 
-def decided(speech: SpeechBlock, lexeme: int, scores: Scores, explanation: Explanation | None, keys: Keys,
-            gate: float = math.nan) -> Block:
-    """The block of a plan that records the choice of a lexeme.
-
-    scores: [S] of the interpreter; alternatives are ordered by score, equal ones by number. explanation: of the scores,
-    by interpreters that have one. gate: the gate's probability, NaN without a gate.
-    """
+def decided(speech: SpeechBlock, lexeme: int, scores: Scores, keys: Keys, gate: float = math.nan) -> Block:
+    """The block of a plan that records the choice of a lexeme. scores: [S] of the interpreter; alternatives are ordered
+    by score, equal ones by number; gate: the gate's probability, NaN without a gate."""
     # Stable, so equal scores come in the order of their numbers on every machine.
     best = np.argsort(-scores, kind="stable")[:BEST].tolist()
     draw = BlockDraw(keys.seed, keys.variation, speech.number)
     block = Block(speech.start, speech.end, lexeme, speech.silent[1], draw, cast(Flag, speech.flag.name.lower()),
-                  gate=None if math.isnan(gate) else gate)
-    if np.isfinite(scores[lexeme]):  # an edit may ask for a lexeme that the interpreter rules out
-        block = replace(block, score=float(scores[lexeme]), rank=int(np.sum(scores >= scores[lexeme])))
-    if explanation is None:
-        return replace(block, alternatives=tuple(LexemeChoice(n, "", float(scores[n])) for n in best))
-    lexemes = [*best, lexeme]
-    prior, advantage = np.exp(explanation.log_prior[lexemes]).tolist(), explanation.advantage[lexemes].tolist()
-    other = next((rank for rank, n in enumerate(best) if n != lexeme), 0)
-    return replace(
-        block, alternatives=tuple(LexemeChoice(n, "", float(scores[n]), prior[rank], advantage[rank])
-                                  for rank, n in enumerate(best)),
-        chosen={"prior": prior[-1], "advantage": advantage[-1]},
-        runner_up={"id": best[other], "worth_more": advantage[other] - advantage[-1]})
+                  gate=None if math.isnan(gate) else gate,
+                  alternatives=tuple(LexemeChoice(n, "", float(scores[n])) for n in best))
+    # An edit may ask for a lexeme that the interpreter rules out.
+    return replace(block, score=float(scores[lexeme]), rank=int(np.sum(scores >= scores[lexeme]))) \
+        if np.isfinite(scores[lexeme]) else block

@@ -148,13 +148,13 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     shift = None if offset is None else torch.cat([(state.past - state.generated)[0], offset])
     block, code, generator = state.generator.sampler.sample(
         state.generator, BlockToSample(speech, features, lexeme, unit, keys, shift, request.fast,
-                                       rest is not None and rest.rests_wholly, request.bias is not None),
+                                       rest is not None and rest.rests_wholly),
         state.generated)
 
     # 5. What is shown: rest, idle motion, and the offset that joins it to what was shown before.
     past, motion = shown(bundle, rest, block, offset)
     faded = state.offset is None or state.offset.over(speech.end)
-    record = decided(speech, lexeme, scores, setup.interpreter.explain(interpreter), keys, rested.probability)
+    record = decided(speech, lexeme, scores, keys, rested.probability)
     after = replace(state, lexeme=lexeme, past=past, generated=past if offset is None else past - offset,
                     interpreter=interpreter, unguided=unguided, generator=generator, gate=rested.gate, unit=unit,
                     rest=rest, until=speech.end, offset=None if faded else state.offset)
@@ -292,7 +292,8 @@ def set_out(bundle: Bundle, setup: Setup, state: State, speech: SpeechBlock) -> 
     return replace(state, offset=Offset(speech.start, past[-1] - first, velocity),
                    generated=first.expand_as(past)[None], lexeme=lexeme, interpreter=interpreter, unguided=interpreter,
                    planner=None if state.planner is None else state.planner.begins(),
-                   generator=state.generator.restarted(speech.start))
+                   # Without the blocks before, but for how long speech or silence has lasted.
+                   generator=replace(state.generator, lstm=None, past=None, base=None, set_out=speech.start))
 
 
 # --------------------------------------------------------------------------------------------------- the flow generator
@@ -329,7 +330,7 @@ _NEAREST = 1e-6
 class BlockToSample:
     """What one block is sampled for. keys: of its noise; shift: [2 K, D_m] what will be added to the past and to the
     block where they are shown, or None; fast: at lower cost; hidden: rest will take the block's place, so any motion
-    will do; biased: its lexeme was chosen with a bias, so that the arms should be seen to follow it."""
+    will do."""
 
     speech: SpeechBlock
     features: BlockFeatures
@@ -339,7 +340,6 @@ class BlockToSample:
     shift: Tensor | None = None
     fast: bool = False
     hidden: bool = False
-    biased: bool = False
 
 
 class _Style(NamedTuple):
@@ -364,10 +364,6 @@ class FlowState:
     place: Circumstances = field(default_factory=Circumstances)
     style: UnitStyleState | None = None
     set_out: float = 0.0
-
-    def restarted(self, time: float) -> FlowState:
-        """Without the blocks before, but for how long speech or silence has lasted; time: seconds."""
-        return replace(self, lstm=None, past=None, base=None, set_out=time)
 
 
 class FlowSampler:
@@ -426,7 +422,7 @@ class FlowSampler:
                 return only
         # What is requested of the hands can only be followed by a choice among different arms; otherwise all candidates
         # share the arms of the first. A choice of arms would turn every small change of sound into another gesture.
-        same = block.features.control is None and not block.biased
+        same = block.features.control is None
         noise = self._noise(block, CANDIDATES, code)
         coefficients, blocks = self._drawn(base, context, pull, steps, noise, same)
         motion = self._motion(past, blocks, block.shift)
