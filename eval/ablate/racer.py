@@ -241,11 +241,6 @@ def sampled(policy: ActorCritic, corpus: Corpus, rng: np.random.Generator) -> Ch
     return choose
 
 
-def epsilon_at(step: int, steps: int) -> float:
-    """How often the online row tries anything, at a step of so many."""
-    return max(LEAST_EPSILON, 1 - (1 - LEAST_EPSILON) * step / max(1.0, GREEDY_AT * steps))
-
-
 def offline(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
     """Conservative Q-learning, or what the settings leave of it, on the recorded episodes (RACER Eq. 11)."""
     episodes = rewarded(racer, config)
@@ -267,7 +262,8 @@ class Acting(ConservativeQ):
         if step % ACT_EVERY == 0:
             # Exploration falls with the steps, so late episodes are nearly what the policy itself would do.
             rng = np.random.default_rng([self._seed, step, 1])  # not the numbers that the step's batch is drawn with
-            epsilon = epsilon_at(step, self._config.schedules.cql.steps)
+            share = step / max(1.0, GREEDY_AT * self._config.schedules.cql.steps)
+            epsilon = max(LEAST_EPSILON, 1 - (1 - LEAST_EPSILON) * share)
             with without_dropout(self.online):
                 self._memory.add(self._simulator.collect(
                     epsilon_greedy(self.online, self._racer.corpus, epsilon, rng), rng,
@@ -308,5 +304,7 @@ def trained(racer: RacerRows, name: str, seed: int) -> Policy:
             fitting.fit(f"{name}, seed {seed}", model, fitting.Task(
                 make_batch, before_step=model.before_step), config.schedules.cql, Path(scratch),
                 fitting.FitOptions(seed=seed, checkpoint_seconds=float("inf"), progress=racer.context.progress))
-        racer._trained[name, seed] = freeze(model.online if isinstance(model, ConservativeQ) else model)
+        policy: Policy = model.online if isinstance(model, ConservativeQ) else model
+        freeze(policy)
+        racer._trained[name, seed] = policy
     return racer._trained[name, seed]
