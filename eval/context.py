@@ -144,6 +144,7 @@ class EvalContext:
 
     def numbers(self, split: str = "test", with_text: bool = False) -> list[int]:
         """Recordings of a split by their number in the corpus, `limit` at most; with_text: those that have words."""
+        # The first ones, so that a limited run is a part of the whole one.
         return self.corpus.recordings(split, with_text)[:self.limit]
 
     def loaded(self, number: int) -> Recording:

@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import torch
-from sklearn.cluster import KMeans
-from sklearn.decomposition import PCA
 
-from data_module.motion.movement import Pasts
 from eval import stats
 from eval.ablate.policy import Decisions, accuracy
 from eval.baselines.interpreters import Bigram, Majority
 from eval.context import EvalContext, provenance
 from eval.table import Cell, Column, Table, publish
-from gesticulator.training.stages.lexicon import BlockLexicon, lexicon_figures, movement_figures
+from gesticulator.training.stages.lexicon import lexicon_figures, movement_figures
 from interpreters.base import LexemeInterpreter
 from interpreters.lstm import LstmInterpreter
 from lexicon.movement import MovementLexicon
 
-FIT_BLOCKS = 20_000
-"""Blocks that PCA and k-means are fitted on: more changes their errors in the third digit."""
-FREQUENT, ALONE, PREDICTED = "always the most frequent lexeme", "the lexeme alone", "predicted from the past alone"
 Rows = dict[str, dict[str, Cell]]
 
 
@@ -44,6 +38,7 @@ def tables(arguments: argparse.Namespace) -> Sequence[Table]:
     """Reconstruction by the lexicon, and accuracy of the interpreters."""
     context = EvalContext.of(arguments)
     bundle = context.bundle
+    # By their own names: a row is what `--interpreter` plays.
     interpreters: dict[str, LexemeInterpreter] = {"lstm": bundle.interpreter}
     if bundle.interpreter_text is not None:
         interpreters["lstm with text"] = bundle.interpreter_text
@@ -56,60 +51,23 @@ def tables(arguments: argparse.Namespace) -> Sequence[Table]:
 # ------------------------------------------------------------------------------------------------------------ lexicon
 
 @torch.no_grad()
-def retold(lexicon: BlockLexicon, motion: torch.Tensor, past: Pasts, frequent: int
-           ) -> Iterator[tuple[str, torch.Tensor]]:
-    """Blocks [N, K, D_m] by what a lexicon keeps of them, and by the lexeme `frequent` throughout.
+def lexicon_table(context: EvalContext) -> Table:
+    """Use of the codes and errors of reconstruction on the test split, in normalised features squared.
 
     Movements are told from the true frames before each block: by their lexeme alone, and quantised, with the residual
     levels below it; "predicted" is what the body would do if nothing new came. Poses take no notice of the past.
     """
-    if isinstance(lexicon, MovementLexicon):
-        # A movement is an addition to what the body would do anyway, so all zeros is the prediction from the past.
-        true, always = lexicon.basis.coefficients(motion, past), torch.full((len(motion),), frequent)
-        for name, coefficients in (("unquantised", true), ("quantised", lexicon.quantised(true)),
-                                   (ALONE, lexicon.quantised(true, 0)), (FREQUENT, lexicon.added(always)),
-                                   (PREDICTED, torch.zeros_like(true))):
-            yield name, lexicon.basis.compose(coefficients, past)
-        return
-    latents = lexicon.latents(motion)
-    labels = lexicon.quantizer.labels(latents)
-    for name, codes in (("unquantised", latents), ("quantised", lexicon.vectors[labels]),
-                        (FREQUENT, lexicon.vectors[torch.full_like(labels, frequent)])):
-        yield name, torch.cat([lexicon.decode(part) for part in codes.split(4096)])
-
-
-def lexicon_table(context: EvalContext) -> Table:
-    """Use of the codes and errors of reconstruction on the test split, in normalised features squared.
-
-    PCA with as many components as a lexeme is wide, and k-means with as many means as there are lexemes, both fitted
-    on the training split, are what a linear method of the same size does without knowing what came before.
-    """
-    bundle, corpus = context.bundle, context.corpus
-    train = torch.as_tensor(corpus.select("train"))
+    lexicon, corpus = context.bundle.block_lexicon, context.corpus
     test = torch.as_tensor(np.concatenate([corpus.blocks_of(number) for number in context.numbers()]))
-    motion, past, lexicon = corpus.motion[test], corpus.pasts[test], bundle.block_lexicon
-    known, unknown = (corpus.motion[part].flatten(1).numpy().astype(np.float64) for part in (train, test))
-    few = known[np.random.default_rng(0).permutation(len(known))[:FIT_BLOCKS]]
-    # As many components as a lexeme is wide, but never more than the data can carry.
-    linear = PCA(min(bundle.vectors.shape[1], *few.shape), random_state=0).fit(few)
-    means = KMeans(min(bundle.config.lexicon.size, len(few)), n_init=3, random_state=0).fit(few)
-    errors = {"PCA": ((linear.inverse_transform(linear.transform(unknown)) - unknown) ** 2).mean(1),
-              "k-means": ((means.cluster_centers_[means.predict(unknown)] - unknown) ** 2).mean(1),
-              **{name: ((decoded - motion) ** 2).mean(dim=(1, 2)).numpy() for name, decoded in
-                 retold(lexicon, motion, past, int(bundle.frequencies.mean(axis=0).argmax()))}}
-    owner = corpus.recording[test.numpy()]
-    rows: Rows = {name: {"error": stats.mean_interval([error[owner == clip].mean() for clip in np.unique(owner)])}
-                  for name, error in errors.items()}
-    if isinstance(lexicon, MovementLexicon):
-        used, note = movement_figures(lexicon, motion, past), " Movements are decoded from the true frames before each."
-    else:
-        used, note = lexicon_figures(lexicon, motion), ""
-    variance = float(unknown.var(0).mean())
-    return Table("Reconstruction", {"error": Column("error, normalised features squared", digits=3, good="low")}, rows,
-                 "through", [f"Lexemes used on the test split: {100 * used['usage']:.0f} %; perplexity "
-                             f"{used['perplexity']:.1f}. Variance of the features: {variance:.3f}. Means "
-                             f"over recordings with bootstrap 95 % intervals.{note}"],
-                 {**used, "variance": variance})
+    motion = corpus.motion[test]
+    figures = (movement_figures(lexicon, motion, corpus.pasts[test]) if isinstance(lexicon, MovementLexicon) else
+               lexicon_figures(lexicon, motion))
+    # The variance is what always playing the mean pose would cost.
+    figures["variance"] = float(motion.double().var(0).mean())
+    used = (f"Lexemes used on the test split: {100 * figures.pop('usage'):.0f} %; perplexity "
+            f"{figures.pop('perplexity'):.1f}.")
+    return Table("Reconstruction", {"error": Column("error, normalised features squared", digits=3, good="low")},
+                 {name: {"error": error} for name, error in figures.items()}, "through", [used])
 
 
 # ------------------------------------------------------------------------------------------------ accuracy and motion

@@ -80,6 +80,7 @@ class ListeningGesticulator(Gesticulator):
 
     def assemble(self, assembler: Assembler, generated: GeneratedMotion) -> Performance:
         """The performance of generated blocks."""
+        # Rest and life are laid over the blocks later, and are no answer to a lexeme.
         self.drawn = generated.motion
         return super().assemble(assembler, generated)
 

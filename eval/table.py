@@ -48,6 +48,7 @@ class Provenance:
     machine: str
 
     def __post_init__(self) -> None:
+        # A figure without its command and commit cannot be made again.
         empty = [entry.name for entry in fields(self) if not getattr(self, entry.name).strip()]
         if empty:
             raise ValueError(f"a table needs its {', '.join(empty)}")
@@ -156,6 +157,7 @@ def shown_cell(cell: Cell, digits: int) -> str:
         return cell.text(digits)
     if isinstance(cell, float):
         return f"{cell:.{digits}f}" if math.isfinite(cell) else "-"
+    # Whole numbers are counts, which have no digits behind the point.
     return "-" if cell is None else str(cell)
 
 

@@ -280,7 +280,7 @@ def test_videos_that_cannot_be_used_are_one_line(tmp_path: Path, monkeypatch: py
                 packet.stream = stream
                 new.mux(packet)
     fast = (tmp_path / "whole.mov").read_bytes()
-    refused(put(tmp_path, "fast.mov", fast[:len(fast) // 2]), "is cut short", "of the 3.75 s")
+    refused(put(tmp_path, "fast.mov", fast[:len(fast) // 2]), "is cut short", "of the 4.00 s")
     monkeypatch.setitem(sys.modules, "av", None)
     refused(put(tmp_path, "a.mkv", whole), "PyAV", "pip install 'gesticulator[video]'")
 

@@ -44,11 +44,6 @@ def _same(found: Transcript, words: Words, ends: bool = True) -> None:
         np.testing.assert_allclose([word.end for word in found.words], [end for _, _, end in words], atol=1e-9)
 
 
-@pytest.mark.parametrize("name", TIMED)
-def test_words_and_times_of_each_recogniser(name: str, tmp_path: Path) -> None:
-    _same(_sample(tmp_path, name, SPOKEN), SPOKEN, name not in UNENDING)
-
-
 WORD = st.from_regex(r"[A-Za-z]{1,9}[a-z]", fullmatch=True)
 
 

@@ -30,8 +30,6 @@ PYAV = "pip install 'gesticulator[video]'"
 _OFFSET = 0.02
 # Late start, seconds, above which it is implausible and ignored.
 _MOST_OFFSET = 60.0
-# Seconds that may be missing at the end of a container, because of encoder padding and rounding.
-_CUT = 0.25
 
 
 @dataclass(frozen=True)
@@ -191,7 +189,7 @@ def container(raw: BinaryIO, kind: str, name: object) -> Iterator[Sound]:
         seconds = float(stream.duration * stream.time_base) if known else 0.0
         late = float(stream.start_time * stream.time_base) if stream.start_time and stream.time_base else 0.0
         late = late if _OFFSET < late < _MOST_OFFSET else 0.0
-        yield Sound(rate, max(0, round((seconds + late - _CUT) * rate)), _of_container(file, stream, rate, late))
+        yield Sound(rate, round((seconds + late) * rate), _of_container(file, stream, rate, late))
 
 
 def _of_container(file: Any, stream: Any, rate: int, late: float) -> Iterator[NDArray[np.float32]]:

@@ -137,7 +137,6 @@ def absent_figure(decoded: Sequence[Tensor], present: Tensor) -> Measured:
 def encode(bundle: Bundle, rendering: Rendering, speaker: int) -> NDArray[np.int64]:
     """[N] ranks of the requested lexemes: how many are nearer to each sampled block than the one that was requested."""
     lexicon = bundle.block_lexicon
-    # The blocks as the generator sampled them: rest and life are laid over later and are no answer to a lexeme.
     blocks, requested = torch.as_tensor(rendering.drawn), torch.as_tensor(rendering.lexemes)
     if isinstance(lexicon, Lexicon):
         return ranks_of(lexicon.quantizer.distances(lexicon.latents(blocks)), requested)

@@ -108,6 +108,7 @@ class ScoredClips:
     def of(cls, context: EvalContext, clips: ClipSet) -> ScoredClips:
         """Each speech is heard and cut once for all rows."""
         bundle = context.models
+        # A clip without speech keeps its place: all lists go by the same numbers.
         return cls(context, clips, *(list(each) for each in zip(*((
             None if speech is None else OnsetTrack.of(speech), None if speech is None else eye.hear(speech),
             None if speech is None or bundle is None else cut(speech, bundle.config.rhythm))
@@ -129,6 +130,7 @@ class ScoredClips:
         row = ScoreRow(name, kind, motions, [MotionBeats.of(motion) for motion in motions])
         speakers = self.clips.motions[TRUTH]
         truth = [speaker.crop(0, len(motion)) for motion, speaker in zip(motions, speakers, strict=True)]
+        # Each clip with a seed of its own: equal draws of chance would tie the clips to each other.
         _put(row, MOTION_METRICS, [
             clip_values(motion, second, beats, track, self.context.seed + k) for k, (motion, second, beats, track)
             in enumerate(zip(motions, truth, row.beats, self.tracks, strict=True))])
@@ -211,15 +213,14 @@ def row_figures(row: ScoreRow, truth: ScoreRow, context: EvalContext) -> dict[st
     figures = {name: Marked(value, reason=row.reasons.get(name, "" if math.isfinite(value.mean) else
                                                           f"{name} is not defined for these clips"))
                for name, value in out.items()}
-    return figures | {key: fgd_cell(fgd.measure(row.features[key], truth.features[key], network, paired=True,
-                                                seed=context.seed), row.kind == TRUTH)
-                      for key, network in context.networks.items()}
+    return figures | {key: fgd_cell(fgd.measure(row.features[key], truth.features[key], paired=True,
+                                                seed=context.seed), row.kind == TRUTH) for key in context.networks}
 
 
 def fgd_cell(figure: fgd.Figure, sure: bool = False) -> Marked:
     """A distance; (?) and why, where the sample is too small for it. sure: of the truth against itself."""
-    doubt = not sure and figure.verdict.startswith("no")
-    return Marked(figure.interval, "(?)" if doubt else "", figure.verdict if doubt else "")
+    doubt = "" if sure else figure.doubt
+    return Marked(figure.interval, "(?)" if doubt else "", doubt)
 
 
 def floor_figures(truth: ScoreRow, shared: ScoredClips) -> dict[str, Marked]:
@@ -232,9 +233,9 @@ def floor_figures(truth: ScoreRow, shared: ScoredClips) -> dict[str, Marked]:
     counts = [np.sum([speed_histogram(hand_speeds(truth.motions[k])) for k in half], axis=0) for half in halves]
     # Histograms are summed before they are compared: a mean of clips' distances is another figure.
     out = {"speed_distance": Marked(Interval.exact(hellinger(counts[0], counts[1]), min(map(len, halves))))}
-    for key, network in context.networks.items():
+    for key in context.networks:
         first, second = ([truth.features[key][k] for k in half] for half in halves)
-        out[key] = fgd_cell(fgd.measure(first, second, network, seed=context.seed))
+        out[key] = fgd_cell(fgd.measure(first, second, seed=context.seed))
     return out
 
 
@@ -271,26 +272,20 @@ def mismatches(rows: Sequence[ScoreRow], shared: ScoredClips) -> dict[str, dict[
 
 # ----------------------------------------------------------------------------------------------------------- flags
 
-def flags(rows: Mapping[str, ScoreRow], figures: Figures, metrics: Mapping[str, Metric], seed: int) -> list[Flag]:
-    """Which control beats what, by which metric.
-
-    A control beats a system when its value is no worse, but for rounding; the truth likewise, by a metric where more is
-    better; the floor when a distance between sets is no larger. It does not differ from the truth when the paired
-    interval of their difference holds 0.
-    """
-    listed_flags = []
-    systems = [row.name for row in rows.values() if row.kind == "system"]
+def flags(kinds: Mapping[str, str], figures: Figures, metrics: Mapping[str, Metric]) -> list[Flag]:
+    """Which control does no worse than what, by which metric: than a system, than the truth by a metric where more is
+    better, or than the floor of a distance between sets."""
+    found = []
     for name, metric in metrics.items():
-        for control in (row for row in rows.values() if row.kind == "control"):
-            says = _against_truth(name, metric, control, rows[TRUTH], figures, seed)
-            badness = _badness(metric, figures, name, control.name)
-            # Apart from rounding: files hold six digits.
-            equalled = [system for system in systems
-                        if not_worse(badness, _badness(metric, figures, name, system))]
-            says += [f"does no worse than {', '.join(equalled)}"] if equalled else []
-            if says and metric.good:
-                listed_flags.append(Flag(name, control.name, "; ".join(says)))
-    return listed_flags
+        rivals = [row for row, kind in kinds.items() if kind == "system" or (
+            # What is near the truth's cannot be nearer than the truth, and nothing is farther from itself.
+            row == {"high": TRUTH, "low": FLOOR}.get(metric.good))]
+        for control in (row for row, kind in kinds.items() if kind == "control" and metric.good):
+            badness = _badness(metric, figures, name, control)
+            beaten = [row for row in rivals if not_worse(badness, _badness(metric, figures, name, row))]
+            if beaten:
+                found.append(Flag(name, control, f"does no worse than {', '.join(beaten)}"))
+    return found
 
 
 def mean_of(figures: Figures, row: str, metric: str) -> float:
@@ -301,6 +296,7 @@ def mean_of(figures: Figures, row: str, metric: str) -> float:
 
 def not_worse(control: float, system: float) -> bool:
     """True if a control's badness is no larger than a system's, but for rounding; False for what is undefined."""
+    # Files hold six digits.
     return control <= system + SAME[0] + SAME[1] * max(abs(control), abs(system))
 
 
@@ -309,26 +305,6 @@ def _badness(metric: Metric, figures: Figures, name: str, row: str) -> float:
     if metric.good == "near":
         return abs(value - mean_of(figures, TRUTH, name))
     return -value if metric.good == "high" else value
-
-
-def _against_truth(name: str, metric: Metric, control: ScoreRow, truth: ScoreRow, figures: Figures, seed: int
-                   ) -> list[str]:
-    control_value, truth_value = mean_of(figures, control.name, name), mean_of(figures, TRUTH, name)
-    if not (math.isfinite(control_value) and math.isfinite(truth_value)):
-        return []
-    if metric.good == "low":
-        floor = mean_of(figures, FLOOR, name)
-        # What is no distance between sets has no floor.
-        if not control_value <= floor:
-            return []
-        return [f"is no farther than half of the truth from the other ({control_value:.3g}, {floor:.3g})"]
-    if metric.good == "high" and control_value >= truth_value:
-        return [f"beats the truth ({control_value:.3g}, {truth_value:.3g})"]
-    apart = (stats.paired(control.values[name], truth.values[name], seed=seed) if name in control.values
-             else stats.of_set(_less(control.sets[name], truth.sets[name]), len(truth.motions), seed=seed))
-    if apart.low <= 0.0 <= apart.high or control_value == truth_value:
-        return [f"does not differ from the truth ({control_value:.3g}, {truth_value:.3g})"]
-    return []
 
 
 def score(context: EvalContext, clips: ClipSet) -> Scores:
@@ -343,14 +319,15 @@ def score(context: EvalContext, clips: ClipSet) -> Scores:
     metrics = {**CLIP_METRICS, **EYE_METRICS, **SET_METRICS,
                **{key: replace(METRICS["fgd"], title=f"FGD, {key}") for key in context.networks}}
     systems = [row for row in rows.values() if row.kind == "system"]
+    kinds = {**{name: row.kind for name, row in rows.items()}, FLOOR: "floor"}
     # Differences are of systems alone: what a control differs by is said by its flags.
     return Scores(
         clips.names, round(clips.seconds, 2), clips.fps, metrics,
-        {**{name: row.kind for name, row in rows.items()}, FLOOR: "floor"}, figures,
+        kinds, figures,
         {f"{a.name} - {b.name}": differences(a, b, rows[TRUTH], context)
          for a, b in itertools.combinations(systems, 2)},
         mismatches(list(rows.values()), shared),
-        flags(rows, figures, metrics, seed), [*clips.notes, *notes])
+        flags(kinds, figures, metrics), [*clips.notes, *notes])
 
 
 # --------------------------------------------------------------------------------------------------------- command
@@ -364,6 +341,7 @@ def read_all(arguments: argparse.Namespace) -> tuple[dict[str, dict[str, Clip]],
     bundles = {name: bundle for name, place in systems.items() if (bundle := PlayedBundle.named(place))}
     places = {TRUTH: arguments.truth,
               **{name: Path(place) for name, place in systems.items() if name not in bundles}}
+    # Names before contents: thousands of files are not read for the few that all have.
     names, notes = shared_names({name: names_in(place, arguments.split) for name, place in places.items()})
     folders: dict[str, dict[str, Clip]] = {}
     for name, place in places.items():

@@ -75,6 +75,7 @@ def tables(scores: Scores) -> list[Table]:
         # The floor is of distances between sets; in the other parts its row would be empty.
         rows = {name: row for name, row in scores.figures.items() if part in ("sets", "fgd") or name != FLOOR}
         if metrics:
+            # The mark goes with the title, wherever a figure is quoted.
             columns = {name: Column(f"{metric.title}{' (!)' if name in flagged else ''}",
                                     f"{metric.unit}{', ' if metric.unit else ''}{_GOOD[metric.good]}", metric.digits,
                                     metric.good) for name, metric in metrics.items()}
