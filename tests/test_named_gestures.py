@@ -119,7 +119,7 @@ def test_the_apex_is_at_the_time_of_the_cue(name: str) -> None:
         part = draw.script.main if which == 0 else draw.script.other
         assert part is not None
         wrist = in_chest(motion, f"{side}Hand", f"{side}Arm")
-        key = part.apex
+        key = part.keys[1]
         along = np.array(key.fingers) / np.linalg.norm(key.fingers)
         wanted = (np.array(key.place) - part.point * along) * [1.0 if side == "Left" else -1.0, 1.0, 1.0]
         # Gestures that touch nothing are drawn a little elsewhere each time.

@@ -51,7 +51,7 @@ class Repeat:
 
 @dataclass(frozen=True)
 class HandPart:
-    """What one hand does. keys: the first where the stroke begins, one at time 0, the rest after it; point: metres from
+    """What one hand does. keys: where the stroke begins, at the apex, and after it; point: metres from
     the wrist along the fingers of the point that the places tell; touches: it meets the body or the other hand, so that
     its places are kept; lift: degrees by which the elbow is raised."""
 
@@ -60,11 +60,6 @@ class HandPart:
     repeat: Repeat | None = None
     touches: bool = False
     lift: float = 0.0
-
-    @property
-    def apex(self) -> HandKey:
-        """The pose at the apex."""
-        return next(key for key in self.keys if key.time == 0.0)
 
 
 @dataclass(frozen=True)

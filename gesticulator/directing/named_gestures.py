@@ -209,7 +209,7 @@ def _swings(part: HandPart) -> Array:
 
 def _points(part: HandPart, size: float) -> Array:
     """[K, 3] places of the keys in a size."""
-    apex = np.array(part.apex.place)
+    apex = np.array(part.keys[1].place)
     scaled = apex if part.touches else _HOME + (apex - _HOME) * (0.7 + 0.3 * size)
     return np.array([scaled + (np.array(key.place) - apex) * (0.5 + 0.5 * size) for key in part.keys])
 

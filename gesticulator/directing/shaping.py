@@ -62,17 +62,15 @@ LONGEST_GESTURE = 4.0
 _BROKEN_OFF = 1.2
 """Seconds in which a gesture ends that an interruption breaks off: so long the hands take to hang."""
 _TIME = attrgetter("time")
-MeantCues = Callable[[float], Sequence[TimedCue]]
-"""Gives the gestures that the words call for, or that are marked in them, and that begin up to a time."""
 
 
 class Shaping:
     """Applies intensity, mirroring and named gestures to generated poses [M, D_m] at rising seconds [M]."""
 
     def __init__(self, bundle: Bundle, options: InferenceOptions, speaker: int, words: Sequence[Word], edges: Array,
-                 meant: MeantCues | None = None) -> None:
+                 meant: Callable[[float], Sequence[TimedCue]] | None = None) -> None:
         """edges: [N + 1] seconds of the blocks; without a plan, the start and the end (infinity for a stream) are
-        enough. meant: called with the last of the seconds."""
+        enough. meant: gives the gestures that words call for, or that are marked, and that begin up to a time."""
         representation = representation_of(bundle.config)
         if representation.name != "rotations":
             raise InputError("intensity, energy, cues and plans", "need a bundle of joint rotations, and this "

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from bisect import bisect_left
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, cast
@@ -83,20 +83,6 @@ def _exact(time: float, before: float) -> float:
 
 # ------------------------------------------------------------------------------------------------------ the blocks
 
-_Cell = tuple[list[tuple[int, float, float]], list[tuple[int, float, float]]]
-"""Index, start and end, seconds, of the blocks of the first generation and of the plan between two common beats."""
-
-
-def _cells(plan: GesturePlan) -> Iterator[_Cell]:
-    drawn = plan.drawn.edges
-    # Numbers in files are rounded: the plan ends where its first generation does.
-    ends = (0.0, *(block.end for block in plan.blocks[:-1]), drawn[-1])
-    # Between two common beats the blocks of both are moved or dropped together, so that edits stay edits of what they
-    # were made to.
-    for start, end in pairwise(sorted(set(drawn) & set(ends))):
-        yield _inside(drawn, start, end), _inside(ends, start, end)
-
-
 def _inside(edges: Sequence[float], start: float, end: float) -> list[tuple[int, float, float]]:
     """Index, start and end of the blocks between two of their edges."""
     return [(at, edges[at], edges[at + 1]) for at in range(bisect_left(edges, start), bisect_left(edges, end))]
@@ -114,16 +100,21 @@ class _Cutter:
         self.drawn: list[_Piece] = []
         self.blocks: list[_Piece] = []
         self._cursor, end = 0.0, float(detected.edges[-1])
-        for cell in _cells(plan):
-            self._take(cell)
+        drawn = plan.drawn.edges
+        # Numbers in files are rounded: the plan ends where its first generation does.
+        ends = (0.0, *(block.end for block in plan.blocks[:-1]), drawn[-1])
+        # Between two common beats the blocks of both are moved or dropped together, so that edits stay edits of what
+        # they were made to.
+        for first, last in pairwise(sorted(set(drawn) & set(ends))):
+            self._take(_inside(drawn, first, last), _inside(ends, first, last))
         if end - self._cursor >= _CLOSEST or not self.drawn:
             self._fill(end)
         for pieces in (self.drawn, self.blocks):
             pieces[-1] = replace(pieces[-1], end=end)
 
-    def _take(self, cell: _Cell) -> None:
-        """Add the blocks of a cell, or nothing if one of them does not fit."""
-        drawn, planned = map(self._moved, cell, self._flags)
+    def _take(self, *cells: Sequence[tuple[int, float, float]]) -> None:
+        """Add the blocks of the first generation and of the plan between two beats, or none if one does not fit."""
+        drawn, planned = map(self._moved, cells, self._flags)
         if drawn is None or planned is None:
             return
         start = drawn[0].start

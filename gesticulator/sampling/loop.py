@@ -51,7 +51,7 @@ CONTIGUOUS = 1e-3
 
 @dataclass(frozen=True)
 class Setup:
-    """Everything about a performance that was resolved and checked once, before its first block. speaker: index.
+    """All about a performance that was resolved and checked once, before its first block. speaker: index.
     temperature: of the choice of lexemes, 0 takes the best. seed: of the random numbers; variation: selects other
     motion for the same lexemes. activity: share of the speaking time with gestures, 0 to 1. beta: of the interpreter,
     or None. text: words are read."""
