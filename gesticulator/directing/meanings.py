@@ -52,8 +52,7 @@ def chosen(calls: Sequence[Called], level: Level, begun: Sequence[Called] = (), 
            begin: float = 0.0) -> list[Called]:
     """The calls that are shown, in order of time. Left out are: a call under the level's score; one within the level's
     distance of a shown one or of `taken` (seconds of cues, which outrank it); a meaning that was shown within `AGAIN`
-    seconds; one with a better one within that distance after it; and one whose preparation would begin before `begin`.
-    begun: those shown before."""
+    seconds; one with a better one so near after it; one that would begin before `begin`. begun: those shown before."""
     # Cues of the user, marks and stillness come first; words fill what is left.
     good = [call for call in sorted(calls, key=lambda call: call.cue.time)
             if call.gesture.score >= level.score and call.cue.span[0] >= begin
