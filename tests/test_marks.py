@@ -266,16 +266,6 @@ def test_no_more_marks_may_wait_than_a_plan_may_have() -> None:
     marks.take([Word("[shrug]no", 200.0, 200.5)], 50.0)  # half of the earlier ones are over
 
 
-def test_streams_give_the_words_back_without_marks(system: Any) -> None:
-    stream = system.stream(RATE, text=True)
-    with pytest.warns(MarkWarning):
-        said = stream.add_words([Word("[shurg]", 0.0, 0.1), Word("so", 0.1, 0.3), Word("\N{SHRUG}no", 0.3, 0.5)])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", MarkWarning)
-        stream.add_words([Word("[shurg] and", 0.6, 0.7)])
-    assert said == (Word("so", 0.1, 0.3, ("shurg",)), Word("no", 0.3, 0.5, ("shrug",)))
-
-
 def _added(marked: np.ndarray, plain: np.ndarray) -> np.ndarray:
     """[T - 1] radians by which what a gesture adds to a joint changes from frame to frame, at most."""
     added = multiply(conjugate(plain), marked)

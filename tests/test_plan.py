@@ -190,7 +190,6 @@ def test_sections_stand_in_the_file_only_where_there_are_any_and_come_back_as_th
 @pytest.mark.parametrize(("section", "wrong", "told"), [
     ("units", (GestureUnit(0.1, 0.6, (GesturePhase("shrug", 0.0, 0.2),)),), "units\\[0\\].phases\\[0\\].kind"),  # type: ignore[arg-type]
     ("meanings", (PlanMeaning(0.4, 0.5, "size", certainty=1.5),), "<= 1.0"),
-    ("pins", (PosePin(0.5, "Head"),), "neither a rotation nor a position"),
     ("pins", (PosePin(0.5, "Head", (1.0, 1.0, 0.0, 0.0)),), "not a unit quaternion"),
     ("curves", (KnobCurve("intensity", (0.0, 1.0), (1.0,)),), "1 entries for 2 times"),
     ("curves", (KnobCurve("intensity", (1.0, 1.0), (1.0, 1.0)),), "do not rise"),
