@@ -36,7 +36,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--work", metavar="DIR",
                    help="work folder for finished stages, reused if it exists (default: BUNDLE.work)")
     p.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
-    p.add_argument("--threads", type=int, help="torch threads (default: all cores)")
+    p.add_argument("--threads", type=int, help="torch threads per process (default: all cores)")
     p.add_argument("--stage", metavar="STAGE", help="train this stage and those it needs, then stop")
     p.add_argument("--redo", action="append", default=[], metavar="STAGE", help="train this stage again")
     p.add_argument("--seed", type=int, help="random seed")
@@ -47,7 +47,8 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train; InputError for invalid arguments."""
-    threads = args.threads if args.threads is not None else os.cpu_count() or 1
+    machine = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # processes started here by torchrun
+    threads = args.threads if args.threads is not None else max(1, (os.cpu_count() or 1) // machine)
     for flag, value, least, most in (("--threads", threads, 1, MOST_THREADS), ("--seed", args.seed or 0, 0, 2**31 - 1)):
         if not least <= value <= most:
             raise InputError(f"{flag} {value}", "is out of range", f"choose {least} to {most}")
@@ -56,6 +57,7 @@ def run(args: argparse.Namespace) -> int:
     from data_module.build_report import doubts
     from data_module.store import Store
     from gesticulator.bundle.config import with_settings
+    from gesticulator.training.distributed import joined, rank
     from gesticulator.training.presets import preset
     from gesticulator.training.stages import STAGES, Run
     from gesticulator.training.stages.training import train
@@ -76,8 +78,11 @@ def run(args: argparse.Namespace) -> int:
     store = Store.open(args.data)
     for line in () if args.quiet else doubts(store):
         complain(f"{PROGRAM}: warning: {args.data}: {line}")
-    bundle = train(Run(config, store, work, args.device, not args.quiet, threads), out, args.redo, args.stage)
-    if bundle is not None:
+    with joined(args.device) as device:
+        silent = rank() > 0
+        run = Run(config, store, work, device, not args.quiet and not silent, threads * machine)
+        bundle = train(run, out, args.redo, args.stage)
+    if bundle is not None and not silent:
         hours = float(bundle.provenance["hours"]["train"])
         print(f"{out}: trained on {hours * 60:.0f} minutes of motion; use it with --bundle {out}")
         for stage, figures in bundle.figures.items() if args.verbose else ():

@@ -14,12 +14,13 @@ from data_module.files import lock, read_object, write_text
 from data_module.store import Store
 from gesticulator.bundle.bundle import Bundle, save
 from gesticulator.bundle.card import model_card
+from gesticulator.training import distributed
 from gesticulator.training.stages import BLOCKS, CORPUS, STAGES, Run, assemble, closure, wanted
 
 
 def train(run: Run, out: Path, redo: Sequence[str] = (), only: str | None = None) -> Bundle | None:
     """Run all unfinished stages and write the bundle; None if `only` is given: stop after this stage and those that it
-    needs. redo: stages to train again.
+    needs. redo: stages to train again. Several processes run it together (`gesticulator.training.distributed.joined`).
 
     InputError if settings and store do not match, or another training has locked the work folder.
     """
@@ -29,10 +30,13 @@ def train(run: Run, out: Path, redo: Sequence[str] = (), only: str | None = None
             raise InputError(f"--stage {only}", "is not part of these settings",
                              "see text, gate and front_end in --set")
         stages = [STAGES[only]]
-    with lock(run.work, "a training"):
-        claim(run.work, run.store)
-        for name in redo:
-            run.redo(STAGES[name])
+    with contextlib.ExitStack() as held:
+        with distributed.first():
+            if not distributed.rank():
+                held.enter_context(lock(run.work, "a training"))
+                claim(run.work, run.store)
+                for name in redo:
+                    run.redo(STAGES[name])
         run.get(BLOCKS)  # report problems of the store before hours of training
         plan = list(closure(stages, config))
         for place, stage in enumerate(plan):
@@ -43,7 +47,8 @@ def train(run: Run, out: Path, redo: Sequence[str] = (), only: str | None = None
         if only is not None:
             return None
         trained = assemble(run, provenance(run))
-        save(trained, out, model_card(trained))
+        if not distributed.rank():
+            save(trained, out, model_card(trained))
         return trained
 
 
