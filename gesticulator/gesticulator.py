@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -191,7 +192,7 @@ class Gesticulator:
                 states.append(state)
             if on_block is not None:
                 on_block(len(blocks), len(encoded))
-        generated = GeneratedMotion(encoded.blocks, blocks, loop.motion_of(self.bundle, setup, blocks))
+        generated = GeneratedMotion(encoded.blocks, blocks, self.bundle.system.motion_of(self.bundle, setup, blocks))
         performance = self.assemble(Assembler(self.bundle, speech, options, setup), generated)
         if not self.keeps_generations:
             return performance
@@ -209,7 +210,7 @@ class Gesticulator:
             return [Request(block, control) for block, control in parts]
         from gesticulator.directing.directions import Director
 
-        # Directions are resolved to block times once: cues, stillness and handedness.
+        # Directions are resolved to block times once: cues and stillness.
         director = Director(self.bundle, options, speech.words or (), float(encoded.blocks.edges[-1]))
         return [director.request(block, knots, control)
                 for (block, control), knots in zip(parts, times, strict=True)]
@@ -226,19 +227,20 @@ class Gesticulator:
         from gesticulator.directing import directions as directing
 
         assert options.plan is not None
-        report, notes = None, tuple[str, ...]()
+        retiming = None
         if options.retime:
-            from gesticulator.directing.cues import warn_of_losses
+            from gesticulator.directing.cues import OptionWarning
 
             moved = self.retimed(options.plan, speech, text=text)
-            report, notes = moved.report, moved.report.lines()[:1]
-            warn_of_losses(report.losses)
+            retiming = str(moved)
+            for line in moved.losses:
+                warnings.warn(OptionWarning(line), stacklevel=4)
             options = replace(options, plan=moved.plan, retime=False)
         options = directing.planned(options)
         assert options.plan is not None
         performance = self.render(directing.with_planned_words(_prepared(speech, options), options.plan), options,
                                   on_block=on_block)
-        return replace(performance, retiming=report).labelled("", notes or performance.notes)
+        return replace(performance, retiming=retiming).labelled("", (retiming,) if retiming else performance.notes)
 
     def render(self, speech: Speech, options: InferenceOptions, renderer: PlanRenderer | None = None,
                on_block: OnBlock | None = None) -> Performance:
@@ -265,10 +267,6 @@ class Gesticulator:
 
         plan = options.plan
         assert plan is not None
-        # A curve may pass through values that a bundle without a gate cannot follow.
-        for curve in plan.manner.curves:
-            for time in curve.times:
-                self.resolver.check_activity(plan.manner.share_at(time))
         return PlanRenderer(self.bundle, self._setup(speech, options), speech.samples,
                             partial(self.encode_speech, speech), plan, generation)
 
@@ -290,7 +288,7 @@ class Gesticulator:
         recording = replace(recording, words=None)
         words = None if text is None else words_of(self._with_words(recording, text, None)[0])
         if words is None and sound_hash(recording) == plan.sound.sha256:
-            return retiming.unchanged(plan)
+            return retiming.Retimed(plan, len(plan.blocks))
         draft = retiming.drafted(plan, recording, self.encode_speech(recording), words)
         # Blocks whose beats found no counterpart are decided anew by the models.
         if None not in draft.plan.drawn.lexemes:
@@ -337,8 +335,10 @@ class Gesticulator:
     def _stream(self, sample_rate: float, latency: str, text: bool, checked: InferenceOptions) -> Stream:
         from gesticulator.stream import Stream
 
-        cutter = partial(BlockCutter, self.bundle.config, self._front_end, self.word_encoder if text else None, latency)
-        return Stream(self.bundle, self.resolver.setup(checked, text), checked, cutter, sample_rate)
+        cutter = partial(BlockCutter, self.bundle.config, self._front_end, self.word_encoder if text else None)
+        stream = Stream(self.bundle, self.resolver.setup(checked, text), checked, cutter, sample_rate)
+        stream.latency = latency
+        return stream
 
 
 def _prepared(speech: Speech, options: InferenceOptions) -> Speech:

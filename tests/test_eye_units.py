@@ -68,10 +68,7 @@ def test_two_takes_differ_as_that_program_says(judge: ModuleType, take: tuple[Pa
     first, second = (common_body(bvh.read_bvh(tmp_path / f"{name}.bvh")) for name in "ab")
     ours = stability.difference(first, second)
     theirs = judge.same(*(judge.load(str(tmp_path / f"{name}.bvh")) for name in "ab"))
-    pairs = {"joints": "joints_cm", "hands": "hands_cm", "apart": "apart", "first": "first_s", "speed": "speed_r"}
-    for name, key in pairs.items():
-        value = math.nan if theirs[key] is None else theirs[key]
-        assert getattr(ours, name) == pytest.approx(value, rel=1e-5, abs=1e-5, nan_ok=True), name
+    assert ours.hands == pytest.approx(theirs["hands_cm"], rel=1e-5)
 
 
 # -------------------------------------------------------------------------------------------------- known answers
@@ -185,10 +182,18 @@ def test_a_hand_that_starts_before_the_voice_is_early_and_one_that_follows_is_no
     assert len(pooled.seconds) == 2 * len(first.seconds) and pooled.before == first.before
 
 
+def frozen_in_pauses(clip: Motion, quiet: NDArray[np.bool_]) -> Motion:
+    """A clip with its pose held through every silence, [F] at 100 Hz: a person prepares the next phrase there."""
+    # A clip may be a frame longer than its sound.
+    at = np.minimum((np.arange(len(clip)) / clip.fps * 100).astype(int), len(quiet) - 1)
+    last = np.maximum.accumulate(np.where(quiet[at], 0, np.arange(len(clip))))
+    return replace(clip, rotations=clip.rotations[last], root_positions=clip.root_positions[last])
+
+
 def test_motion_that_is_frozen_in_pauses_is_seen() -> None:
     motion, voice = wandering(60.0), voice_of(np.arange(6000) / 100 % 3.0 >= 2.0)
     free = units.figures(common_body(motion), voice)
-    frozen = units.figures(common_body(controls.frozen_in_pauses([motion], [voice.silent])[0]), voice)
+    frozen = units.figures(common_body(frozen_in_pauses(motion, voice.silent)), voice)
     assert free["eye_pause_moving"] > 60 > 15 > frozen["eye_pause_moving"]
     assert free["eye_pause_speed"] > 0.7 and frozen["eye_pause_speed"] < 0.3
 
@@ -199,12 +204,10 @@ def test_a_take_equals_itself_and_one_that_parts_for_good_does_not() -> None:
     motion = wandering(20.0)
     body = common_body(motion)
     same = stability.difference(body, body)
-    assert same.hands == same.apart == 0.0 and math.isnan(same.first)
-    assert same.speed == pytest.approx(1.0) and math.isnan(same.healed)
+    assert same.hands == 0.0 and math.isnan(same.healed)
     points = {name: place.copy() for name, place in body.points.items()}
     points["RightHand"][600:] += 0.1
     apart = stability.difference(body, replace(body, points=points))
-    assert apart.first == 10.0 and apart.apart == pytest.approx(50.0)
     assert apart.hands == pytest.approx(100 * 0.1 * math.sqrt(3) / 4) and apart.healed == 0.0
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -85,17 +86,12 @@ def _character(file: GltfFile) -> Character:
         return character
     inverse = _inverse_bind(file, place, matrices)
     # Matrices that are all equal hold no pose: the mesh is in the axes of its joints, wherever they rest.
-    bind, to_world = _bind(character, inverse, _mesh_nodes(file, place)) if inverse else (rest, np.eye(4))
+    meshes = [place[node] for node, entry in enumerate(nodes) if "mesh" in entry and "skin" in entry]
+    bind, to_world = _bind(character, inverse, meshes) if inverse else (rest, np.eye(4))
     moves = _to_world(file, place, matrices, bind, to_world)
     flesh, flesh_nodes = _flesh(file, place, moves)
-    return Character(**{**vars(character), "bind": bind, "space": turns_of(to_world), "flesh": flesh,
-                        "flesh_nodes": flesh_nodes, "skin": read_skin(file, place, moves)})
-
-
-def _mesh_nodes(file: GltfFile, place: Mapping[int, int]) -> list[int]:
-    """The nodes that carry skinned meshes, without repetition."""
-    nodes = file.rows("nodes")
-    return list(dict.fromkeys(place[node] for node, entry in enumerate(nodes) if "mesh" in entry and "skin" in entry))
+    return replace(character, bind=bind, space=turns_of(to_world), flesh=flesh, flesh_nodes=flesh_nodes,
+                   skin=read_skin(file, place, moves))
 
 
 def _parents_first(file: GltfFile, count: int, parent_of: Mapping[int, int]) -> list[int]:
@@ -146,7 +142,7 @@ def _inverse_matrices(file: GltfFile) -> dict[int, Array]:
         count = len(skin["joints"])
         matrices = np.tile(np.eye(4), (count, 1, 1))
         if "inverseBindMatrices" in skin:
-            numbers = file.array(skin["inverseBindMatrices"], most=count)
+            numbers = file.array(skin["inverseBindMatrices"], slice(count))
             if not (np.abs(numbers) <= FARTHEST).all():
                 raise InputError(file.path, "has inverse bind matrices that are not finite numbers", AGAIN)
             matrices[:len(numbers)] = numbers.reshape(-1, 4, 4).transpose(0, 2, 1)
@@ -288,7 +284,7 @@ def _flesh(file: GltfFile, place: Mapping[int, int], moves: Mapping[int, Array])
         if skin not in joints_of:
             joints_of[skin] = np.array([place[node] for node in file.rows("skins")[skin]["joints"]])
         joints = joints_of[skin]
-        where, which, weights = (file.array(attributes[name], first, step) for name in _SKINNED)
+        where, which, weights = (file.array(attributes[name], slice(first, None, step)) for name in _SKINNED)
         if where.shape[1] != 3 or which.shape != weights.shape or len(where) != len(which) or not which.shape[1]:
             raise InputError(file.path, "has a mesh whose positions, joints and weights do not match", AGAIN)
         most = np.take_along_axis(which, weights.argmax(axis=1)[:, None], axis=1)[:, 0]

@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from data_module.motion.skeletons import FINGERS, NAME_TABLES
+from data_module.motion.skeletons import FINGERS
 from data_module.types import Array
 from gesticulator.characters import shape
 from gesticulator.characters.mapping import ARM_PARTS, LACKS, LEG_PARTS, NEEDED, SIDES, SURE, RigMapping, ancestors
@@ -61,6 +61,10 @@ class Search:
     """[N, 3] positions in the bind pose, in the file's units and axes."""
     up: Array
     """[3] the up direction."""
+
+    def named(self, side: str, *parts: str) -> list[int]:
+        """The joints that are one of these parts on a side by their names."""
+        return [node for node, entry in enumerate(self.labels) if entry.side == side and entry.is_a(*parts)]
 
     @property
     def aids(self) -> frozenset[int]:
@@ -118,11 +122,10 @@ def _skeletons_mixed(character: Character, mapping: RigMapping) -> list[str]:
     """The names of the file's skeletons if the mapping has joints of two that stand beside one another, as the arms of
     a rider and the legs of the horse; else none."""
     skeletons = skeletons_of(character)
-    lines = {top: {top, *ancestors(character.parents, top)} for top in skeletons.values()}
-    used = {top for top in lines for node in mapping.joints.values()
-            if top in (node, *ancestors(character.parents, node))}
-    beside = any(first not in lines[second] and second not in lines[first]
-                 for first in used for second in used if first != second)
+    inside = {top: character.under([top]) for top in skeletons.values()}
+    used = [top for top, nodes in inside.items() if nodes[list(mapping.joints.values())].any()]
+    beside = any(not inside[first][second] and not inside[second][first] for first in used for second in used
+                 if first != second)
     return list(skeletons) if beside else []
 
 
@@ -145,7 +148,7 @@ def _from_vrm(character: Character) -> RigMapping:
     joints = _turned_round(Search(character, (), shape.bind_matrices(character)[:, :3, 3], up), joints, True, exchanged)
     missing = [name for name in NEEDED if name not in joints]
     doubts = (*exchanged, *((f"its VRM table lacks {', '.join(missing)}",) if missing else ()))
-    return RigMapping(joints, spine, neck, "vrm humanoid", 0.0 if missing else 1.0, doubts)
+    return RigMapping(joints, spine, neck, 0.0 if missing else 1.0, doubts)
 
 
 # ---------------------------------------------------------------------------------------------------- by all else
@@ -157,7 +160,7 @@ def _found(search: Search) -> RigMapping:
     sure: dict[str, float] = {}
     doubts: list[str] = []
     joints |= _legs_without_feet(search, ends)
-    for kind, parts, least in (("Hand", ARM_PARTS, 3), ("Foot", LEG_PARTS, 3)):
+    for kind, parts in (("Hand", ARM_PARTS), ("Foot", LEG_PARTS)):
         pair = [ends.get(side + kind) for side in SIDES]
         if pair[0] is None or pair[1] is None:
             doubts.append(f"its {'arms' if kind == 'Hand' else 'legs'} cannot be identified")
@@ -166,7 +169,7 @@ def _found(search: Search) -> RigMapping:
         top = search.meeting(pair[0], pair[1])
         for side, end in zip(SIDES, pair, strict=True):
             assert end is not None
-            chosen, how = _limb(search, _below(search, top, end), side, parts, least)
+            chosen, how = _limb(search, _below(search, top, end), side, parts)
             joints |= chosen
             sure |= how
     trunk = _trunk(search, joints, ends.get("Head"), doubts)
@@ -175,24 +178,18 @@ def _found(search: Search) -> RigMapping:
         joints, sure = {"Hips": hips, "Head": head, **joints}, {**sure, **how}
     else:  # not usable; joints known by name alone shorten the list of missing ones in the message
         spine = neck = ()
-        joints = {**_by_name_alone(search), **joints}
+        for name in NEEDED:
+            side = next((side for side in SIDES if name.startswith(side)), "")
+            nodes = search.named(side, name.removeprefix(side))
+            if len(nodes) == 1:
+                joints.setdefault(name, nodes[0])
     for side in SIDES:
         if side + "Hand" in joints:
             joints |= _fingers(search, side, joints[side + "Hand"])
     joints = _turned_round(search, joints, any(search.labels[node].side for name, node in ends.items()
                                                if name != "Head"), doubts)
     confidence = _confidence(search, joints, sure, doubts)
-    family = _family(search.character.names, [*joints.values(), *spine, *neck])
-    return RigMapping(joints, spine, neck, family, confidence, tuple(doubts))
-
-
-def _by_name_alone(search: Search) -> dict[str, int]:
-    """The joints of `NEEDED` for which exactly one node has the name."""
-    named: dict[str, list[int]] = {}
-    for node, entry in enumerate(search.labels):
-        if entry.parts and not entry.aid and not entry.tip:
-            named.setdefault(entry.side + entry.parts[0], []).append(node)
-    return {name: named[name][0] for name in NEEDED if len(named.get(name, ())) == 1}
+    return RigMapping(joints, spine, neck, confidence, tuple(doubts))
 
 
 def _legs_without_feet(search: Search, ends: Mapping[str, int]) -> dict[str, int]:
@@ -200,8 +197,7 @@ def _legs_without_feet(search: Search, ends: Mapping[str, int]) -> dict[str, int
     out: dict[str, int] = {}
     for side in SIDES:
         for part in ("UpLeg", "Leg"):
-            nodes = [node for node, entry in enumerate(search.labels) if entry.side == side and not entry.aid
-                     and not entry.tip and entry.parts[:1] == (part,)]
+            nodes = search.named(side, part)
             if len(nodes) != 1 or nodes[0] in ancestors(search.character.parents, ends.get(side + "Foot", -1)):
                 return {}
             out[side + part] = nodes[0]
@@ -211,38 +207,27 @@ def _legs_without_feet(search: Search, ends: Mapping[str, int]) -> dict[str, int
 def _ends(search: Search) -> dict[str, int]:
     """Hands, feet (or toes) and head: by name, else by the shape of the tree."""
     out: dict[str, int] = {}
+    parents = search.character.parents
     for side in SIDES:
         for kind, wanted in (("Hand", ("Hand",)), ("Foot", ("ToeBase", "Foot"))):
-            best: tuple[int, int, int] | None = None
-            for node, entry in enumerate(search.labels):
-                if entry.side != side or entry.tip or entry.aid or not entry.parts or entry.parts[0] not in wanted:
-                    continue
-                line = ancestors(search.character.parents, node)
-                limb = sum(bool(search.labels[above].parts) and search.labels[above].side == side for above in line)
-                size = sum(1 for other in search.character.parents if other == node)
+            def rank(node: int, side: str = side, kind: str = kind) -> tuple[int, int, int]:
                 # The hand nearest to the arm (a palm below it is not the hand), the farthest part of the foot.
-                rank = (limb if kind == "Foot" else min(limb, 3), size if kind == "Hand" else 0, -node)
-                if best is None or rank > best:
-                    best, out[side + kind] = rank, node
-    heads = [node for node, entry in enumerate(search.labels)
-             if entry.parts[:1] == ("Head",) and not entry.tip and not entry.aid]
+                limb = sum(bool(search.labels[above].parts) and search.labels[above].side == side
+                           for above in ancestors(search.character.parents, node))
+                return (limb, 0, -node) if kind == "Foot" else (min(limb, 3), parents.count(node), -node)
+
+            if nodes := search.named(side, *wanted):
+                out[side + kind] = max(nodes, key=rank)
+    heads = search.named("", "Head")
     if heads:
-        out["Head"] = min(heads, key=lambda node: (-_nearness(search, node, out),
-                                                   len(ancestors(search.character.parents, node)), node))
+        out["Head"] = min(heads, key=lambda node: (-_nearness(search, node, out), len(ancestors(parents, node)), node))
     # Names gave fewer than two hands, two feet and a head.
     if len(out) < 5:
         for name, node in _ends_by_shape(search).items():
-            if _ends_another(search, name, node, out):
-                continue
-            pair = name.replace("Left", "?").replace("Right", "?")
-            # Take both sides by the same method: one hand by name and the other by shape could be the same node.
-            if not any(known.replace("Left", "?").replace("Right", "?") == pair for known in out if known != name) \
-                    or pair == name:
-                out.setdefault(name, node)
-            elif name not in out and sum(known.endswith(pair[1:]) for known in out) == 1:
-                other = next(known for known in out if known.endswith(pair[1:]))
-                if out[other] != node:
-                    out[name] = node
+            # Not the same node for one hand by name and the other by shape.
+            taken = [out.get(side + kind) for side in SIDES for kind in ("Hand", "Foot") if name.endswith(kind)]
+            if name not in out and node not in taken and not _ends_another(search, name, node, out):
+                out[name] = node
     return out
 
 
@@ -263,8 +248,8 @@ def _ends_by_shape(search: Search) -> dict[str, int]:
     ends = shape.limb_ends(search.character, search.places, search.up, search.aids)
     named = {name: next((search.labels[above].side for above in (node, *ancestors(search.character.parents, node))
                          if search.labels[above].side), "") for name, node in ends.items()}
-    against = sum(bool(side) and not name.startswith(side) for name, side in named.items())
-    if against < 2 or against <= sum(bool(side) and name.startswith(side) for name, side in named.items()):
+    agree = [name.startswith(side) for name, side in named.items() if side]
+    if agree.count(False) < 2 or agree.count(False) <= agree.count(True):
         return ends
     return _exchanged(ends)
 
@@ -285,18 +270,13 @@ def _ends_another(search: Search, name: str, node: int, ends: Mapping[str, int])
 def _below(search: Search, top: int, end: int) -> list[int]:
     """The nodes of a limb from below the trunk to its end, and on to the toes."""
     path = search.path(top, end)
-    beyond = end
-    while True:
-        below = [node for node, parent in enumerate(search.character.parents) if parent == beyond]
-        toes = [node for node in below if search.labels[node].parts[:1] in (("ToeBase",), ("Foot",))
-                and not search.labels[node].tip and not search.labels[node].aid]
-        if len(toes) != 1:
-            return path[-_LONGEST_PATH:]
-        beyond = toes[0]
-        path.append(beyond)
+    while len(toes := [node for node, parent in enumerate(search.character.parents)
+                       if parent == path[-1] and search.labels[node].is_a("ToeBase", "Foot")]) == 1:
+        path += toes
+    return path[-_LONGEST_PATH:]
 
 
-def _limb(search: Search, path: Sequence[int], side: str, parts: Sequence[str], least: int
+def _limb(search: Search, path: Sequence[int], side: str, parts: Sequence[str]
           ) -> tuple[dict[str, int], dict[str, float]]:
     """The best choice of nodes on a path for the four parts of a limb, with the confidence of each.
 
@@ -414,11 +394,11 @@ def _distinct(search: Search, chain: Sequence[int]) -> list[int]:
 
 def _fingers(search: Search, side: str, hand: int) -> dict[str, int]:
     """The finger joints under a hand: by name, else by position."""
-    under = [node for node in range(len(search.character)) if hand in ancestors(search.character.parents, node)]
-    chains: dict[str, list[int]] = {}
-    for finger in FINGERS:
-        chains[finger] = [node for node in under if search.labels[node].finger == finger and not search.labels[node].tip
-                          and not search.labels[node].aid and search.labels[node].side in ("", side)]
+    chains: dict[str, list[int]] = {finger: [] for finger in FINGERS}
+    for node in map(int, np.flatnonzero(search.character.under([hand]))):
+        entry = search.labels[node]
+        if entry.finger and not entry.tip and not entry.aid and entry.side in ("", side):
+            chains[entry.finger].append(node)
     if not any(chains.values()):
         chains = shape.finger_chains(search.character, search.places, hand)
     out: dict[str, int] = {}
@@ -468,14 +448,6 @@ def _confidence(search: Search, joints: Mapping[str, int], sure: Mapping[str, fl
         doubts.append(f"{LACKS}{', '.join(name for name in NEEDED if name not in joints)}")
         return 0.0
     value = float(np.mean([sure[name] for name in sure if name in joints]))
-    for upper, lower in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("UpLeg", "Leg"), ("Leg", "Foot")):
-        both = [search.length(joints[side + upper], joints[side + lower]) for side in SIDES
-                if side + upper in joints and side + lower in joints]
-        # Bodies are symmetric: very different lengths show that a wrong node was chosen on one side.
-        if len(both) == 2 and min(both) < 0.7 * max(both):
-            doubts.append(f"the bone from {upper} to {lower} is {max(both) / max(min(both), 1e-9):.1f} times as long "
-                          "on one side as on the other")
-            value *= 0.7
     arm, trunk = (search.length(joints["LeftArm"], joints["LeftForeArm"]),
                   abs(float((search.places[joints["Head"]] - search.places[joints["Hips"]]) @ search.up)))
     # About a half in an adult; the range leaves room for stylised proportions.
@@ -483,18 +455,4 @@ def _confidence(search: Search, joints: Mapping[str, int], sure: Mapping[str, fl
         doubts.append(f"an upper arm is {arm / trunk:.2f} of the height from hips to head" if trunk > 0.1 * arm else
                       "its head is no higher than its hips")
         value *= 0.7
-    ahead = shape.feet_ahead(search.character, search.places, search.up, joints)
-    if ahead is not None and ahead < -0.3:
-        doubts.append("its toes point backwards, given the sides in its names")
-        value *= 0.7
     return value
-
-
-def _family(names: Sequence[str], used: Sequence[int]) -> str:
-    """The table of `NAME_TABLES` that contains nearly all of the used names, or ""."""
-    plain = {names[node].rsplit(":", 1)[-1].replace(" ", "_").lower() for node in used}
-    share = {family: len(plain & {name.lower() for name in table.values()}) / max(len(plain), 1)
-             for family, table in NAME_TABLES.items()}
-    # Nearly all, as tools add bones of their own to a known convention.
-    best = max(share, key=lambda family: share[family])
-    return best if share[best] >= 0.8 else ""

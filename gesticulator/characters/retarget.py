@@ -1,9 +1,8 @@
 """Retargeting: the motion of the default skeleton (the source) on the skeleton of any character (the target).
 
-What a viewer sees of a pose is where bones point and how they are rolled about themselves: an upper arm that points
-ahead, a palm that faces up. Each tool chooses the axes of its joints, the pose in which its rotations are zero, its
-units and its up axis, so copying rotations from one skeleton to another copies arbitrary conventions. This module
-copies geometry instead.
+Each tool chooses the axes of its joints, the pose in which its rotations are zero, its units and its up axis, so
+copying rotations from one skeleton to another copies arbitrary conventions. This module copies what a viewer sees:
+where bones point and how they are rolled about themselves.
 
 Each bone has a *frame*, three unit vectors with the same meaning on every body: the direction of the bone, and a
 direction across it (the palm's normal for hand, fingers and forearm; the axis of a bent hinge; for other bones the
@@ -13,18 +12,15 @@ source's bone has the world rotation R(t). Then the target's node must have the 
 
     G(t) = R(t) C,   C = F f^T                                                                                    (1)
 
-which aligns the two bones: G(t) f = R(t) F. One constant matrix per node is the whole of retargeting; the rest
-only expresses G(t) in the target's file. The local rotation is relative to the world rotation P(t) of the parent node,
+which aligns the two bones: G(t) f = R(t) F. The local rotation is relative to the world rotation P(t) of the parent
+node, so clavicles may be attached to the neck, thighs to the spine, and helper nodes may lie anywhere in between:
 
     q(t) = P(t)^-1 G(t)                                                                                           (2)
 
-so clavicles may be attached to the neck, thighs to the spine, and helper nodes may lie anywhere in between.
-
 Trunk and neck are chains with other numbers of joints: R(t) is interpolated along the source's, by the position between
 hips and chest (chest and head). The hips move scaled by the ratio of leg lengths, and two-bone inverse kinematics keeps
-each foot in place, which bends knees by fractions of a degree. Hands that would enter the trunk are led around it
-(`gesticulator.contacts.other_bodies`), and twist bones of the forearm share the roll of
-the hand (`gesticulator.characters.twist`).
+each foot in place. Hands are kept out of the trunk (`gesticulator.contacts.other_bodies`), and twist bones of the
+forearm share the roll of the hand (`gesticulator.characters.twist`).
 
 Letters: T frames, J joints of the source, N nodes of the target. World axes are those of the source (Y up, facing +Z,
 left +X, metres) unless stated otherwise.
@@ -66,16 +62,16 @@ class Retargeter:
     """
 
     def __init__(self, character: Character, mapping: RigMapping | None = None, *, contacts: bool = True,
-                 legs: bool | None = None) -> None:
-        """mapping: detected if None. contacts: keep hands out of the trunk.
+                 legs: bool = True) -> None:
+        """mapping: detected if None. contacts: keep hands out of the trunk. legs: False keeps hips and legs at rest (a
+        seated character).
 
-        legs: False keeps hips and legs at rest (a seated character), True makes the character stand; None: it stands
-        unless it sits in its file. `InputError` if the joints cannot be identified reliably, or if the moved
-        character is not sound (`gesticulator.characters.soundness`). Attributes: doubts, its oddities in words;
-        confidence, that of the mapping, or the share of the checks that found nothing if that is less.
+        `InputError` if the joints cannot be identified reliably, or if the moved character is not sound
+        (`gesticulator.characters.soundness`). Attributes: doubts, its oddities in words; confidence, that of the
+        mapping, or the share of the checks that found nothing if that is less.
         """
         from gesticulator.characters.joints import find_joints
-        from gesticulator.characters.soundness import require_sound
+        from gesticulator.characters.soundness import probe_motion, require_sound
 
         self.character = character
         self.mapping = mapping or find_joints(character)
@@ -83,9 +79,9 @@ class Retargeter:
         self.body: Body = measure(character, self.mapping)
         # If the feet are not below the legs in the tree, moving hips would tear the legs off them.
         whole = self.mapping.legs or "LeftUpLeg" not in self.mapping.joints
-        self.legs = whole and (not self.body.sits if legs is None else legs)
+        self.legs = whole and legs
         self.contacts = False  # contacts bend arms on purpose, which the checks would report
-        measured = require_sound(self)
+        measured = require_sound(self.body, self(probe_motion()), self.legs and self.mapping.legs)
         self.doubts = (*self.mapping.doubts, *measured.doubts)
         self.confidence = min(self.mapping.confidence, measured.share)
         self.contacts = contacts
@@ -220,7 +216,7 @@ def _between(a: Array, b: Array, share: float) -> Array:
 
 def retarget(motion: Motion, character: Character | str | os.PathLike[str],
              mapping: RigMapping | str | os.PathLike[str] | None = None, *, contacts: bool = True,
-             legs: bool | None = None) -> CharacterMotion:
+             legs: bool = True) -> CharacterMotion:
     """A motion on a character; see `Retargeter`.
 
     character: from `read_character`, or a file. mapping: a `RigMapping`, or a file written by `save_mapping`.
