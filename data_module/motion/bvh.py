@@ -250,23 +250,6 @@ def _compose(angles: Array, order: str) -> Array:
 def write_bvh(path: str | os.PathLike[str], motion: Motion, unit: float = CENTIMETRES) -> None:
     """Write a motion as BVH, atomically; rotations in the order ZXY, those of the arms in `_ORDERS_OF_ARMS`. unit:
     metres per unit of the file; its numbers have six decimals."""
-    head, rows = _written(motion, unit)
-    with new_file(path) as out:
-        out.write(head.encode())
-        # Straight into the file: the text of an hour is 300 MB.
-        np.savetxt(out, rows, fmt="%.6f")
-
-
-def bvh_text(motion: Motion, unit: float = CENTIMETRES) -> str:
-    """The file of `write_bvh` as text."""
-    head, rows = _written(motion, unit)
-    body = io.StringIO()
-    np.savetxt(body, rows, fmt="%.6f")
-    return head + body.getvalue()
-
-
-def _written(motion: Motion, unit: float) -> tuple[str, Array]:
-    """The lines up to the frames, and the numbers of the frames [T, C]."""
     skeleton = motion.skeleton if unit == 1.0 else skeletons.scaled_skeleton(motion.skeleton, 1.0 / unit)
     orders = [_order_of(name) for name in skeleton.names]
     turns = [tuple(f"{axis}rotation" for axis in order) for order in orders]
@@ -283,7 +266,10 @@ def _written(motion: Motion, unit: float) -> tuple[str, Array]:
     # Unwrapped angles are smooth in tools that interpolate the channels separately.
     angles = np.degrees(np.unwrap(euler, axis=0))
     values = np.concatenate([places, angles[:, written_order].reshape(len(motion), -1)], axis=1)
-    return head, values + 0.0  # adding 0 turns -0 into 0, which would be written with its sign
+    with new_file(path) as out:
+        out.write(head.encode())
+        # Straight into the file: the text of an hour is 300 MB. Adding 0 turns -0 into 0.
+        np.savetxt(out, values + 0.0, fmt="%.6f")
 
 
 def _order_of(joint: str) -> str:
