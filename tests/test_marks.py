@@ -71,13 +71,6 @@ def test_notes_of_sounds_and_marks_of_others_are_left_out_in_silence() -> None:
     assert marked_text('so [Music] then <mark name="line2"/>go [BLANK_AUDIO]') == ("so then go ", ())
 
 
-def test_tags_of_ssml_are_not_spoken() -> None:
-    text = '<speak>Well <break time="1s"/> <prosody rate="slow">no <mark name="gesture.shrug"/>idea</prosody></speak>'
-    plain, marks = marked_text(text)
-    assert plain.split() == ["Well", "no", "idea"] and [name for _, name in marks] == ["shrug"]
-    assert plain[marks[0][0]:].split()[0] == "idea"
-
-
 def test_a_mark_in_pieces() -> None:
     """Streams cut at spaces: "[thumbs up]" comes as two words, and a tag as three."""
     found, late = marked_words(["well", "[thumbs", "up]", "good", "<mark", 'name="gesture.shrug"', "/>then", "end",
@@ -110,15 +103,6 @@ def test_the_clients_package_finds_the_same_marks(pieces: list[str]) -> None:
     joined, marks = marked_text(text)
     assert [part for word, _ in found for part in word.split()] == joined.split()
     assert [name for _, named in found for name in named] + list(late) == [name for _, name in marks]
-
-
-def test_the_clients_package_estimates_times_without_the_marks() -> None:
-    marked = timed_words("Oh [shrug] I do <mark name='gesture.nod'/>not", 2.0, 0.1)
-    plain = timed_words("Oh I do not", 2.0, 0.1)
-    assert [times for word, *times in marked if without_marks(word).strip()] == [times for _, *times in plain]
-    assert [(word, start) for word, start, end in marked if start == end] == [
-        ("[shrug]", plain[1][1]), ("<mark name='gesture.nod'/>", plain[3][1])]
-    np.testing.assert_allclose([start for _, start, _ in plain], [2.0, 2.3, 2.5, 2.8])
 
 
 # ------------------------------------------------------------------------------------------------------- files

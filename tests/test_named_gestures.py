@@ -17,9 +17,9 @@ from gesticulator.body.clips import mirrored_motion
 from gesticulator.cli import main
 from gesticulator.contacts.columns import HEAD, TRUNK
 from gesticulator.contacts.limbs import MARGIN, pose_of
-from gesticulator.directing.gesture_phases import SCRIPTS, drawn_gesture, longest
+from gesticulator.directing.gesture_scripts import SCRIPTS
 from gesticulator.directing.hands import arm_turns, finger_turns, hand_rotation
-from gesticulator.directing.named_gestures import laid_over, span_of_gesture
+from gesticulator.directing.named_gestures import drawn_gesture, laid_over, longest, span_of_gesture
 from gesticulator.plan.gestures import ALIASES, GESTURES, REPERTOIRE, mark_of, near_gestures
 from gesticulator.plan.plan import GestureCue
 

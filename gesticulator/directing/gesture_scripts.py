@@ -129,8 +129,7 @@ def one_or_both(*pose: Any, **more: Any) -> tuple[GestureScript, GestureScript]:
 
 
 def in_turn(*pose: Any, **more: Any) -> GestureScript:
-    """A gesture in which both hands repeat the same movement, one half a cycle later: one hand is up where the other is
-    down. Arguments as of `one`."""
+    """A gesture in which both hands repeat the same movement, one half a cycle later; arguments as of `one`."""
     part, script = _parted(pose, more)
     assert part.repeat is not None
     return gesture(part, replace(part, repeat=replace(part.repeat, phase=part.repeat.phase + 0.5)), **script)

@@ -84,8 +84,7 @@ def _exact(time: float, before: float) -> float:
 # ------------------------------------------------------------------------------------------------------ the blocks
 
 _Cell = tuple[list[tuple[int, float, float]], list[tuple[int, float, float]]]
-"""The blocks between two beats that the first generation and the plan have in common: index, start and end, in seconds,
-of those of both."""
+"""Index, start and end, seconds, of the blocks of the first generation and of the plan between two common beats."""
 
 
 def _cells(plan: GesturePlan) -> Iterator[_Cell]:
@@ -179,11 +178,9 @@ class _Cutter:
 # ------------------------------------------------------------------------------------------------------ the plan
 
 def drafted(plan: GesturePlan, speech: Speech, features: SpeechFeatures, words: Sequence[PlanWord] | None) -> Retimed:
-    """The plan on a new sound, with blocks that are still to be decided (`decided`): their lexemes are None.
-
-    features: of the sound, cut at its beats; words: of a new transcript, or None. `InputError` for a plan without a
-    fingerprint, and if the sounds have too little speech in common.
-    """
+    """The plan on a new sound, with blocks that are still to be decided (`decided`): their lexemes are None. features:
+    of the sound, cut at its beats; words: of a new transcript, or None. `InputError` for a plan without a fingerprint,
+    and if the sounds have too little speech in common."""
     if plan.fingerprint is None:
         raise plan.error(("fingerprint",), "is missing, so the new sound cannot be compared with the old one",
                          "make a new plan")
@@ -197,7 +194,10 @@ def drafted(plan: GesturePlan, speech: Speech, features: SpeechFeatures, words: 
     drawn = _drawn(plan, cut.drawn, beats)
     # A new block has the random numbers of the generation's block that begins with it, as any other.
     numbers = dict(zip(drawn.edges, _numbers(drawn), strict=False))
-    blocks = tuple(_block(plan, piece, numbers.get(piece.start, 0)) for piece in cut.blocks)
+    blocks = tuple(
+        Block(piece.start, piece.end, None, piece.silent, BlockDraw(plan.seed, plan.variation, numbers[piece.start]),
+              piece.flag) if piece.source is None
+        else replace(plan.blocks[piece.source], start=piece.start, end=piece.end) for piece in cut.blocks)
     parts, losses = _sections(plan, beats, words, drawn.edges[-1])
     moved = replace(plan, **parts, drawn=drawn, blocks=blocks, source="plan",
                     sound=PlanSound("", speech.duration, speech.sample_rate, sound_hash(speech)),
@@ -212,8 +212,7 @@ def _numbers(drawn: DrawnBlocks) -> Sequence[int]:
 
 
 def _drawn(plan: GesturePlan, pieces: Sequence[_Piece], beats: BeatMap) -> DrawnBlocks:
-    """The first generation on the new sound. Blocks that are kept keep the numbers of their random keys; new ones get
-    numbers that no block has."""
+    """The first generation on the new sound: kept blocks with their numbers, new ones with numbers that none has."""
     old, known = plan.drawn, _numbers(plan.drawn)
     # Beyond all numbers in use: an undone edit may name one that no block has now.
     fresh = itertools.count(max(*known, *(block.draw.block for block in plan.blocks)) + 1)
@@ -226,12 +225,6 @@ def _drawn(plan: GesturePlan, pieces: Sequence[_Piece], beats: BeatMap) -> Drawn
                        tuple(piece.silent if piece.source is None else old.silent[piece.source] for piece in pieces),
                        lexemes, _knobs(old.knobs, beats), () if numbers == tuple(range(len(numbers))) else numbers,
                        () if keyed_at == starts else keyed_at)
-
-
-def _block(plan: GesturePlan, piece: _Piece, number: int) -> Block:
-    if piece.source is not None:
-        return replace(plan.blocks[piece.source], start=piece.start, end=piece.end)
-    return Block(piece.start, piece.end, None, piece.silent, BlockDraw(plan.seed, plan.variation, number), piece.flag)
 
 
 def decided(draft: GesturePlan, generated: Sequence[BlockMotion]) -> GesturePlan:
@@ -256,9 +249,7 @@ def _lost_edits(plan: GesturePlan, gone: Sequence[int]) -> list[str]:
 def _sections(plan: GesturePlan, beats: BeatMap, words: Sequence[PlanWord] | None, duration: float
                    ) -> tuple[dict[str, Any], list[str]]:
     """The parts of a plan with times, moved, for `dataclasses.replace`; and a line for each pin and cue that is lost.
-
-    words: those of a new transcript, or None to move the old ones; duration: seconds that the blocks will cover.
-    """
+    words: those of a new transcript, or None to move the old ones; duration: seconds that the blocks will cover."""
     # Words come first: cues at words are looked for among those that are left, or among the new ones.
     now = tuple(words) if words is not None else _spans(plan.words, beats, duration)
     cues, pins, losses = list[GestureCue](), [], []
