@@ -209,7 +209,7 @@ class Performer:
         played = play.perform(spoken, item.info.speaker, self._strokes, staging, self._rng(item.index, _PLAY),
                               item.info.split)
         info = replace(item.info, language=spoken.language,
-                       sources=tuple(sorted({stroke.clip.removesuffix("-mirrored") for stroke in played.strokes})))
+                       sources=tuple(sorted({planned.stroke.base for planned in played.strokes})))
         return Recording(info, replace(spoken.speech, speaker=info.speaker), played.motion, stands=True)
 
     def _speech_for_motion(self, item: Item) -> Recording:

@@ -122,13 +122,13 @@ def test_gestures_come_at_their_words_within_the_budget(strokes: StrokeSet) -> N
 
 def test_a_played_take_shows_its_pose_at_the_apex(strokes: StrokeSet) -> None:
     performance = played(_said(TALK), strokes, 2)
-    meant = [stroke for stroke in performance.strokes if stroke.clip.startswith(SCRIPTED) and stroke.hand != "none"]
+    meant = [p for p in performance.strokes if p.stroke.scripted and p.stroke.hand != "none"]
     assert len(meant) >= 2 and all(stroke.meaning in ("thumbs_up", "now_press", "point_ahead", "point_left")
                                    for stroke in meant)
     body = strokes.figures[PUPPET]
     assert strokes.repertoire is not None
     for stroke in meant:
-        outline = next(one for one in strokes.of(PUPPET) if one.clip == stroke.clip)
+        outline = next(one for one in strokes.of(PUPPET) if one.clip == stroke.stroke.clip)
         drawn = strokes.played(outline, PUPPET)
         for side in outline.sides:
             joints = list(body.arms[side][1:3])

@@ -11,7 +11,6 @@ from gesticulator_performer.chaining import chain, seam_ratio
 from gesticulator_performer.takes import HIPS, SKULL, SPINE, Library, MotionRange, RealTake
 from gesticulator_performer.torso import FPS, facing_positions
 
-from data_module.errors import InputError
 from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, FINGER_JOINTS, FINGERED
 from data_module.types import Array
@@ -96,17 +95,6 @@ def test_splits_by_take_hold_whoever_else_is_there() -> None:
     assert takes.split_of_takes(reversed([*many, *few])) == splits
 
 
-def test_a_manifest_without_takes_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"manifest\.csv"):
-        takes.load_takes(tmp_path)
-    (tmp_path / "manifest.csv").write_text("file,person\nx.bvh,ann\n")
-    with pytest.raises(InputError, match="licence"):
-        takes.load_takes(tmp_path)
-    (tmp_path / "manifest.csv").write_text("file,person,licence\nf_cheer_01.bvh,ann,MIT\n")
-    with pytest.raises(InputError, match="standing"):
-        takes.load_takes(tmp_path)
-
-
 def test_seams_of_a_chain_cannot_be_told_from_the_rest() -> None:
     lib = library(8)
     pieces = [take.logs for take in lib.takes]
@@ -123,15 +111,6 @@ def test_seams_of_a_chain_cannot_be_told_from_the_rest() -> None:
         cut = facing_positions(lib.rotations(hard))[:, list(takes.WRISTS)]
         assert seam_ratio(cut, out.edges) > 3.0
     assert max(ratios) < 1.35
-
-
-def test_a_chain_is_the_same_twice_and_needs_two_pieces() -> None:
-    pieces = [moving(8.0, k) for k in range(5)]
-    first, again, other = (chain(pieces, 20.0, np.random.default_rng(seed)) for seed in (1, 1, 2))
-    assert np.array_equal(first.logs, again.logs) and first.used == again.used
-    assert first.used != other.used or not np.array_equal(first.logs, other.logs)
-    with pytest.raises(ValueError, match="two"):
-        chain(pieces[:1], 20.0, np.random.default_rng(1))
 
 
 def test_takes_as_published_lose_their_turning(outside_data: Path) -> None:
