@@ -3,12 +3,12 @@
 Around the moment the motion keeps its manner: a difference is added to it, which rises and fades within `REACH`. With
 p(t) the path of a hand and g its place at the time b of the pin,
 
-    p'(t) = p(t) + w(t) (g - p(c(t))),   w = 6 s^5 - 15 s^4 + 10 s^3,   s = 1 - |t - b| / REACH
+    p'(t) = p(t) + w(t) (g - p(b)),   w = 6 s^5 - 15 s^4 + 10 s^3,   s = 1 - |t - b| / REACH
 
-where c(t) = b for a pin that is passed; a pin that holds has c(t) = t while it does, so that the hand is still, and c
-slows down to a stop within `STOPS` on both sides. Between two pins of a joint that are nearer than 2 REACH the
-difference goes from the one to the other. Hands are moved by turning the whole arm and then bending the elbow in its
-plane, the head by bending the spine while the gaze stays. Frames outside of the ranges are the same bit for bit.
+and with p(t) in place of p(b) for a pin that holds, so that the hand comes to a stop and is still while it does.
+Between two pins of a joint that are nearer than 2 REACH the difference goes from the one to the other. Hands are moved
+by turning the whole arm and then bending the elbow in its plane, the head by bending the spine while the gaze stays.
+Frames outside of the ranges are the same bit for bit.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
@@ -32,8 +31,6 @@ from gesticulator.plan.plan import GesturePlan, Place, PosePin
 
 REACH = 0.6
 """Seconds before and after a pin in which the motion differs: a hand half a metre off goes at 1.6 m/s more at most."""
-STOPS = 0.2
-"""Seconds in which a hand stops for a pin that holds: a gesture's hand of 1 m/s slows by 5 m/s^2."""
 STRETCHED, MOST_STRETCHED = 0.97, 0.995
 """Shares of an arm's length: up to the first a hand can be pinned; the second limits the way to a pin. An elbow that
 locks would jump."""
@@ -114,13 +111,12 @@ def _with_pins(motion: Motion, pins: Sequence[_Pin], error: Problem) -> Array:
 
 
 class _Course:
-    """How strongly the pins of a joint act in the frames of a motion: of each pin the share [T] and the frames c(t) [T]
-    if it holds, None for one that is passed."""
+    """How strongly the pins of a joint act in the frames of a motion: shares [T] of each pin, and share [T] of all."""
 
     def __init__(self, pins: Sequence[_Pin], motion: Motion) -> None:
         self.pins, frames = pins, np.arange(len(motion), dtype=np.float64)
-        self._acts: list[tuple[_Pin, Array, Array | None]] = []
-        fade, stop = (max(round(seconds * motion.fps), 1) for seconds in (REACH, STOPS))
+        self.shares: list[Array] = []
+        fade = max(round(REACH * motion.fps), 1)
         untils = [-math.inf, *(pin.until for pin in pins[:-1])]
         ats = [*(pin.at for pin in pins[1:]), math.inf]
         for pin, before, after in zip(pins, untils, ats, strict=True):
@@ -128,22 +124,18 @@ class _Course:
             rise, fall = (gap if gap < 2 * fade else fade for gap in (pin.at - before, after - pin.until))
             away = np.where(frames < pin.at, (pin.at - frames) / rise, np.maximum(frames - pin.until, 0.0) / fall)
             s = 1.0 - np.minimum(away, 1.0)
-            source = None if pin.until == pin.at else np.clip(
-                _stopped(frames, pin, min(stop, rise), min(stop, fall)), 0, len(frames) - 1)
-            self._acts.append((pin, s * s * s * (s * (6.0 * s - 15.0) + 10.0), source))
-        self.share = np.asarray(np.minimum(np.sum([share for _, share, _ in self._acts], axis=0), 1.0))
-        """[T] of all pins, 0 to 1."""
+            self.shares.append(s * s * s * (s * (6.0 * s - 15.0) + 10.0))
+        self.share = np.asarray(np.minimum(np.sum(self.shares, axis=0), 1.0))
 
-    def added(self, difference: Callable[[_Pin, Array | None], Array]) -> Array:
-        """[T, 3] the sum of the differences of the pins. difference: pin, its frames [T] or None -> the difference
-        [T, 3], or [3]."""
-        return np.asarray(np.sum([share[:, None] * difference(pin, source) for pin, share, source in self._acts],
-                                 axis=0))
+    def added(self, path: Array, difference: Callable[[_Pin, Array], Array]) -> Array:
+        """[T, 3] the sum of the differences of the pins from a path [T, D]; difference: of a pin from a part of it."""
+        # One that is passed differs from the path by as much as it does there: the motion keeps its manner.
+        return np.asarray(np.sum([share[:, None] * difference(pin, path if pin.until > pin.at else path[[pin.at]])
+                                  for pin, share in zip(self.pins, self.shares, strict=True)], axis=0))
 
 
 def _limits_hold(share: Array) -> Array:
-    """[T] nearly 1 where pins act by `share` [T], falling to 0 at the ends of their range: there the motion is as it
-    was."""
+    """[T] nearly 1 where pins act by `share` [T], falling to 0 at the ends of their range."""
     return np.asarray(1.0 - (1.0 - share) ** 4)
 
 
@@ -160,13 +152,7 @@ def _stopped(frames: Array, pin: _Pin, before: float, after: float) -> Array:
 
 def _moved(path: Array, course: _Course) -> Array:
     """[T, 3] the path of a joint through its pins."""
-    def difference(pin: _Pin, source: Array | None) -> Array:
-        position = np.array(pin.pin.position, dtype=np.float64)
-        if source is None:
-            return position - path[pin.at]
-        return position - CubicSpline(np.arange(len(path)), path)(source)
-
-    return path + course.added(difference)
+    return path + course.added(path, lambda pin, there: np.array(pin.pin.position, dtype=np.float64) - there)
 
 
 def _move_hand(motion: Motion, hand: int, course: _Course, error: Problem) -> None:
@@ -275,12 +261,11 @@ def _turn(motion: Motion, joint: int, course: _Course) -> None:
     """Turn a joint in the rotations of a motion."""
     path = motion.rotations[:, joint].copy()
 
-    def difference(pin: _Pin, source: Array | None) -> Array:
+    def difference(pin: _Pin, there: Array) -> Array:
         goal = rotation.normalise(np.array(pin.pin.rotation, dtype=np.float64))
-        there = path[pin.at] if source is None else rotation.interpolate(path, source)
         return rotation.to_exponential_map(rotation.multiply(rotation.conjugate(there), goal))
 
     near = np.flatnonzero(course.share)
-    turned = rotation.multiply(path, rotation.from_exponential_map(course.added(difference)))[near]
+    turned = rotation.multiply(path, rotation.from_exponential_map(course.added(path, difference)))[near]
     old = path[near]
     motion.rotations[near, joint] = np.where(np.sum(turned * old, axis=-1, keepdims=True) < 0.0, -turned, turned)

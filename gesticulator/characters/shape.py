@@ -77,8 +77,7 @@ def limb_ends(character: Character, places: Array, up: Array, aids: Collection[i
 
 
 def _across(leaves: Array, up: Array) -> Array | None:
-    """[3] the horizontal axis of the file along which the leaves are most symmetric (to the left of a character facing
-    along the other); None if nothing has any width."""
+    """[3] the horizontal axis of the file along which the leaves are most symmetric; None if nothing has any width."""
     names = [axis for axis in np.eye(3) if abs(axis @ up) < 0.5]
     best, best_axis = np.inf, None
     for axis in names:
@@ -97,8 +96,7 @@ def _across(leaves: Array, up: Array) -> Array | None:
 
 def head_above(character: Character, places: Array, up: Array, fork: int, taken: Iterable[int],
                aids: Collection[int] = ()) -> int | None:
-    """The head by position: on the path from the fork of the arms to the highest node above it. aids: nodes that are no
-    joints by name, such as those of ears and hair."""
+    """The head by position: on the path from the fork of the arms to the highest node above it that is no aid."""
     if fork < 0:
         return None
     below = _children(character)

@@ -63,8 +63,7 @@ Check = Iterator[tuple[bool, str, Remedy]]
 
 @dataclass(frozen=True)
 class Findings:
-    """Problems of a moved character. faults: (reason, remedy); doubts: reasons; share: of the checks that found
-    nothing."""
+    """Problems of a moved character. faults: (reason, remedy); share: of the checks that found nothing."""
 
     faults: tuple[tuple[str, Remedy], ...] = ()
     doubts: tuple[str, ...] = ()
@@ -91,8 +90,7 @@ def probe_motion() -> Motion:
 
 
 def require_sound(body: Body, moved: CharacterMotion, stands: bool) -> Findings:
-    """The findings for a sound character; `InputError` with the reason and the line of the mapping to correct, for a
-    fault. See `examine`."""
+    """`examine` of a sound character; for a fault `InputError` with the line of the mapping to correct."""
     findings = examine(body, moved, stands)
     if findings.faults:
         reason, remedy = findings.faults[0]

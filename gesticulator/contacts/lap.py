@@ -49,8 +49,7 @@ class Thigh:
     knee: Array
 
     def depth(self, points: Array) -> tuple[Array, Array]:
-        """[..., T] metres by which points [..., T, 3] are under the surface, negative above it, and [T, 3] the way
-        up."""
+        """[..., T] metres by which points [..., T, 3] are under the surface, and [T, 3] the way up."""
         bone = self.knee - self.hip
         length = np.linalg.norm(bone, axis=-1)
         along = bone / np.maximum(length, 1e-9)[..., None]
