@@ -7,7 +7,7 @@ p(t) the path of a hand and g its place at the time b of the pin,
 
 and with p(t) in place of p(b) for a pin that holds, so that the hand comes to a stop and is still while it does.
 Between two pins of a joint that are nearer than 2 REACH the difference goes from the one to the other. Hands are moved
-by turning the whole arm and then bending the elbow in its plane, the head by bending the spine while the gaze stays.
+by turning the whole arm and then bending the elbow in its plane, the head by leaning while the gaze stays.
 Frames outside of the ranges are the same bit for bit.
 """
 
@@ -37,13 +37,10 @@ locks would jump."""
 NEAREST, NEAR_SOFT = 0.15, 0.05
 """Smallest distance of a wrist from its shoulder, metres, and metres over which it is approached."""
 MOST_LEAN = math.radians(40.0)
-"""Largest bend of the spine that moves the head: people lean so far while they sit or stand and talk."""
+"""Largest lean that moves the head: people lean so far while they sit or stand and talk."""
 _HEAD_OFF, _CLEARS = 0.03, 0.025
 """Metres by which the head may miss its place, which lies on a curve about the hips; and by which a hand may be moved
 out of the body: one on the surface is moved by 0.0125."""
-_SPINE = ("Spine", "Spine1", "Spine2", "Spine3")
-_ITERATIONS, _GAIN = 10, 1.3
-"""Of the bend of the spine: the head turns about points that are a quarter nearer than the lowest joint."""
 Problem = Callable[[Place, str, str], InputError]
 """Makes the error of a place in the plan."""
 
@@ -212,49 +209,24 @@ def _clear(moved: Motion, share: Array, hands: Sequence[_Pin], error: Problem) -
 # ------------------------------------------------------------------------------------------------- head and rotations
 
 def _move_head(motion: Motion, head: int, course: _Course, error: Problem) -> None:
-    """Move the head in the rotations of a motion; see `MOST_LEAN`."""
+    """Move the head in the rotations of a motion by leaning from the lowest joint of the spine."""
     skeleton, pose = motion.skeleton, pose_of(motion)
-    spine = [skeleton.index(name) for name in _SPINE]
-    joints = [pose.places[name] for name in (*_SPINE, "Head")]
-    goal = _moved(joints[-1], course)
-    lean = _lean(joints, goal)
+    spine, neck = skeleton.index("Spine"), skeleton.parents[head]
+    low, path = pose.places["Spine"], pose.places["Head"]
+    goal = _moved(path, course)
+    lean = swing(path - low, goal - low)
+    off = np.linalg.norm(low + np.einsum("tij,tj->ti", lean, path - low) - goal, axis=-1)
+    angle = np.linalg.norm(Rotation.from_matrix(lean).as_rotvec(), axis=-1)
     for pin in course.pins:
         rows = slice(pin.at, pin.until + 1)
-        off = np.linalg.norm(_leant(joints, lean)[rows] - goal[rows], axis=-1).max()
-        if off > _HEAD_OFF or np.linalg.norm(lean[rows], axis=-1).max() > MOST_LEAN:
+        if off[rows].max() > _HEAD_OFF or angle[rows].max() > MOST_LEAN:
             raise error(("pins", pin.number, "position"), f"is out of the head's reach at {pin.pin.time:.2f} s: by "
-                        f"bending the spine it comes within {max(off, 0.01):.2f} m", "give a nearer place")
+                        f"leaning it comes within {max(off[rows].max(), 0.01):.2f} m", "give a nearer place")
     near = np.flatnonzero(course.share)
     turns = {skeleton.index(joint): turn[near] for joint, turn in pose.turns.items()}
-    for at, joint in enumerate(spine):
-        turns[joint] = _part(lean[near], at, len(spine)) @ turns[joint]
-    # The neck follows the last joint of the spine, and the head keeps its turn in the world.
-    neck = skeleton.parents[head]
-    turns[neck] = _part(lean[near], len(spine) - 1, len(spine)) @ turns[neck]
-    write_turns(motion.rotations, skeleton, turns, (*spine, head), near)
-
-
-def _part(lean: Array, at: int, count: int) -> Array:
-    """[T, 3, 3] the turn of the joint `at` of a spine of `count` joints that leans by [T, 3] as a whole."""
-    return np.asarray(Rotation.from_rotvec(lean * ((at + 1.0) / count)).as_matrix())
-
-
-def _leant(joints: Sequence[Array], lean: Array) -> Array:
-    """[T, 3] the place of the head. joints: [T, 3] places of the spine's joints and of the head."""
-    place, count = joints[0], len(joints) - 1
-    for at, (low, high) in enumerate(zip(joints, joints[1:], strict=False)):
-        place = place + np.einsum("tij,tj->ti", _part(lean, at, count), high - low)
-    return np.asarray(place)
-
-
-def _lean(joints: Sequence[Array], goal: Array) -> Array:
-    """[T, 3] axis times angle of the bend of the spine that brings the head nearest to its goal [T, 3]."""
-    lean = np.zeros_like(goal)
-    for _ in range(_ITERATIONS):
-        # A fixed-point iteration: each turn is by what is lacking, and more, since the spine turns about nearer points.
-        off = swing(_leant(joints, lean) - joints[0], goal - joints[0])
-        lean = lean + _GAIN * Rotation.from_matrix(off).as_rotvec()
-    return lean
+    # The neck follows the spine, and the head keeps its turn in the world.
+    turns[spine], turns[neck] = lean[near] @ turns[spine], lean[near] @ turns[neck]
+    write_turns(motion.rotations, skeleton, turns, (spine, head), near)
 
 
 def _turn(motion: Motion, joint: int, course: _Course) -> None:

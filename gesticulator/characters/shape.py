@@ -113,10 +113,8 @@ def head_above(character: Character, places: Array, up: Array, fork: int, taken:
 
 
 def finger_chains(character: Character, places: Array, hand: int) -> dict[str, list[int]]:
-    """Finger -> the nodes of its chain, for a hand with five chains of at least two nodes.
-
-    The thumb is the chain that points away from the others; the rest are ordered side by side from it.
-    """
+    """Finger -> the nodes of its chain, for a hand with five chains of at least two nodes. The thumb is the chain that
+    points away from the others."""
     below = _children(character)
     chains = []
     for base in below[hand]:
@@ -131,16 +129,10 @@ def finger_chains(character: Character, places: Array, hand: int) -> dict[str, l
     ways = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
     # The thumb deviates most from the median direction of the chains.
     thumb = int(np.argmin(ways @ np.median(ways, axis=0)))
-    rest = [place for place in range(5) if place != thumb]
-    bases = np.array([places[chains[place][0]] for place in rest])
-    # The line of the knuckles: the direction in which they spread most.
-    spread = np.linalg.svd(bases - bases.mean(axis=0))[2][0]
-    order = np.argsort((bases - places[chains[thumb][0]]) @ spread)
-    if np.linalg.norm(bases[order[0]] - places[chains[thumb][0]]) > np.linalg.norm(
-            bases[order[-1]] - places[chains[thumb][0]]):
-        order = order[::-1]
-    ordered = [thumb, *(rest[int(place)] for place in order)]
-    return {finger: chains[place][:4] for finger, place in zip(FINGERS, ordered, strict=True)}
+    # From the thumb, the knuckles are farther and farther.
+    bases = np.array([places[chain[0]] for chain in chains])
+    order = np.argsort(np.linalg.norm(bases - bases[thumb], axis=1))
+    return {finger: chains[place][:4] for finger, place in zip(FINGERS, order, strict=True)}
 
 
 def feet_ahead(character: Character, places: Array, up: Array, joints: Mapping[str, int]) -> float | None:
