@@ -97,5 +97,5 @@ def _seat() -> tuple[tuple[Array, Array], ...]:
     ends = []
     for side, out in zip(SIDES, (SEAT_SPREAD, -SEAT_SPREAD), strict=True):
         hip, bone = (WHOLE_BODY.offsets[WHOLE_BODY.index(side + part)] for part in ("UpLeg", "Leg"))
-        ends.append((hip, hip + Rotation.from_euler("yx", [out, -90.0], degrees=True).apply(bone)))
+        ends.append((hip, hip + Rotation.from_euler("YX", [out, -90.0], degrees=True).apply(bone)))
     return tuple(ends)
