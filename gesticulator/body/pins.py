@@ -136,15 +136,6 @@ def _limits_hold(share: Array) -> Array:
     return np.asarray(1.0 - (1.0 - share) ** 4)
 
 
-def _stopped(frames: Array, pin: _Pin, before: float, after: float) -> Array:
-    """[T] the frames c(t) of a pin that holds; before, after: frames in which it slows down and sets off."""
-    rise = np.clip((frames - pin.at) / before + 1.0, 0.0, 1.0)
-    fall = np.clip((pin.until - frames) / after + 1.0, 0.0, 1.0)
-    early = pin.at - before / 2.0 * (1.0 - rise ** 2)
-    late = pin.until + after / 2.0 * (1.0 - fall ** 2)
-    return np.where(frames < pin.at, early, np.where(frames > pin.until, late, frames))
-
-
 # ----------------------------------------------------------------------------------------------------------- hands
 
 def _moved(path: Array, course: _Course) -> Array:
