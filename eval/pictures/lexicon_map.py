@@ -8,8 +8,8 @@ latents themselves.
 `lexemes.png`, a contact sheet: the most used lexemes as the decoder makes them, each at its start, middle and end, with
 what the hands do in words (a movement begins where the training block nearest to it began). `lexicon.csv` has a row for
 each lexeme: whether it is silent, how often it occurs and how often each performer uses it, how fast the hands are, and
-how much of it lies in pauses. `gesticulator bundle silent` changes which lexemes are silent. What fools it: the decoder
-alone has never been made to move smoothly, so a decoded lexeme may tremble where the block did not.
+how much of it lies in pauses. What fools it: the decoder alone has never been made to move smoothly, so a decoded
+lexeme may tremble where the block did not.
 """
 
 from __future__ import annotations

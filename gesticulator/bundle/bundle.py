@@ -1,17 +1,17 @@
 """A bundle: one folder with everything that inference needs.
 
 `bundle.json` (format, versions, settings, skeleton, data fingerprint and licence, figures, SHA-256 of every file),
-`MODEL_CARD.md` and `*.safetensors` in half precision. It is written to a temporary folder, synced and renamed. An
-unknown format, a different skeleton, a file with a wrong hash and an unlisted file of weights are rejected with the
-name of the file. Each model is loaded when it is first used, so generating one gesture reads no reward model; its
-tensor shapes are compared with the settings before memory is allocated.
+`MODEL_CARD.md` and `*.safetensors` in half precision. An unknown format, a different skeleton, a file with a wrong
+hash and an unlisted file of weights are rejected with the name of the file. Each model is loaded when it is first used,
+so generating one gesture reads no reward model; its tensor shapes are compared with the settings before memory is
+allocated.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, cast
 
@@ -23,6 +23,7 @@ from torch import Tensor, nn
 
 from data_module.controls import Levels
 from data_module.errors import InputError
+from data_module.motion.skeletons import CHARACTERS
 from gesticulator.bundle.config import Config, from_dict, to_dict
 from gesticulator.bundle.features import Normaliser, Sizes, Statistics, representation_of
 from gesticulator.bundle.files import (
@@ -37,7 +38,7 @@ from gesticulator.bundle.files import (
     replace_folder,
     write_index,
 )
-from gesticulator.bundle.models import JUDGES, changed_parts, part_table, stored_parts
+from gesticulator.bundle.models import JUDGES, LazyParts, part_table, stored_parts
 from gesticulator.systems import System, system_of
 from interpreters import INTERPRETERS, entries
 from interpreters.base import InterpreterParts, opened
@@ -165,7 +166,9 @@ class Bundle:
 
     def with_parts(self, **changes: nn.Module | None) -> Bundle:
         """A copy with other parts; None removes one. Parts that are not loaded yet stay so."""
-        return replace(self, parts=changed_parts(self.parts, changes))
+        others = {name: partial(self.parts.__getitem__, name) for name in self.parts if name not in changes}
+        given = {name: module for name, module in changes.items() if module is not None}
+        return replace(self, parts=LazyParts({**others, **given}))
 
     @property
     def block_lexicon(self) -> BlockLexicon:
@@ -288,7 +291,7 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
             save_file(_half(module), folder / f"{part.file}{ENDING}", tied)
         save_file(statistics_tensors(bundle), folder / f"{_STATISTICS}{ENDING}")
         (folder / CARD).write_text(card, encoding="utf-8")
-        write_index(folder, {
+        write_index(folder, CHARACTERS[bundle.config.motion.joints], {
             "config": to_dict(bundle.config), "speakers": list(bundle.speakers),
             "silent_lexemes": bundle.silent.tolist(), "lexicon_hash": lexicon_hash(bundle.vectors),
             "text": {"encoder": bundle.text.encoder, "width": bundle.text.width} if bundle.text else None,
@@ -310,9 +313,12 @@ def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
     The settings, the statistics and the codebook are read at once; each model when it is first used, which may raise
     InputError as well. device: where the models are put, such as "cuda".
     """
-    folder, device = Path(path), _usable(device)
+    folder, device = Path(path), torch.device(device)
     index = read_index(folder)
     config = from_dict(Config, index["config"])
+    # Joints in another order would move the wrong limbs.
+    if index["skeleton"].get("names") != list(CHARACTERS[config.motion.joints].names):
+        raise InputError(folder / INDEX, "was trained on another skeleton", "train it again")
     weights = Weights(folder, index["files"])
     table = part_table()
     # Which parts are optional depends on the settings; the others must be there.
@@ -320,7 +326,7 @@ def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
     if lacking:
         raise InputError(folder, f"lacks {', '.join(lacking)}", "copy the bundle again")
     # Before any weights: the width of word vectors decides shapes of the interpreters.
-    text = _text_source(folder, index["text"])
+    text = None if index["text"] is None else TextSource(**index["text"])
     speakers, silent = tuple(index["speakers"]), np.array(index["silent_lexemes"], dtype=np.int64)
     statistics, tensors = _statistics(folder, weights, config, speakers)
     sizes = Sizes(config, representation_of(config).width, len(statistics.low.mean), len(statistics.high.mean),
@@ -336,18 +342,6 @@ def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
                   text)
 
 
-def _usable(device: str | torch.device) -> torch.device:
-    """The torch device; `InputError` if torch does not know it or cannot use it here."""
-    try:
-        # A tensor is made, because torch accepts names of devices that are not there.
-        usable = torch.device(device)
-        torch.empty(1, device=usable)
-    except (RuntimeError, AssertionError) as error:
-        raise InputError(f"device {device}", f"cannot be used ({str(error).splitlines()[0]})",
-                         'choose "cpu", or "cuda" where torch finds a GPU') from None
-    return usable
-
-
 def _codebook(folder: Path, weights: Weights, config: Config) -> Tensor:
     """[S, D_s] the vectors of the lexemes, from the file of the lexicon."""
     system, name = system_of(config), part_table()["lexicon"].file
@@ -357,16 +351,6 @@ def _codebook(folder: Path, weights: Weights, config: Config) -> Tensor:
                          f"{None if vectors is None else tuple(vectors.shape)} instead of "
                          f"{system.codebook_shape(config)})", "train it again")
     return vectors
-
-
-def _text_source(folder: Path, entry: dict[str, Any] | None) -> TextSource | None:
-    if entry is None:
-        return None
-    encoder, width = entry.get("encoder"), entry.get("width")
-    if set(entry) != {"encoder", "width"} or not isinstance(encoder, str) or type(width) is not int \
-            or not 0 < width <= 2**16:
-        raise InputError(folder / INDEX, "holds something else than it should under text", "copy the bundle again")
-    return TextSource(encoder, width)
 
 
 def _statistics(folder: Path, weights: Weights, config: Config, speakers: tuple[str, ...]

@@ -17,8 +17,7 @@ from torch import Tensor
 
 from data_module import blocks as block_module
 from data_module import controls
-from data_module.errors import InputError
-from data_module.motion.representation import REPRESENTATIONS, Representation, representation
+from data_module.motion.representation import Representation, representation
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.speech.front_ends import FrontEnd, MelFrontEnd
 from data_module.types import Array, BeatFlag, Blocks, Samples
@@ -132,11 +131,8 @@ def control_rows(levels: controls.Levels, values: Array, given: NDArray[np.bool_
 
 
 def representation_of(config: Config) -> Representation:
-    """The motion representation of these settings; InputError for an unknown name."""
-    name = config.motion.representation
-    if name not in REPRESENTATIONS:
-        raise InputError("motion.representation", f"is {name!r}", f"choose among {', '.join(REPRESENTATIONS)}")
-    return representation(name, config.motion.joints)
+    """The motion representation of these settings."""
+    return representation(config.motion.representation, config.motion.joints)
 
 
 def body_columns(config: Config) -> dict[str, tuple[int, ...]]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -133,22 +133,25 @@ evaluation adds them to an opened bundle (`with_parts`). Saving a bundle omits t
 
 
 class LazyParts(Mapping[str, nn.Module]):
-    """Models by name, each loaded when it is first used."""
+    """Models by name; those that are given by a function are loaded when they are first used."""
 
-    def __init__(self, loaders: Mapping[str, Callable[[], nn.Module]]) -> None:
-        self._loaders = {name: cache(loader) for name, loader in loaders.items()}
+    def __init__(self, parts: Mapping[str, nn.Module | Callable[[], nn.Module]]) -> None:
+        self._parts = dict(parts)
 
     def __getitem__(self, name: str) -> nn.Module:
-        return self._loaders[name]()
+        part = self._parts[name]
+        if not isinstance(part, nn.Module):
+            part = self._parts[name] = part()
+        return part
 
     def __contains__(self, name: object) -> bool:
-        return name in self._loaders  # `Mapping` would load it
+        return name in self._parts  # `Mapping` would load it
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._loaders)
+        return iter(self._parts)
 
     def __len__(self) -> int:
-        return len(self._loaders)
+        return len(self._parts)
 
 
 def stored_parts(weights: Weights, sizes: Sizes, device: torch.device) -> LazyParts:
@@ -163,17 +166,3 @@ def _opened(part: BundlePart, name: str, weights: Weights, sizes: Sizes, device:
     model = part.build(sizes)
     model.load_state_dict(tensors)
     return freeze(model.to(device))
-
-
-def changed_parts(parts: Mapping[str, nn.Module], changes: Mapping[str, nn.Module | None]) -> LazyParts:
-    """Parts with some replaced, or removed where the change is None; the others are still loaded when used."""
-    unknown = sorted(set(changes) - {*part_table(), *JUDGES})
-    if unknown:
-        raise ValueError(f"no parts of a bundle: {', '.join(unknown)}")
-    # The old mapping goes on loading, so a part is never in memory twice.
-    loaders = {name: partial(parts.__getitem__, name) for name in parts if name not in changes}
-    return LazyParts({**loaders, **{name: partial(_same, module) for name, module in changes.items() if module}})
-
-
-def _same(module: nn.Module) -> nn.Module:
-    return module
