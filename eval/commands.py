@@ -57,4 +57,4 @@ STUDY = verb("make a user study, or analyse its ratings", "eval.study.command",
              "study make --systems ours=DIR truth=DIR --out FOLDER",
              "study analyse --key FOLDER/key.json ratings-*.json --out study.json")
 PLOT = Command("plot a strip of motion or the lexicon (--list shows them)", _plot_arguments, _plot,
-               ("plot strip gesture.bvh --sound speech.wav", "plot lexicon --data STORE --out FOLDER"))
+               ("plot strip gesture.bvh --sound speech.wav", "plot lexicon --data STORE --out lexemes.png"))

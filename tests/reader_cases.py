@@ -46,10 +46,8 @@ from data_module.truth import Phrase, PlayedStroke, Syllable, Truth
 from data_module.types import Speech, Word
 from eval.clip import foreign
 from eval.metrics.eye import ReferenceSpace
-from eval.metrics.gesture_features import Autoencoder, AutoencoderConfig, Encoder
-from eval.metrics.gesture_features import load as load_network
+from eval.metrics.gesture_features import PUBLISHED, Encoder
 from eval.metrics.gesture_features import published as published_network
-from eval.metrics.gesture_features import save as save_network
 
 RATE = 16000
 
@@ -169,25 +167,13 @@ def _arrays(shapes: dict[str, tuple[int, ...]]) -> Callable[[Path], Path]:
     return write
 
 
-def _published_network(damaged: str) -> Callable[[Path], Path]:
+def _published_network(folder: Path) -> Path:
     """A network in the shape of the published one."""
-    def write(folder: Path) -> Path:
-        from safetensors.torch import save_file
+    from safetensors.torch import save_file
 
-        network = Encoder(34, slope=1.0)
-        theirs = {"convolutions": "net", "linear": "out_net", "feature": "fc_mu"}
-        save_file({f"pose_encoder.{theirs[part]}.{rest}": value.contiguous() for key, value
-                   in network.state_dict().items() for part, _, rest in (key.partition("."),)},
-                  folder / "h36m_gesture_encoder.safetensors")
-        (folder / "h36m_gesture_encoder.json").write_text(json.dumps({"frames": 34, "fps": 15, "dim": 27}))
-        return folder / damaged
-
-    return write
-
-
-def _our_network(folder: Path) -> Path:
-    save_network(Autoencoder(AutoencoderConfig(frames=34)), folder)
-    return folder / "gesture_features.safetensors"
+    save_file({f"pose_encoder.{key}": value.contiguous() for key, value in Encoder().state_dict().items()},
+              folder / PUBLISHED)
+    return folder / PUBLISHED
 
 
 def _positions(mutated: str) -> Callable[[Path], Path]:
@@ -629,10 +615,7 @@ READERS: dict[str, Case] = {
     **{f"{kind}, {name}": Case(_arrays(shapes), read, _member(f"{name}.npy"), _with_member(f"{name}.npy"), 0.5)
        for kind, shapes, read in (("eye's space", _SPACE, ReferenceSpace.load),) for name in tuple(shapes)[:2]},
     "eye's space, the archive": Case(_arrays(_SPACE), ReferenceSpace.load, examples=0.5),
-    **{f"published network, {name}": Case(_published_network(name), lambda file: published_network(file.parent),
-                                          examples=0.5)
-       for name in ("h36m_gesture_encoder.json", "h36m_gesture_encoder.safetensors")},
-    "our network": Case(_our_network, lambda file: load_network(file.parent), examples=0.5),
+    "published network": Case(_published_network, lambda file: published_network(file.parent), examples=0.5),
     **{f"transcript {suffix}": Case(_written(f"a{suffix}", text), lambda file: read_transcript(file, _SPEECH))
        for suffix, text in TRANSCRIPTS.items()},
     **{f"transcript of {name}": Case(_written(f"a{suffix}", write(MARKED)), lambda file: read_transcript(file, _SPEECH),

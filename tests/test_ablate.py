@@ -42,7 +42,7 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def ablation(tiny_store: Path, work: Path) -> Ablation:
     """The tiny preset, shorter still."""
     first = Run(configs.with_settings(tiny(), SHORT), Store.open(tiny_store), work, progress=False)
-    context = EvalContext(first, networks={"raw": RawFeatures(34, count=1)}, limit=1)
+    context = EvalContext(first, networks={"raw": RawFeatures(34)}, limit=1)
     return Ablation(RgRows(context), CellStore(work / "nowhere"))
 
 

@@ -19,7 +19,6 @@ from data_module.corpora.base import Options
 from data_module.corpora.table import CORPORA, open_corpus
 from data_module.errors import InputError
 from data_module.registry import Registry, RegistryEntry
-from eval.metrics import METRICS
 from eval.pictures import PLOTS
 from gesticulator.characters.reading import READERS, read_character
 from gesticulator.cli import VERBS, Command
@@ -29,7 +28,7 @@ from gesticulator.training.stages import STAGES
 from gesticulator.training.stages.base import Node, Run, Stage
 from interpreters import INTERPRETERS
 
-TABLES: tuple[Registry[RegistryEntry], ...] = (INTERPRETERS, WRITERS, READERS, CORPORA, METRICS)  # type: ignore[assignment]
+TABLES: tuple[Registry[RegistryEntry], ...] = (INTERPRETERS, WRITERS, READERS, CORPORA)  # type: ignore[assignment]
 
 
 @pytest.mark.parametrize(("table", "name"), [pytest.param(table, name, id=f"{table.kind} {name}")

@@ -88,8 +88,8 @@ def test_motion_is_read_as_the_training_read_it(context: EvalContext) -> None:
     assert (own.labels == known).mean() > 0.95
     lexicon = bundle.block_lexicon
     assert isinstance(lexicon, MovementLexicon)
-    _, past = normalised_blocks(bundle.config, bundle.statistics, recording.motion, blocks, recording.info.speaker)
-    distances = torch.cdist(latents_of(lexicon, own.poses, past).double(), bundle.vectors.double())
+    poses, past = normalised_blocks(bundle.config, bundle.statistics, recording.motion, blocks, recording.info.speaker)
+    distances = torch.cdist(latents_of(lexicon, poses, past).double(), bundle.vectors.double())
     assert (distances.argmin(1).numpy() == own.labels).mean() > 0.99
 
 

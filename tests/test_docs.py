@@ -23,7 +23,7 @@ DOCS = ROOT / "docs"
 GUIDE = [README, *sorted(DOCS.glob("*.md")), *sorted((DOCS / "api").glob("*.md"))]
 """Pages that people write. Those under docs/results are written by commands."""
 PAGES = [*GUIDE, ROOT / "CHANGELOG.md", *sorted((DOCS / "results").rglob("*.md"))]
-OF_PERFORMER = re.compile(r"(build performer|smartbody|gesture-takes|train-face)\b")
+OF_PERFORMER = re.compile(r"(build performer|gesture-takes|train-face)\b")
 """Commands of the distribution in integrations/performer."""
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)

@@ -27,14 +27,12 @@ JUDGE = {  # our figure -> the name that the definition's own program gives it
     "eye_hands_apart": "hands_apart", "eye_shoulder": "shoulder", "eye_wrist_95": "wrist95",
     "eye_finger_bend": "finger_bend", "eye_finger_between": "finger_apart", "eye_thumb_index": "thumb_index",
     "eye_head_with_hands": "head_hand", "eye_head_travel": "head_travel", "eye_chest_travel": "chest_travel",
-    "eye_fast": "band3_6", "eye_variation": "cv4_all", "eye_units": "units", "eye_unit_length": "unit_s",
-    "eye_held": "held", "eye_pause_moving": "pause_moving", "eye_pause_speed": "pause_slow", "eye_loud": "loud",
-    "eye_variation_speech": "cv4"}
+    "eye_fast": "band3_6", "eye_held": "held", "eye_pause_moving": "pause_moving", "eye_pause_speed": "pause_slow",
+    "eye_loud": "loud", "eye_variation_speech": "cv4"}
 
 
 def every_figure(body: CommonBody, voice: VoiceActivity) -> dict[str, float]:
-    return {**posture.figures(body), **together.figures(body), **units.figures(body),
-            **units.sound_figures(body, voice)}
+    return {**posture.figures(body), **together.figures(body), **units.figures(body, voice)}
 
 
 @pytest.fixture(scope="module")
@@ -147,9 +145,9 @@ def test_units_are_counted_from_rest_to_rest() -> None:
         swing = np.where(active, 0.7 * (1 - np.cos(2 * np.pi * (time - np.where(time < 5, 2, 7)))), 0.0)
         return {"RightForeArm": elbow("Right", swing)}
 
-    found = units.figures(common_body(posed(12.0, move)))
-    assert found["eye_units"] == pytest.approx(2 / 2 / (12 / 60))
-    assert found["eye_unit_length"] == pytest.approx(2.0, abs=0.3)
+    body = common_body(posed(12.0, move))
+    found = units.gesture_units(body.hands[:, 0, 1], together.hand_speeds(body)[:, 0])
+    assert [(stop - begin) / HZ for begin, stop in found] == pytest.approx([2.0, 2.0], abs=0.3)
 
 
 def voice_of(silent: NDArray[np.bool_]) -> VoiceActivity:
@@ -189,8 +187,8 @@ def test_a_hand_that_starts_before_the_voice_is_early_and_one_that_follows_is_no
 
 def test_motion_that_is_frozen_in_pauses_is_seen() -> None:
     motion, voice = wandering(60.0), voice_of(np.arange(6000) / 100 % 3.0 >= 2.0)
-    free = units.sound_figures(common_body(motion), voice)
-    frozen = units.sound_figures(common_body(controls.frozen_in_pauses([motion], [voice.silent])[0]), voice)
+    free = units.figures(common_body(motion), voice)
+    frozen = units.figures(common_body(controls.frozen_in_pauses([motion], [voice.silent])[0]), voice)
     assert free["eye_pause_moving"] > 60 > 15 > frozen["eye_pause_moving"]
     assert free["eye_pause_speed"] > 0.7 and frozen["eye_pause_speed"] < 0.3
 

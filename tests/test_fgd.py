@@ -1,10 +1,9 @@
-"""The Frechet gesture distance: scipy's root, Gaussians with a known distance, the papers' own network and our own."""
+"""The Frechet gesture distance: scipy's root, Gaussians with a known distance, the papers' own network."""
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,10 +22,7 @@ from data_module.types import Array, Motion
 from eval.metrics import fgd
 from eval.metrics import gesture_features as networks
 from eval.metrics.fgd import Gaussian, distance, frechet_distance, gaussian
-from eval.metrics.gesture_features import AutoencoderConfig, RawFeatures
-from gesticulator.training.fit import FitSettings
-
-QUICK = FitSettings(steps=25, batch=16, rate=2e-3, betas=(0.5, 0.999))
+from eval.metrics.gesture_features import RawFeatures
 
 
 def some_features(seed: int, count: int = 80, width: int = 5) -> Array:
@@ -119,11 +115,9 @@ def test_a_figure_tells_all_that_it_depends_on() -> None:
     got = fgd.measure(far, real, RAW)
     assert got.distance == pytest.approx(distance(np.concatenate(far), np.concatenate(real)))
     assert got.interval.low < got.distance < got.interval.high and got.interval.n == 12
-    assert got.windows == (240, 240) and got.needed == 15 and got.enough and got.reason == ""
-    assert (got.frames, got.fps, got.sha256) == (30, 15.0, "none")
+    assert got.windows == (240, 240) and got.needed == 15 and got.by is RAW
     assert got.bias == pytest.approx(fgd.sampling_bias(gaussian(np.concatenate(real)), 240, 240))
     assert fgd.measure(far, real, RAW) == got
-    json.dumps(got.to_dict())
 
 
 def test_the_interval_holds_the_true_distance_about_as_often_as_it_says() -> None:
@@ -151,11 +145,10 @@ def test_pairs_are_drawn_together() -> None:
 def test_too_few_windows_are_told_and_two_are_needed() -> None:
     rng = np.random.default_rng(3)
     few = fgd.measure([rng.normal(size=(4, 9))], [rng.normal(size=(50, 9))], RAW)
-    assert math.isfinite(few.distance) and not few.enough and "45 are needed" in few.reason
+    assert math.isfinite(few.distance) and "45 are needed" in few.verdict
     assert math.isnan(few.interval.low)  # one clip says nothing of other clips
     none = fgd.measure([np.zeros((0, 9))], [rng.normal(size=(50, 9))], RAW)
-    assert math.isnan(none.distance) and math.isnan(none.bias) and "needs two" in none.reason
-    assert not none.enough and none.needed == 45
+    assert math.isnan(none.distance) and math.isnan(none.bias) and none.verdict == "no: 0 windows, and 45 are needed"
     # clips too short for a window are left out, and are no error
     mixed = fgd.measure([np.zeros((0, 9)), rng.normal(size=(60, 9))], [rng.normal(size=(50, 9))] * 2, RAW)
     assert mixed.windows == (60, 100) and math.isfinite(mixed.distance)
@@ -172,15 +165,14 @@ def test_windows_are_unit_directions_at_the_rate_asked_for() -> None:
     cut = networks.windows(motion, 20, 15.0)
     assert cut.shape == (5, 20, 27)
     np.testing.assert_array_equal(cut[3], own[30:50])
-    assert networks.windows(motion, 20, 15.0, stride=1).shape == (41, 20, 27)
     assert networks.windows(motion, 61, 15.0).shape == (0, 61, 27)
 
 
 def test_raw_features_are_the_directions_themselves() -> None:
     own = networks.windows(gesturing(8.0, 2), 30)
-    got = RawFeatures(30, count=3).features(own)
-    assert got.shape == (len(own), 81) and RawFeatures(30).features(own[:0]).shape == (0, 54)
-    np.testing.assert_array_equal(got[:, 54:], own[:, 29])
+    got = RawFeatures(30).features(own)
+    assert got.shape == (len(own), 54) and RawFeatures(30).features(own[:0]).shape == (0, 54)
+    np.testing.assert_array_equal(got[:, 27:], own[:, 29])
     with pytest.raises(ValueError):
         RawFeatures(29).features(own)
     with pytest.raises(ValueError):
@@ -223,93 +215,21 @@ def test_our_character_lies_in_the_published_network_as_its_own_people_did(outsi
     assert (cosines > math.cos(math.radians(40))).all()
 
 
-@pytest.mark.parametrize("kind", ["nothing", "no listing", "wrong width", "not weights"])
-def test_what_is_not_the_published_network_is_refused(kind: str, outside_data: Path, tmp_path: Path) -> None:
-    source = outside_data / "fgd"
-    listing = (source / "h36m_gesture_encoder.json").read_text()
-    weights = (source / "h36m_gesture_encoder.safetensors").read_bytes()
-    if kind != "nothing":
-        (tmp_path / "h36m_gesture_encoder.safetensors").write_bytes(b"no" if kind == "not weights" else weights)
-    if kind != "no listing":
-        (tmp_path / "h36m_gesture_encoder.json").write_text(
-            listing.replace('"dim": 27', '"dim": 30') if kind == "wrong width" else listing)
-    with pytest.raises(InputError):
+def test_what_is_not_the_published_network_is_refused(tmp_path: Path) -> None:
+    for wrong in (None, b"no"):
+        if wrong:
+            (tmp_path / networks.PUBLISHED).write_bytes(wrong)
+        with pytest.raises(InputError, match="gesture encoder"):
+            networks.published(tmp_path)
+    save_file({"a": torch.zeros(3)}, tmp_path / networks.PUBLISHED)
+    with pytest.raises(InputError, match="gesture encoder"):
         networks.published(tmp_path)
 
 
-# --- our own network
-
-@dataclass
-class _Info:
-    name: str
-
-
-@dataclass
-class _Take:
-    motion: Motion
-
-
-class FakeStore:
-    """As much of a store as training asks for."""
-
-    path, corpus, fingerprint, licence = Path("a store"), "made up", "f" * 64, "none"
-
-    def of_split(self, split: str) -> list[_Info]:
-        return [_Info(f"{split} {k}") for k in range({"train": 4, "val": 1, "test": 2}[split])]
-
-    def load(self, name: str) -> _Take:
-        return _Take(gesturing(8.0, sum(name.encode())))
-
-
-@pytest.fixture(scope="module")
-def own(tmp_path_factory: pytest.TempPathFactory) -> networks.Autoencoder:
-    return networks.train(FakeStore(), tmp_path_factory.mktemp("run"),  # type: ignore[arg-type]
-                          AutoencoderConfig(frames=20), QUICK, seed=3, progress=False)
-
-
-def test_training_lowers_the_loss(own: networks.Autoencoder, tmp_path: Path) -> None:
-    started = networks.train(FakeStore(), tmp_path, AutoencoderConfig(frames=20),  # type: ignore[arg-type]
-                             replace(QUICK, steps=1), seed=3, progress=False)
-    unseen = {"windows": torch.as_tensor(networks.windows(gesturing(8.0, 5), 20), dtype=torch.float32)}
-    assert own.losses(unseen)["reconstruction"] < started.losses(unseen)["reconstruction"]
-    assert set(own.weights) == set(own.losses(unseen)) and not own.training
-
-
-def test_saved_and_loaded_it_is_the_same_and_pinned(own: networks.Autoencoder, tmp_path: Path) -> None:
-    again, other = (networks.train(FakeStore(), tmp_path / str(seed), AutoencoderConfig(frames=20),  # type: ignore
-                                   QUICK, seed=seed, progress=False) for seed in (3, 4))
-    assert networks.as_features(again).sha256 == networks.as_features(own).sha256 != networks.as_features(other).sha256
-    sha = networks.save(own, tmp_path)
-    loaded = networks.load(tmp_path)
-    seen = networks.as_features(loaded)
-    assert seen.sha256 == sha == networks.as_features(own).sha256
-    assert loaded.config == own.config
-    data = networks.windows(gesturing(6.0, 9), 20)
-    np.testing.assert_array_equal(seen.features(data), networks.as_features(own).features(data))
-    assert seen.features(data).shape == (len(data), 32)
-
-
-@pytest.mark.parametrize("kind", ["missing", "cut", "other"])
-def test_what_is_not_our_network_is_refused(own: networks.Autoencoder, tmp_path: Path, kind: str) -> None:
-    networks.save(own, tmp_path)
-    weights = tmp_path / "gesture_features.safetensors"
-    if kind == "missing":
-        weights.unlink()
-    elif kind == "cut":
-        weights.write_bytes(weights.read_bytes()[:-4])
-    else:
-        save_file({"a": torch.zeros(3)}, weights)
-    with pytest.raises(InputError):
-        networks.load(tmp_path)
-
-
-def test_windows_too_short_for_the_network_or_the_store_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError):
-        networks.Encoder(11)
-    assert networks.Encoder(12).eval()(torch.zeros(2, 12, 27)).shape == (2, 32)
-    with pytest.raises(InputError):
-        networks.train(FakeStore(), tmp_path, AutoencoderConfig(frames=400),  # type: ignore[arg-type]
-                       QUICK, progress=False)
+def test_two_lengths_of_windows_stand_beside_each_other(outside_data: Path) -> None:
+    assert list(networks.spaces(None)) == [f"raw directions of 2 frames, {frames} frames" for frames in (34, 60)]
+    first, second = networks.spaces(outside_data / "fgd").values()
+    assert (first.frames, second.frames) == (34, 60) and first.name.startswith("Human3.6M")
 
 
 # --- the report

@@ -10,11 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from live_double import TURN, figure, opener
 from pipecat_gesticulator import Hello, Joint, Poses, ResumingStream, SteadyPlayer, Welcome, connect_resuming
-from pipecat_gesticulator.resuming import RefusedError, _cut_start, _Sent
+from pipecat_gesticulator.resuming import RefusedError
 from websockets.asyncio.server import ServerConnection, serve
 
 from data_module.motion import rotation
@@ -59,27 +57,6 @@ def break_connections(server: LiveServer) -> None:
         connection.socket.transport.abort()
 
 
-class Came:
-    """The frames that came: the next one, and whatever did not follow the last one."""
-
-    def __init__(self) -> None:
-        self.next, self.replaced, self.source = 0, -1, 0
-        self.gaps: list[tuple[int, int]] = []
-
-    def cut(self, frame: int) -> None:
-        """Frames are taken back from this one on; until it comes, others are on their way."""
-        self.next = self.replaced = frame
-
-    async def read(self, stream: ResumingStream) -> None:
-        async for message in stream:
-            if isinstance(message, Poses):
-                self.source = message.source
-            if isinstance(message, Poses) and self.replaced in (-1, message.first):
-                if message.first != self.next:
-                    self.gaps.append((self.next, message.first))
-                self.next, self.replaced = message.first + len(message), -1
-
-
 async def spoken(stream: ResumingStream, seconds: float, breaks: int, break_it: Callable[[], None],
                  idle: float | None = None) -> tuple[list[Poses], list[dict[str, Any]]]:
     """The poses and events of sound in pieces of 0.1 s, while the connection breaks so many times; idle: seconds of
@@ -107,13 +84,14 @@ async def spoken(stream: ResumingStream, seconds: float, breaks: int, break_it: 
 
 @pytest.mark.parametrize("breaks", [1, 5])
 def test_a_broken_connection_costs_no_frame_and_no_sound(breaks: int) -> None:
-    """Each frame comes once and is that of its sound: a connection begins at the first missing frame."""
+    """Each frame is that of its sound: a connection begins at the message whose poses did not all come."""
     async def test() -> None:
         async with running() as (server, port, _), \
                 connect_resuming(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE)) as stream:
             poses, events = await spoken(stream, 10.0, breaks, lambda: break_connections(server), 0.5)
             numbers = np.concatenate([np.arange(packet.first, packet.first + len(packet)) for packet in poses])
-            np.testing.assert_array_equal(numbers, np.arange(630))
+            assert sorted(set(numbers)) == list(range(630)) and len(numbers) < 630 + 10 * breaks
+            assert np.diff(numbers).max() == 1, "none is missing between others"
             begins = {source: min(packet.first for packet in poses if packet.source == source)
                       for source in {packet.source for packet in poses}}
             for packet in poses:  # the double tells the number of its frame, counted from where its stream began
@@ -160,70 +138,51 @@ def test_a_server_that_does_not_come_back_is_given_up() -> None:
     run(test)
 
 
-class Time:
-    """Time that goes by only where it is waited for."""
-
-    def __init__(self) -> None:
-        self.now, self.waits = 0.0, list[float]()
-
-    async def pause(self, seconds: float) -> None:
-        self.now += seconds
-        self.waits.append(seconds)
-        await asyncio.sleep(0)
-
-
-async def _visits(time: Time, break_it: Callable[[int, ServerConnection], Awaitable[None]], patience: float = 300.0
-                  ) -> tuple[list[float], Exception | None]:
-    """When a server that greets and breaks each connection is visited, until it is given up, or 40 times."""
-    visits: list[float] = []
+async def _waits(break_it: Callable[[ServerConnection], Awaitable[None]]) -> list[float]:
+    """The waits of a client before its visits to a server that greets and breaks each connection."""
+    waits: list[float] = []
 
     async def greet_and_break(socket: ServerConnection) -> None:
         await socket.recv()
-        visits.append(time.now)
         await socket.send(json.dumps(GREETING))
-        while not stream.connected:
-            await asyncio.sleep(0)
-        await break_it(len(visits), socket)
+        await asyncio.sleep(0.01)
+        await break_it(socket)
         socket.transport.abort()
+
+    async def pause(seconds: float) -> None:
+        waits.append(seconds)
 
     async with serve(greet_and_break, "127.0.0.1", 0) as server:
         port = next(iter(server.sockets)).getsockname()[1]
-        stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE), patience, chance=lambda: 0.0,
-                                clock=lambda: time.now, pause=time.pause)
+        stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE), 60.0, pause)
         await stream.open()
-        try:
+        with pytest.raises(ConnectionError, match="did not come back"):
             async for _ in stream:
-                if len(visits) >= 40:
-                    break
-        except ConnectionError as error:
-            return visits, error
-        finally:
-            await stream.close()
-    return visits, None
+                pass
+        await stream.close()
+    return waits
 
 
 def test_a_server_that_greets_and_breaks_is_visited_ever_less_often_and_given_up() -> None:
     async def test() -> None:
-        async def at_once(number: int, socket: ServerConnection) -> None:
+        async def at_once(socket: ServerConnection) -> None:
             pass
 
-        visits, error = await _visits(Time(), at_once, patience=60.0)
-        assert visits[:3] == [0.0, 0.0, 0.125] and sum(at < 10 for at in visits) == 8
-        np.testing.assert_allclose(np.diff(visits)[1:7], 0.125 * 2.0 ** np.arange(6))
-        np.testing.assert_allclose(np.diff(visits)[7:], 5.0)
-        assert isinstance(error, ConnectionError) and 45 < visits[-1] <= 60
+        waits = np.array(await _waits(at_once))
+        rule = np.minimum(np.concatenate([[0.0], 0.25 * 2.0 ** np.arange(len(waits) - 1)]), 10.0)
+        assert (0.5 * rule <= waits).all() and (waits <= rule).all() and 45 < waits.sum() <= 60
 
     run(test)
 
 
 def test_no_client_is_back_before_the_server_asks_for_it() -> None:
-    async def busy(number: int, socket: ServerConnection) -> None:
+    async def busy(socket: ServerConnection) -> None:
         await socket.send(json.dumps({"type": "error", "code": 4429, "message": "full", "retry_after": 7.0}))
         await socket.close(4429)
 
     async def test() -> None:
-        visits, error = await _visits(Time(), busy, patience=60.0)
-        assert np.diff(visits).min() >= 7.0 and len(visits) >= 5 and isinstance(error, ConnectionError)
+        waits = await _waits(busy)
+        assert min(waits) >= 7.0 and len(waits) >= 4
 
     run(test)
 
@@ -232,59 +191,47 @@ GREETING = {"type": "hello", "protocol": 1, "stream": "a", "fps": 60.0, "output"
             "joints": [], "limits": {"message_bytes": 1e6}}
 
 
-@settings(max_examples=50)
-@given(st.sampled_from([(8000, 60.0), (16000, 60.0), (22050, 30.0), (24000, 24.0)]),
-       st.lists(st.integers(1, 400), min_size=1, max_size=8))
-def test_a_sound_that_is_begun_anew_again_and_again_never_grows(kind: tuple[int, float], steps: list[int]) -> None:
-    """New sessions begin at frames, between samples: what is sent is never longer than what is left, by less than a
-    sample for each. Rounded, a stream of several sessions ended a frame later than its sound."""
-    rate, fps = kind
-    hello = Hello(rate, fps=fps)
-    sent: Any = _Sent(bytes(2 * 60 * rate), 0.0, 60.0, False)
-    for count, frame in enumerate(np.cumsum(steps), 1):
-        begin = frame / fps
-        sent = _cut_start(sent, begin, hello)
-        if begin >= 60.0:
-            assert sent is None
-            return
-        left = (60.0 - begin) * rate - len(sent.message) / 2
-        assert -1e-6 <= left < count
-        assert sent.start == begin and sent.seconds == pytest.approx(60.0 - begin)
-
-
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int) -> None:
-    """Sound, waits and interruptions, while connections break: each frame follows the last one or is
-    where an interruption was, and in the end there are as many as the media time that was asked for, though
-    interruptions lie between frames and connections begin at frames. Of the commands none is lost, nor is the end."""
+    """Sound, waits and interruptions, while connections break: at the end there is each frame of the media time that
+    was asked for, and neither a command nor the end is lost."""
     rng = np.random.default_rng(seed)
 
     async def test() -> None:
         async with running() as (server, port, _):
-            stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE), chance=lambda: 0.0,
+            stream = ResumingStream(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE),
                                     pause=lambda _: asyncio.sleep(0.001))
             await stream.open()
-            log: list[str] = []
-            came = Came()
-            reading = asyncio.create_task(came.read(stream))
+            frames: list[int] = []
+
+            async def read() -> None:
+                async for message in stream:
+                    if isinstance(message, Poses):  # it replaces that frame and all later ones
+                        assert message.first <= len(frames)
+                        frames[message.first:] = range(message.first, message.first + len(message))
+
+            reading = asyncio.create_task(read())
+            time = 0.0
             for _ in range(60):
                 op = str(rng.choice(["send", "send", "send", "idle", "interrupt", "break", "wait"]))
-                log.append(op)
+                seconds = float(rng.choice([0.0, rng.uniform(0.0, 0.5)]))
                 if op == "send":
-                    await stream.send(pcm(float(rng.uniform(0.0, 0.6))))
+                    await stream.send(sound := pcm(seconds))
+                    time += len(sound) / 2 / SAMPLE_RATE
                 elif op == "idle":
-                    await stream.idle(float(rng.choice([0.0, rng.uniform(0, 0.5)])))
-                elif op == "interrupt" and came.next > 1 and came.source == stream._source:
-                    came.cut(int(rng.integers(1, came.next)))
-                    await stream.interrupt((came.next - float(rng.choice([0.0, rng.uniform(0.0, 0.99)]))) / 60)
+                    await stream.idle(seconds)
+                    time += seconds
+                elif op == "interrupt":
+                    time = float(rng.uniform(0.0, min(time, len(frames) / 60)))
+                    await stream.interrupt(time)
                 elif op == "break":
                     break_connections(server)
                 else:
                     await asyncio.sleep(float(rng.choice([0.0, 0.02])))
+            await stream.idle(0.2)
             await stream.finish()
             await reading
-            assert came.gaps == [], log
-            assert abs(came.next - stream.time * 60) <= 1.0, log
+            assert abs(len(frames) - (time + 0.2) * 60) <= 1.5
             await stream.close()
 
     run(test)
@@ -312,7 +259,7 @@ def _packets(turns: np.ndarray, first: int, source: int) -> Iterator[Poses]:
 def test_the_steady_player_shows_the_stream_and_joins_its_parts(gap: int, seed: int) -> None:
     """Before the break it is the stream to the last bit of a float32; around it, no joint jumps; a while after, it is
     the stream again."""
-    joints = tuple(Joint(f"{k}", k - 1, (0, 0, 0)) for k in range(4))
+    joints = tuple(Joint(f"{k}", k - 1, (0, 0, 0)) for k in range(6))
     player = SteadyPlayer(Welcome("", 60.0, "joints", 0.0, joints, {}))
     one, other = _walk(seed, 4, 200), _walk(seed + 10, 4, 300)
     for packet in _packets(one, 0, 0):

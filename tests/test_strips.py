@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from performances import perform
 
-from data_module.errors import InputError
 from data_module.motion import bvh, kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT, facing
 from data_module.types import Motion
 from eval.commands import PLOT
-from eval.pictures import PLOTS, strips
+from eval.pictures import PLOTS
 from gesticulator.export import figure
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
@@ -60,18 +59,10 @@ def test_what_is_nearer_is_drawn_later(view: str) -> None:
     assert order == ["Right", "Left"] if view == "side" else places["Left"][0] > 0 > places["Right"][0]
 
 
-def test_times_cover_the_stretch_and_bad_ones_are_refused() -> None:
-    motion = perform(seconds=4.0).motion
-    np.testing.assert_allclose(strips.frame_times(motion, 1.0, 2.0, 5), [1, 1.5, 2, 2.5, 3])
-    assert strips.frame_times(motion, 3.0, 60.0, 2)[-1] == pytest.approx(4.0 - 1 / motion.fps)
-    for start, seconds, count in ((9.0, None, 3), (-1.0, None, 3), (1.0, -2.0, 3), (0.0, None, 0), (np.nan, None, 2)):
-        with pytest.raises(InputError):
-            strips.frame_times(motion, start, seconds, count)
-
-
 def test_command_draws_a_picture(tmp_path, capsys) -> None:
     bvh.write_bvh(tmp_path / "m.bvh", perform().motion)
-    PLOT.main("gesticulator plot", ["strip", str(tmp_path / "m.bvh"), "--frames", "3"])
+    given = ["strip", str(tmp_path / "m.bvh"), "--seconds", "0.75", "--out", str(tmp_path / "m.png")]
+    PLOT.main("gesticulator plot", given)
     assert capsys.readouterr().out.strip() == str(tmp_path / "m.png")
     from matplotlib.image import imread
 
@@ -81,7 +72,7 @@ def test_command_draws_a_picture(tmp_path, capsys) -> None:
     for third in np.array_split(ink, 3, axis=1):
         assert all(part.mean() > 0.05 for part in np.array_split(third, 2, axis=0))
     with pytest.raises(SystemExit) as caught:
-        PLOT.main("gesticulator plot", ["strip", str(tmp_path / "m.bvh"), "--out", str(tmp_path / "m.doc")])
+        PLOT.main("gesticulator plot", [*given[:-1], str(tmp_path / "m.doc")])
     assert caught.value.code == 2
     assert "picture" in capsys.readouterr().err
     assert not (tmp_path / "m.doc").exists()

@@ -117,17 +117,14 @@ def run(arguments: argparse.Namespace) -> int:
     from eval.ablate.cells import CellStore
     from eval.ablate.run import RgRows
     from eval.context import EvalContext, opened, provenance
-    from eval.metrics import gesture_features
+    from eval.metrics.gesture_features import at_hand, spaces
     from eval.table import load
     from gesticulator.bundle.files import bundle_folder
     from gesticulator.training.stages import Run
 
     store, work = opened(arguments.data, arguments.work)
     first = Run(PRESETS[arguments.preset](), store, work, progress=not arguments.quiet, workers=os.cpu_count() or 1)
-    # For a first look raw directions are enough: networks take minutes to train.
-    by = ([gesture_features.RawFeatures(34, count=1)] if arguments.preset == "tiny"
-          else gesture_features.networks(store, work, first.progress))
-    rg = RgRows(EvalContext(first, networks=gesture_features.by_name(by), limit=arguments.limit))
+    rg = RgRows(EvalContext(first, networks=spaces(at_hand()), limit=arguments.limit))
     bundle = str(bundle_folder(arguments.bundle)) if arguments.bundle else None
     Ablation(rg, CellStore(Path(arguments.out)), bundle).run(
         arguments.only, arguments.seeds, systems, provenance(arguments))

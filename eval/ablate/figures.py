@@ -18,7 +18,7 @@ import torch
 from data_module import intervals
 from data_module.blocks import cut
 from data_module.errors import InputError
-from data_module.files import lock, read_object, write_text
+from data_module.files import read_object, write_text
 from data_module.motion.motion_beats import acting_positions, acting_speed, motion_beats
 from data_module.speech.beats import find_beats
 from data_module.speech.onsets import detect_onsets
@@ -31,9 +31,10 @@ from eval.metrics import audio_clusters, pmb
 from eval.metrics.encode import EncodedMotion, latents_of
 from eval.metrics.evaluate import WIDE
 from eval.pictures import plots
+from eval.pictures.canvas import STYLE
 from eval.pictures.embedding import NEIGHBOURS, embed, embedding_panels, joint_embedding, neighbours_agree
 from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curves, overview, size_sweep
-from eval.pictures.strips import STRIP, Source, draw_page, frame_times, save_strip
+from eval.pictures.strips import PAGE, Source, draw_page, save_strip
 from eval.table import dumps
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages import LABELS
@@ -118,9 +119,10 @@ def strip(name: str) -> Draw:
     def drawn(rg: RgRows, rows: Summaries) -> Drawn:
         recording, motion = shown_recording(rg), rg.motions(name)[0]
         # Nine figures over four seconds: close enough to see a stroke, few enough to tell them apart.
-        times = frame_times(motion, start_of(recording), STRETCH / 2, 9)
+        start = start_of(recording)
+        times = np.linspace(start, min(start + STRETCH / 2, (len(motion) - 1) / motion.fps), 9)
         return draw_page([Source("", motion)], times, recording.speech, find_beats(recording.speech),
-                         layout=replace(STRIP, views=("front",))), (
+                         layout=replace(PAGE, views=("front",))), (
             f"{name}: {STRETCH / 2:g} s of {recording.info.name}.")
 
     return drawn
@@ -148,7 +150,6 @@ def curves(rg: RgRows, rows: Summaries) -> Drawn:
 def clusters(rg: RgRows, rows: Summaries) -> Drawn:
     """RG Fig. 14."""
     corpus, frames, names = rg.context.corpus, rg.first.config.rhythm.frames, rg.names("test")
-    groups = np.unique(rg.scored(names).clips.groups, return_inverse=True)[1]
     blocks = [corpus.blocks_of(corpus.names.index(name)) for name in names]
     spoken = [~np.asarray(corpus.silent)[numbers].astype(bool) for numbers in blocks]
     every = np.concatenate([numbers[voiced] for numbers, voiced in zip(blocks, spoken, strict=True)])
@@ -160,7 +161,7 @@ def clusters(rg: RgRows, rows: Summaries) -> Drawn:
     associations = {}
     for name in (PERFORMER, OURS):
         lexemes = [clip.labels[voiced] for clip, voiced in zip(encoded(rg, name), spoken, strict=True)]
-        associations[name] = audio_clusters.association(levels, np.concatenate(lexemes), place, groups[place])
+        associations[name] = audio_clusters.association(levels, np.concatenate(lexemes), place)
     return cluster_bars(associations), (
         "H(lexeme of the motion | cluster of the audio), less than by chance where the level says something of the "
         "lexeme. The paper's claim is that the high level says more than the low one.")
@@ -247,13 +248,14 @@ def draw(rg: RgRows, name: str, rows: Summaries, out: Path) -> str:
     if lacking:
         return f"not run: {', '.join(lacking)}"
     try:
-        picture, caption = figure.draw(rg, rows)
-    except InputError as error:
+        from matplotlib import rc_context
+
+        with rc_context(STYLE):
+            picture, caption = figure.draw(rg, rows)
+            save_strip(picture, out / f"{name}.{'png' if figure.dots else 'svg'}")
+    except (ImportError, InputError) as error:
         return str(error)
-    save_strip(picture, out / f"{name}.{'png' if figure.dots else 'svg'}")
-    # Several commands may draw figures of one folder at a time.
-    with lock(out, "an ablation that draws figures", beside=True, wait=True):
-        drawn = read_object(place, "remove it, and draw the figures again") if place.exists() else {}
-        drawn[name] = {"figure": figure.paper, "title": figure.title, "caption": caption}
-        write_text(place, dumps(dict(sorted(drawn.items()))))
+    drawn = read_object(place, "remove it, and draw the figures again") if place.exists() else {}
+    drawn[name] = {"figure": figure.paper, "title": figure.title, "caption": caption}
+    write_text(place, dumps(dict(sorted(drawn.items()))))
     return ""

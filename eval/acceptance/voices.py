@@ -28,8 +28,7 @@ ON_TAKE, ON_TEST = "BEAT voice", "test split"
 SHOWN = ("eye_hand_height_correlation", "eye_hand_speed_correlation", "eye_one_handed", "eye_one_hanging", "eye_head",
          "eye_chest", *(f"eye_speed_{percent}" for percent in eye.hands.PERCENTILES), "eye_stroke_amplitude",
          "eye_stroke_amplitude_90", "eye_seam", TO_CORPUS, POOLED, "eye_frechet", "eye_above_1", "eye_rolled_1",
-         "eye_above_2", "eye_rolled_2", "eye_silence_speed", "eye_drift", "eye_repetition", "eye_variation",
-         "eye_units", "eye_unit_length", "eye_freeze_head", "eye_hand_in_torso")
+         "eye_above_2", "eye_rolled_2", "eye_silence_speed", "eye_drift", "eye_repetition", "eye_hand_in_torso")
 """Rows of the comparison below those with a bound."""
 Intervals = dict[str, Interval]
 

@@ -6,11 +6,10 @@ from dataclasses import replace
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.store import Recording, RecordingInfo, Split, Store
-from data_module.types import Array, Speech, Word
+from data_module.types import Speech, Word
 
 
 def evenly(store: Store, split: str, limit: int | None = None) -> list[RecordingInfo]:
@@ -23,11 +22,6 @@ def evenly(store: Store, split: str, limit: int | None = None) -> list[Recording
     count = len(infos) if limit is None else min(limit, len(infos))
     # Evenly over the list, as neighbours in it are often of one speaker.
     return [infos[i] for i in np.linspace(0, len(infos) - 1, count).round().astype(int)]
-
-
-def block_of_frames(edges: Array, count: int, fps: float) -> NDArray[np.int64]:
-    """[count] the block that each stretch between two frames lies in."""
-    return np.clip(np.searchsorted(edges, (np.arange(count) + 0.5) / fps) - 1, 0, len(edges) - 2)
 
 
 def excerpt(recording: Recording, seconds: float) -> Recording:

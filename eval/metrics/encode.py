@@ -1,16 +1,7 @@
-"""A clip as a bundle sees it: the blocks of its speech, the lexemes that its motion is nearest to, and its reward.
+"""A clip as a bundle sees it: the blocks of its speech, the lexemes that its motion is nearest to.
 
 Any motion can be encoded, not only the bundle's own. A performer whom the bundle does not know is centred on the
 clip's mean pose, and joints that the source lacks are at rest.
-
-The reward of the judging model is the mean cosine of the embeddings of speech and motion (RACER Eq. 8), from -1 to 1,
-of a model that trained no policy. What fools it: a still pose, whose embedding suits many sounds a little, reaches the
-reward of a real motion.
-
-The reward model takes each block's own audio, the middle third of the windows that the generator takes:
-
-    >>> _middle(np.arange(6.0).reshape(1, 6, 1), 2)[..., 0].tolist()
-    [[2.0, 3.0]]
 """
 
 from __future__ import annotations
@@ -24,49 +15,18 @@ from torch import Tensor
 
 from data_module import blocks as block_module
 from data_module.motion.movement import Pasts, pasts_of
-from data_module.types import Array, Blocks, Motion, Speech
+from data_module.types import Array, Blocks, Motion
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import Config
-from gesticulator.bundle.features import Statistics, front_end_for, representation_of
-from gesticulator.sampling.cutter import encode_speech
+from gesticulator.bundle.features import Statistics, representation_of
 from gesticulator.training.stages.lexicon import BlockLexicon
 from lexicon.movement import MovementLexicon
 
 
 @dataclass(frozen=True)
-class SpeechBlocks:
-    """A clip's speech in N blocks. audio: [N, K, d] normalised, for the reward model; None without one."""
-
-    blocks: Blocks
-    audio: Tensor | None
-    speaker: str
-
-    @classmethod
-    def of(cls, bundle: Bundle, speech: Speech) -> SpeechBlocks:
-        """Cut and, where there is a model that judges, encoded as its training data was."""
-        speaker = speech.speaker or ""
-        if bundle.reward_judge is None:
-            return cls(block_module.cut(speech, bundle.config.rhythm), None, speaker)
-        encoded = encode_speech(speech, bundle.config, front_end_for(bundle.config, bundle.encoder))
-        frames, statistics = bundle.config.rhythm.frames, bundle.statistics
-        audio = _middle(statistics.low.apply(encoded.low), frames)
-        # Both levels in one, and the tempo of the grid, their last column, once.
-        if encoded.high is not encoded.low:
-            audio = torch.cat([audio[..., :-1], _middle(statistics.high.apply(encoded.high), frames)], dim=-1)
-        return cls(encoded.blocks, audio, speaker)
-
-
-def _middle(windows: NDArray[np.floating], frames: int) -> Tensor:
-    """[N, K, d] the block itself of windows of three, in the half precision that corpora are stored in."""
-    return torch.as_tensor(windows[:, frames:2 * frames].astype(np.float16)).float()
-
-
-@dataclass(frozen=True)
 class EncodedMotion:
-    """A motion in N blocks. poses: [N, K, D] normalised; latents: [N, code width]; labels: [N] nearest lexemes."""
+    """A motion in N blocks. latents: [N, code width]; labels: [N] nearest lexemes."""
 
-    blocks: Blocks
-    poses: Tensor
     latents: Tensor
     labels: NDArray[np.int64]
 
@@ -118,21 +78,4 @@ def encode_motion(bundle: Bundle, motion: Motion, blocks: Blocks, speaker: str =
     lexicon = bundle.block_lexicon
     normalised, past = normalised_blocks(bundle.config, bundle.statistics, motion, blocks, speaker)
     latents = latents_of(lexicon, normalised, past)
-    return EncodedMotion(blocks, normalised, latents, labels_of(lexicon, latents))
-
-
-@torch.no_grad()
-def judged_reward(bundle: Bundle, encoded: EncodedMotion, speech: SpeechBlocks) -> float:
-    """The mean reward, by the model that judges, of the windows that end with each block (RACER Eq. 8).
-
-    A cosine from -1 to 1. Windows that are silent throughout are left out; NaN where all are, or without a model.
-    """
-    model = bundle.reward_judge
-    if model is None or speech.audio is None:
-        return float("nan")
-    # Windows that begin before the clip are padded and marked as not valid.
-    at = torch.arange(len(encoded.poses))[:, None] + torch.arange(1 - model.config.window, 1)
-    valid, at = (at >= 0).float(), at.clamp_min(0)
-    cosines = model.window_rewards(encoded.poses[at], speech.audio[at], valid)
-    audible = ((valid > 0) & ~torch.as_tensor(speech.blocks.silent)[at]).any(dim=1)
-    return float(cosines[audible].double().mean()) if audible.any() else float("nan")
+    return EncodedMotion(latents, labels_of(lexicon, latents))

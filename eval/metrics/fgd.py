@@ -19,7 +19,7 @@ What fools it:
   second to second order. For 32 features of variance 1 that is 5.9 at 100 windows each. `Figure.bias` gives it.
   Windows that overlap count for less than their number, so the true one is larger.
 - Below `ENOUGH` windows a feature the covariance is hardly known, and below one it is singular: the distance is still a
-  number, but not one to print. `Figure.reason` then says so.
+  number, but not one to print. `Figure.verdict` then says so.
 - Window length. One system gets 194, 171 and 36 at windows of 30, 60 and 90 frames, so no length alone will do:
   `gesticulator score` takes two at least, and shows network, length, rate and hash beside each figure.
 
@@ -32,17 +32,18 @@ Two sets of features, one moved by (3, 4):
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
-from data_module.types import Array, Motion
+from data_module.types import Array
 from eval import stats
-from eval.metrics.gesture_features import Features, pooled
+from eval.metrics.gesture_features import Features
 from eval.stats import Interval
 
-__all__ = ["fgd", "frechet_distance"]
+__all__ = ["frechet_distance", "measure"]
 
 ENOUGH = 5
 """Windows for each feature, at least: "several times 32" for 32 features."""
@@ -63,7 +64,6 @@ class Figure:
 
     distance: NaN when a set has fewer than two windows. interval: 95 %, over clips. bias: what sets of this size from
     one Gaussian would have between them, if windows were independent. needed: windows that each set should have.
-    reason: why the distance is undefined, or not to be trusted; empty when nothing is wrong.
     """
 
     distance: float
@@ -71,16 +71,7 @@ class Figure:
     bias: float
     windows: tuple[int, int]
     needed: int
-    features: str
-    frames: int
-    fps: float
-    sha256: str
-    reason: str = ""
-
-    @property
-    def enough(self) -> bool:
-        """True if both sets have the windows that they need."""
-        return min(self.windows) >= self.needed
+    by: Features
 
     @property
     def verdict(self) -> str:
@@ -89,9 +80,7 @@ class Figure:
         Twice: the covariance takes `needed` windows, and the bias of the sample, which falls as one over the number of
         windows, should be a tenth of the distance at most.
         """
-        if not np.isfinite(self.distance):
-            return f"no: {self.reason}"
-        if not self.enough:
+        if min(self.windows) < self.needed:
             return f"no: {min(self.windows)} windows, and {self.needed} are needed"
         if self.distance <= self.bias:
             return "no: not distinguishable from 0; two samples of one motion of this size are as far apart"
@@ -101,10 +90,6 @@ class Figure:
         mean_windows = 2.0 / sum(1.0 / count for count in self.windows)
         wanted = int(np.ceil(10.0 * self.bias / self.distance * mean_windows))
         return f"roughly: chance is {100 * self.bias / self.distance:.0f} % of it, and a tenth from {wanted} windows on"
-
-    def to_dict(self) -> dict[str, object]:
-        """For JSON."""
-        return asdict(self)
 
 
 def gaussian(features: Array) -> Gaussian:
@@ -159,24 +144,18 @@ def measure(generated: Sequence[Array], real: Sequence[Array], by: Features, *, 
     counts = (sum(map(len, generated)), sum(map(len, real)))
     if paired and len(generated) != len(real):
         raise ValueError(f"{len(generated)} generated clips cannot be paired with {len(real)} real ones")
-    nan = float("nan")
+    needed = ENOUGH * max((clip.shape[1] for clip in (*generated, *real)), default=1)
     if min(counts) < 2:
-        width = max((clip.shape[1] for clip in (*generated, *real) if len(clip)), default=1)
-        return Figure(nan, Interval.undefined(), nan, counts, ENOUGH * width, by.name, by.frames, by.fps,
-                      by.sha256, f"{min(counts)} windows in a set: a covariance needs two")
-    both = gaussian(_joined(generated)), gaussian(_joined(real))
-    needed, got = ENOUGH * len(both[0].mean), frechet_distance(*both)
-    bounds = _interval(generated, real, got, paired, seed, draws)
-    reason = "" if min(counts) >= needed else (
-        f"{min(counts)} windows in a set, and {needed} are needed for features of {len(both[0].mean)} numbers")
-    return Figure(got, bounds, sampling_bias(both[1], *counts), counts, needed, by.name, by.frames, by.fps, by.sha256,
-                  reason)
+        return Figure(math.nan, Interval.undefined(), math.nan, counts, needed, by)
 
+    def apart(*chosen: stats.Indices) -> float:
+        # Paired clips are of one speech: redrawing them apart would widen the interval by what speeches differ.
+        first, second = _joined([generated[k] for k in chosen[0]]), _joined([real[k] for k in chosen[-1]])
+        return distance(first, second) if min(len(first), len(second)) > 1 else math.nan
 
-def fgd(generated: Sequence[Motion], real: Sequence[Motion], by: Features, *, paired: bool = False, seed: int = 0
-        ) -> Figure:
-    """FGD between motions of the 16-joint character, by one network at its own window length."""
-    return measure(pooled(generated, by), pooled(real, by), by, paired=paired, seed=seed)
+    sizes = [len(generated)] if paired else [len(generated), len(real)]
+    interval = stats.of_set(apart, *sizes, seed=seed, draws=draws, least=0.0)
+    return Figure(interval.mean, interval, sampling_bias(gaussian(_joined(real)), *counts), counts, needed, by)
 
 
 def difference(first: Sequence[Array], second: Sequence[Array], real: Sequence[Array]) -> Interval:
@@ -205,19 +184,3 @@ def _root(covariance: Array) -> Array:
 def _joined(clips: Sequence[Array]) -> Array:
     """The windows of all clips, [N, E]; a clip too short for a window has none, of no width."""
     return np.concatenate([clip for clip in clips if len(clip)] or [np.zeros((0, 1))])
-
-
-def _interval(generated: Sequence[Array], real: Sequence[Array], got: float, paired: bool, seed: int, draws: int
-              ) -> Interval:
-    # The smaller side bounds how well the distance is known.
-    clips = min(len(generated), len(real))
-    if clips < 2:
-        return Interval.exact(got, clips)
-    # Paired clips are of one speech: redrawing them apart would widen the interval by what speeches differ.
-    sizes = [len(generated)] if paired else [len(generated), len(real)]
-    values = []
-    for chosen in stats.resamples(np.random.default_rng(seed), sizes, draws):
-        first, second = _joined([generated[k] for k in chosen[0]]), _joined([real[k] for k in chosen[-1]])
-        if min(len(first), len(second)) > 1:
-            values.append(distance(first, second))
-    return stats.limits(got, values, clips, basic=True, least=0.0)

@@ -2,11 +2,11 @@
 
 Theory: MAJE is the mean absolute error of the joint positions, in mm; MAD the mean l2 norm of the difference between
 the accelerations, in mm/s^2. Both are 0 for the speaker's own motion, and less is better. The papers give no formula
-and others compute them in two ways each, so that figures of one name are not of one thing. Here each is given in both:
+and others compute them in two ways each, so that figures of one name are not of one thing. Here:
 
-- a joint's error as the length of its vector (the papers' words for MAD), or as the mean of the absolute values of its
-  three coordinates (the public code for MAJE, and the default there): shorter, by a factor of sqrt(3) to 3;
-- acceleration in mm/s^2, divided by dt^2 as the unit says, or per squared frame, not divided, as public code has it.
+- for MAJE the mean of the absolute values of the three coordinates, as public code has it; the length of the vector
+  would be larger by a factor of sqrt(3) to 3. For MAD the length, as the papers say;
+- acceleration in mm/s^2, divided by dt^2 as the unit says, and per squared frame, not divided, as public code has it.
   The papers print 0.5 to 4 "mm/s^2", which no moving hand keeps to: those are to be compared with the latter.
 
 What fools them: they reward one answer where many are right. For MAJE the mean pose of the speaker, held still, beats
@@ -21,12 +21,13 @@ A joint that is 3 mm off along one axis, at rest:
 
     >>> off = np.zeros((4, 1, 3)); off[..., 0] = 0.003
     >>> error = joint_error(off, np.zeros((4, 1, 3)), 30.0)
-    >>> round(error.maje, 6), round(error.maje_length, 6), error.mad
-    (1.0, 3.0, 0.0)
+    >>> round(error.maje, 6), error.mad
+    (1.0, 0.0)
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,16 +47,13 @@ _SAME_BONE = 1e-6  # metres
 class JointError:
     """Errors of one clip; NaN where nothing is to be compared, and `reason` says why.
 
-    maje: mm, mean over coordinates (public code); maje_length: mm, mean length of a joint's error.
-    mad: mm/s^2, mean length of a joint's acceleration error (RG 7.3.2). mad_per_frame: the same in mm per squared
-    frame, as the published figures are; mad_coordinate_per_frame: its mean over coordinates.
+    maje: mm, mean over coordinates (public code). mad: mm/s^2, mean length of a joint's acceleration error (RG 7.3.2);
+    mad_per_frame: the same in mm per squared frame, as the published figures are.
     """
 
     maje: float
-    maje_length: float
     mad: float
     mad_per_frame: float
-    mad_coordinate_per_frame: float
     reason: str = ""
 
 
@@ -74,10 +72,10 @@ def joint_error(generated: Array, truth: Array, fps: float) -> JointError:
         raise ValueError("positions must be finite")
     # The acceleration errors are those of the error itself: differences are linear.
     braking = np.diff(error, n=2, axis=0)
-    length, coordinate = _means(error)
-    braking_length, braking_coordinate = _means(braking)
+    maje = float(np.abs(error).mean()) if error.size else math.nan
+    mad = float(np.linalg.norm(braking, axis=-1).mean()) if braking.size else math.nan
     reason = "" if braking.size else "fewer than three frames" if error.size else "no joint is known in any frame"
-    return JointError(coordinate, length, braking_length * fps ** 2, braking_length, braking_coordinate, reason)
+    return JointError(maje, mad * fps ** 2, mad, reason)
 
 
 def motion_error(generated: Motion, truth: Motion) -> JointError:
@@ -100,10 +98,3 @@ def motion_error(generated: Motion, truth: Motion) -> JointError:
     # Seen from the hips: the papers judge gestures, not where the speaker stands.
     first, second = (positions_of(facing(motion))[:, known] for motion in (generated, truth))
     return joint_error(first, second, truth.fps)
-
-
-def _means(vectors: Array) -> tuple[float, float]:
-    """Mean length of vectors [T, J, 3], and the mean of their absolute coordinates; NaN for none."""
-    if vectors.size == 0:
-        return float("nan"), float("nan")
-    return float(np.linalg.norm(vectors, axis=-1).mean()), float(np.abs(vectors).mean())

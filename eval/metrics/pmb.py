@@ -108,11 +108,11 @@ def beat_rate(motion_beats: Array, duration: float) -> float:
     return len(motion_beats) / duration
 
 
-def above_chance(value: float, by_chance: float, best: float = 100.0) -> float:
-    """(value - chance) / (best - chance): 0 is chance, 1 is the best; NaN where chance leaves no room."""
-    if not by_chance < best:
+def above_chance(percent: float, by_chance: float) -> float:
+    """(PMB - chance) / (100 - chance): 0 is chance, 1 is the best; NaN where chance leaves no room."""
+    if not by_chance < 100.0:
         return float("nan")
-    return (value - by_chance) / (best - by_chance)
+    return (percent - by_chance) / (100.0 - by_chance)
 
 
 def delta_curve(motion_beats: Array, onsets: Array) -> Array:

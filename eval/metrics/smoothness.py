@@ -1,9 +1,9 @@
 """How smooth is motion: jerk and acceleration of hands and joints, and are speeds as often high as a speaker's?
 
 Theory: acceleration is the second and jerk the third derivative of a joint's place, in m/s^2 and m/s^3; each figure is
-the mean length of that vector over frames and joints. Differences of neighbouring frames stand for derivatives, divided
-by dt^n, so that the unit is right at every frame rate. The distance between histograms of speed is that of the GENEA
-challenges (Hellinger): with p and q the shares of frames in each bin,
+the mean length of that vector over frames and both hands. Differences of neighbouring frames stand for derivatives,
+divided by dt^n, so that the unit is right at every frame rate. The distance between histograms of speed is that of the
+GENEA challenges (Hellinger): with p and q the shares of frames in each bin,
 
     H(p, q) = sqrt(1 - sum_i sqrt(p_i q_i)),
 
@@ -25,36 +25,21 @@ Good: near the speaker's own jerk and acceleration, neither above nor below, and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 
 import numpy as np
 
 from data_module.motion.kinematics import positions_of
-from data_module.motion.skeletons import facing, upper_body
+from data_module.motion.skeletons import facing
 from data_module.types import Array, Motion
 
-__all__ = ["Smoothness", "motion_smoothness"]
+__all__ = ["hand_figures"]
 
 HANDS = ("RightHand", "LeftHand")
 BIN = 0.05
 """m/s: width of a bin of speeds."""
 BINS = 60
 """The last of them holds all from 2.95 m/s up."""
-
-
-@dataclass(frozen=True)
-class Smoothness:
-    """Mean lengths over frames. speed_hands: m/s; acceleration, acceleration_hands: m/s^2; jerk, jerk_hands: m/s^3.
-
-    NaN where the clip has too few frames (a derivative of order n takes n + 1) or no joint is known; reason says why.
-    """
-
-    speed_hands: float
-    acceleration: float
-    acceleration_hands: float
-    jerk: float
-    jerk_hands: float
-    reason: str = ""
 
 
 def derivative(positions: Array, fps: float, order: int) -> Array:
@@ -74,30 +59,22 @@ def derivative(positions: Array, fps: float, order: int) -> Array:
     return lengths
 
 
-def motion_smoothness(motion: Motion) -> Smoothness:
-    """The figures of a motion of the 16-joint character, seen from its own facing hips.
-
-    Joints that the source lacks do not count, nor does the root; the hands are the wrists' places.
-    """
-    motion = upper_body(motion)
-    places = positions_of(facing(motion))
-    hands = [motion.skeleton.index(name) for name in HANDS]
-    # The root stands still in the facing frame and would lower every mean.
-    joints = [k for k, name in enumerate(motion.skeleton.names) if k and name not in motion.absent]
-
-    def mean(chosen: list[int], order: int) -> float:
-        values = derivative(places[:, chosen], motion.fps, order)
-        return float(values.mean()) if values.size else float("nan")
-
-    short = "" if len(motion) > 3 else f"{len(motion)} frames: jerk needs 4"
-    return Smoothness(mean(hands, 1), mean(joints, 2), mean(hands, 2), mean(joints, 3), mean(hands, 3),
-                      short if joints else "no joint is known")
+def hand_figures(motion: Motion) -> dict[str, float]:
+    """Mean speed, acceleration and jerk of both wrists; NaN where there are too few frames (order n takes n + 1)."""
+    places = _hands(motion)
+    every = {f"{name}_hands": derivative(places, motion.fps, order)
+             for order, name in enumerate(("speed", "acceleration", "jerk"), 1)}
+    return {name: float(values.mean()) if values.size else math.nan for name, values in every.items()}
 
 
 def hand_speeds(motion: Motion) -> Array:
     """[T - 1, 2] m/s of both hands, seen from the facing hips."""
-    columns = [motion.skeleton.index(name) for name in HANDS]
-    return derivative(positions_of(facing(motion))[:, columns], motion.fps, 1)
+    return derivative(_hands(motion), motion.fps, 1)
+
+
+def _hands(motion: Motion) -> Array:
+    """[T, 2, 3] the wrists of a motion, seen from its own facing hips."""
+    return positions_of(facing(motion))[:, [motion.skeleton.index(name) for name in HANDS]]
 
 
 def speed_histogram(speeds: Array) -> Array:

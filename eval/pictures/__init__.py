@@ -6,11 +6,12 @@ options, and `run(arguments)`, which gives the files that it wrote. A new one is
 
 from __future__ import annotations
 
-from data_module.registry import Registry, RegistryEntry, is_tool
+from data_module.registry import Registry, RegistryEntry, Requirement, is_tool
 
+MATPLOTLIB = Requirement("matplotlib", "matplotlib", "figures")
 PLOTS: Registry[RegistryEntry] = Registry("plots", "a plot", {
-    "strip": RegistryEntry("a motion as a row of figures: one file, or several on one page",
-                           "eval.pictures.strip_page"),
-    "lexicon": RegistryEntry("the lexemes: a contact sheet, t-SNE of their blocks, and a table",
-                             "eval.pictures.lexicon_map"),
+    "strip": RegistryEntry("motions as rows of figures, at the same seconds", "eval.pictures.strip_page",
+                           needs=MATPLOTLIB),
+    "lexicon": RegistryEntry("the lexemes that a store uses most, as a contact sheet", "eval.pictures.lexicon_sheet",
+                             needs=MATPLOTLIB),
 }, RegistryEntry, fits=is_tool)

@@ -1,42 +1,43 @@
-"""The common layout of plots: the size of a page's picture, its text and its frame."""
+"""The common look of plots: the width of a page's picture, its text, frame and legend."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
 
-from data_module.errors import InputError
-from gesticulator.export.figure import INK, SOFT
+from gesticulator.export.figure import FLOOR, INK, SOFT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Inches and points: 9 inches are 864 pixels of a page, and 9 points are 12.
-WIDE, TEXT, TITLE = 9.0, 9.0, 10.0
+WIDE = 9.0
+"""Inches: 864 pixels of a page."""
 COLUMNS = 3
+"""Panels in a row: what a page is wide enough for."""
+STYLE: dict[str, Any] = {
+    "font.size": 9.0, "axes.titlesize": 10.0, "axes.spines.top": False, "axes.spines.right": False,
+    "axes.edgecolor": SOFT, "axes.labelcolor": INK, "axes.titlecolor": INK, "text.color": INK, "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK, "axes.axisbelow": True, "grid.color": FLOOR, "legend.frameon": False,
+    "lines.markersize": 5.0}
+"""Settings of matplotlib, for `matplotlib.rc_context` about whatever draws."""
 
 
 def canvas(high: float) -> Figure:
-    """An empty picture so many inches high; InputError without matplotlib."""
-    try:
-        from matplotlib.figure import Figure as NewFigure
-    except ImportError:
-        raise InputError("figures", "need matplotlib, which is not installed",
-                         "pip install 'gesticulator[figures]'") from None
+    """An empty picture so many inches high."""
+    from matplotlib.figure import Figure as NewFigure
+
     return NewFigure(figsize=(WIDE, high), facecolor="white", layout="constrained")
 
 
-def bare(axis: Axes, keep: Collection[str] = ("left", "bottom")) -> None:
-    """Only these sides of the frame, in the house's ink."""
-    for side, spine in axis.spines.items():
-        spine.set_visible(side in keep)
-        spine.set_color(SOFT)
-    axis.tick_params(labelsize=TEXT, color=SOFT, labelcolor=INK)
-    if "left" not in keep:
-        axis.set_yticks([])
-    axis.title.set_fontsize(TITLE)
-    for label in (axis.xaxis.label, axis.yaxis.label, axis.title):
-        label.set_color(INK)
-    axis.xaxis.label.set_fontsize(TEXT)
-    axis.yaxis.label.set_fontsize(TEXT)
+def legend(figure: Figure, axes: Iterable[Axes], place: str = "outside lower center") -> None:
+    """One legend for all panels, each name once."""
+    named = {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    figure.legend(list(named.values()), list(named), ncols=max(len(named), 1), loc=place)
+
+
+def row_without_scale(axis: Axes, name: str) -> None:
+    """A row with its name beside it and no numbers."""
+    axis.set_ylabel(name, rotation=0, ha="right", va="center")
+    axis.set_yticks([])
+    axis.spines[["left", "bottom"]].set_visible(False)

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.types import Array
-from eval.pictures.canvas import COLUMNS, TEXT, WIDE, bare, canvas
-from gesticulator.export.figure import INK, SOFT
+from eval.pictures.canvas import COLUMNS, WIDE, canvas
+from gesticulator.export.figure import SOFT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,7 +91,6 @@ def embedding_panels(panels: Mapping[str, tuple[Array, Labels]], size: int, sile
         axis.set_title(f"{name}\n{len(points)} blocks, {len(np.unique(labels))} lexemes")
         axis.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), aspect="equal",
                  xticks=[], yticks=[])
-        bare(axis, ("left", "bottom", "top", "right"))
     for axis in axes[len(panels):]:
         axis.axis("off")
     return figure
@@ -107,5 +106,5 @@ def _draw_points(axis: Axes, points: Array, labels: Labels, palette: Sequence[st
         if lexeme in numbered:
             # The point nearest to the median of its own: a mean may lie where none is.
             x, y = mine[np.linalg.norm(mine - np.median(mine, axis=0), axis=1).argmin()].tolist()
-            axis.text(x, y, str(lexeme), fontsize=TEXT - 1, color=INK, ha="center", va="center",
-                      bbox={"boxstyle": "round,pad=0.12", "fc": "white", "ec": SOFT, "lw": 0.8, "alpha": 0.85})
+            axis.text(x, y, str(lexeme), ha="center", va="center",
+                      bbox={"boxstyle": "round,pad=0.12", "fc": "white", "ec": SOFT, "alpha": 0.85})

@@ -1,84 +1,87 @@
-"""A contact sheet of a lexicon: every lexeme at its start, middle and end, with what its hands do in words.
+"""A contact sheet of a lexicon (RG Fig. 6): `gesticulator plot lexicon --data STORE --out lexemes.png`.
 
-The words are read off the decoded lexeme alone: how far each hand goes from where it began, and which way, in
-centimetres, the hips standing still.
+The lexemes that a store uses most, as the decoder makes them, each at its start, middle and end, with its number, how
+often it occurs, and whether it is silent (`gesticulator bundle silent` changes that). A movement begins where the
+training block nearest to it began. What fools it: the decoder alone has never been made to move smoothly, so a decoded
+lexeme may tremble where the block did not.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 
-from data_module.types import Array, Motion
-from eval.pictures.strips import STRIP, draw_row
-from gesticulator.export.figure import INK, figure_points
+from data_module.types import Motion
+from eval.context import EvalContext
+from eval.pictures.strips import PAGE, draw_row, save_strip
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.features import representation_of
+from lexicon.movement import MovementLexicon
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLUMNS, MOST = 6, 60
 """Lexemes in a row, and on a sheet."""
-RESTS = 0.04
-"""Metres: a hand that goes no further from where it began rests."""
-BACK = 0.5
-"""A hand whose end is nearer to its start than this share of its furthest point has gone there and back."""
-CLEAR = 0.45
-"""A direction is told when it has this share of the way."""
-_WIDE, _TALL = 2.75, 2.17
-"""Inches of a lexeme with its three lines of text."""
-_LAYOUT = replace(STRIP, spacing=0.95, margin=0.7, low=0.72, high=1.98)
+_WIDE, _TALL = 2.75, 1.8
+"""Inches of a lexeme with its line of text."""
+_LAYOUT = replace(PAGE, spacing=0.95, margin=0.7, low=0.72, high=1.98)
 
 
-def in_words(motion: Motion) -> str:
-    """Describe the path of both hands from the first frame to the last, such as "right 18 cm up and out; left rests".
-
-    Up, forward and out (away from the middle of the body) are those of the character, which faces forward.
-    """
-    points = figure_points(motion, np.arange(len(motion)) / motion.fps)
-    paths = {side: _way(points[f"{side}Hand"], math.copysign(1.0, points[f"{side}Arm"][0, 0]))
-            for side in ("Right", "Left")}
-    # Most lexemes move both hands alike, and one phrase says so.
-    if len(set(paths.values())) == 1:
-        path = paths["Right"]
-        return "both rest" if path == "rests" else f"both {path}"
-    return "; ".join(f"{side.lower()} {path}" for side, path in paths.items())
-
-
-def _way(path: Array, outwards: float) -> str:
-    """One hand's way [T, 3]; outwards: 1 or -1, the side that it is on."""
-    moved = path - path[0]
-    away = np.linalg.norm(moved, axis=1)
-    furthest = int(away.argmax())
-    if away[furthest] < RESTS:
-        return "rests"
-    returns = away[-1] < BACK * away[furthest]
-    # A hand that returns has gone nowhere: its furthest point tells the gesture.
-    way = moved[furthest] if returns else moved[-1]
-    length = float(np.linalg.norm(way))
-    named = ((way[1], "up", "down"), (way[0] * outwards, "out", "in"), (way[2], "forward", "back"))
-    words = [more if share > 0 else less for share, more, less in sorted(named, key=lambda part: -abs(part[0]))
-             if abs(share) >= CLEAR * length][:2]
-    return f"{100 * length:.0f} cm {' and '.join(words)}{', and back' if returns else ''}"
+@torch.no_grad()
+def decoded(bundle: Bundle) -> list[Motion]:
+    """Each lexeme through the decoder, on the mean pose of all performers: K frames of normalised time."""
+    lexicon = bundle.block_lexicon
+    # In normalised time, as the lexicon was trained.
+    blocks = lexicon.shown()
+    if isinstance(lexicon, MovementLexicon):
+        # The first frame is the pose before the block that a movement was taken from.
+        blocks = torch.cat([lexicon.examples[:, -1:], blocks], dim=1)
+    poses = blocks.double().numpy() * bundle.statistics.deviation + bundle.statistics.mean_pose.mean(axis=0)
+    representation = representation_of(bundle.config)
+    return [representation.motion(pose, bundle.config.rhythm.fps) for pose in poses]
 
 
-def sheet(lexemes: Sequence[int], motions: Sequence[Motion], titles: Sequence[str], silent: Sequence[int]) -> Figure:
-    """The lexemes that are named, in that order, three figures each. motions, titles: one for every lexeme."""
+def sheet(motions: Sequence[Motion], titles: Sequence[str]) -> Figure:
+    """Lexemes in order, three figures each."""
     from matplotlib.figure import Figure as NewFigure
 
-    rows = math.ceil(len(lexemes) / COLUMNS)
+    rows = math.ceil(len(motions) / COLUMNS)
     figure = NewFigure(figsize=(COLUMNS * _WIDE, rows * _TALL), facecolor="white", layout="constrained")
     axes = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
     for axis in axes:
         axis.axis("off")
-    for axis, lexeme in zip(axes, lexemes, strict=False):
-        last = (len(motions[lexeme]) - 1) / motions[lexeme].fps
-        draw_row(axis, motions[lexeme], np.array([0.0, last / 2, last]), "front", _LAYOUT,
+    for axis, motion, title in zip(axes, motions, titles, strict=False):
+        last = (len(motion) - 1) / motion.fps
+        draw_row(axis, motion, np.array([0.0, last / 2, last]), "front", _LAYOUT,
                  2 * _LAYOUT.spacing + 2 * _LAYOUT.margin)
         axis.texts[0].remove()  # which view it is: all are the same
-        axis.set_title("\n".join((f"{lexeme}{' (silent)' if lexeme in silent else ''}",
-                                  *titles[lexeme].split("; "))), fontsize=8, color=INK)
+        axis.set_title(title, fontsize=8)
     return figure
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `gesticulator plot lexicon`."""
+    EvalContext.arguments(parser)
+    parser.add_argument("--out", type=Path, default=Path("lexemes.png"), metavar="FILE",
+                        help="the picture, .png, .svg or .pdf (default: lexemes.png)")
+
+
+def run(arguments: argparse.Namespace) -> list[Path]:
+    """Draw it; the picture's path."""
+    context = EvalContext.of(arguments)
+    motions, silent = decoded(context.bundle), context.bundle.silent
+    counts = np.bincount(context.labels, minlength=len(motions))
+    # The most used first, without lexemes that the motion never uses.
+    order = [lexeme for lexeme in np.argsort(-counts, kind="stable")[:MOST].tolist() if counts[lexeme]]
+    titles = [f"{lexeme}{' (silent)' if lexeme in silent else ''}, {100 * counts[lexeme] / counts.sum():.1f} %"
+              for lexeme in order]
+    save_strip(sheet([motions[lexeme] for lexeme in order], titles), arguments.out, dpi=100)
+    return [arguments.out]

@@ -7,29 +7,26 @@
     overview           a few seconds of speech, blocks and motion       RG Fig. 2
     style_editing      what was asked for, and what came of it          RG Fig. 10
 
-Each takes numbers and gives a figure; nothing is computed here that is not said, so a picture holds what its numbers
-hold. The same input gives the same bytes (`strips.save_strip`). Colours are of the palette of Okabe and Ito (2008),
-which people with any colour vision tell apart, and no meaning hangs on colour alone: lines have markers, lexemes, of
-which there are too many for any palette, have numbers. The other figures of the papers are drawn by
-`data_module.intervals` (5, 8a), `embedding` (6, 8b, 15, 17) and `strips` (9).
+Each takes numbers and gives a figure. Colours are of the palette of Okabe and Ito (2008), which people with any colour
+vision tell apart, and no meaning hangs on colour alone: lines have markers, lexemes, of which there are too many for
+any palette, have numbers. The other figures of the papers are drawn by `data_module.intervals` (5, 8a), `embedding`
+(6, 8b, 15, 17) and `strips` (9).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_module.controls import FEATURES, LEVELS
 from data_module.speech.onsets import merged
 from data_module.types import Array, Beats, Speech, Word
 from eval.metrics import pmb
-from eval.pictures.canvas import COLUMNS, TEXT, WIDE, bare, canvas
+from eval.pictures.canvas import canvas, legend, row_without_scale
 from eval.pictures.embedding import Labels, colours
 from eval.pictures.strips import draw_wave
 from gesticulator.export.figure import FLOOR, INK, SOFT
@@ -38,29 +35,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-BLUE, VERMILION, GREEN, PINK, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
-PALETTE = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
+PALETTE = BLUE, VERMILION, GREEN, PINK, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 DASHES = ((0, (5, 2)), (0, (5, 2, 1, 2)), (0, (10, 3)))
-LEVEL_COLOURS = dict(zip(LEVELS, (BLUE, GREEN, VERMILION), strict=True))
 
 Triple = tuple[float, float, float]
 """A mean and the two ends of its interval."""
-
-
-def _graded(axis: Axes) -> None:
-    """With faint lines at the ticks of its height."""
-    axis.grid(axis="y", color=FLOOR, linewidth=0.6)
-    axis.set_axisbelow(True)
-    bare(axis)
-
-
-def _legend(figure: Figure, axes: Iterable[Axes], *, above: bool = False) -> None:
-    """One legend for all panels, each name once, below them or above."""
-    named = {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
-    if named:
-        figure.legend(list(named.values()), list(named), ncols=len(named), fontsize=TEXT, frameon=False, labelcolor=INK,
-                      loc="outside upper center" if above else "outside lower center")
 
 
 # ---------------------------------------------------------------------------------------------------------- Fig. 11
@@ -75,16 +55,14 @@ def delta_curves(curves: Mapping[str, Sequence[float]], deltas: Sequence[float],
     figure = canvas(4.6)
     axis = figure.subplots()
     # Six colours and seven markers: 42 rows before two look alike.
-    looks, dashes = zip(cycle(PALETTE), cycle(MARKERS), strict=False), cycle(DASHES)
-    for name, percent in curves.items():
+    for number, (name, percent) in enumerate(curves.items()):
+        look: dict[str, Any] = {"color": PALETTE[number % len(PALETTE)], "marker": MARKERS[number % len(MARKERS)]}
         if name in dashed:
-            axis.plot(deltas, percent, color=INK, linestyle=next(dashes), linewidth=1.6, label=name)
-        else:
-            colour, marker = next(looks)
-            axis.plot(deltas, percent, color=colour, marker=marker, markersize=5, linewidth=1.6, label=name)
+            look = {"color": INK, "linestyle": DASHES[number % len(DASHES)]}
+        axis.plot(deltas, percent, label=name, **look)
     axis.set(xlabel="delta, s", ylabel="PMB, % of motion beats", ylim=(0, 102), xlim=(0, 1.02 * deltas[-1]))
-    _graded(axis)
-    figure.legend(loc="outside right upper", fontsize=TEXT, frameon=False, labelcolor=INK, handlelength=3)
+    axis.grid(axis="y")
+    figure.legend(loc="outside right upper", handlelength=3)
     return figure
 
 
@@ -104,12 +82,10 @@ def beat_strips(rows: Mapping[str, tuple[Array, Array, Array]], start: float, se
     axes = figure.subplots(len(rows), 1, squeeze=False, sharex=True).ravel()
     for axis, (name, (beats, onsets, edges)) in zip(axes, rows.items(), strict=True):
         _draw_beats(axis, np.sort(beats), merged(np.sort(onsets), pmb.MERGE), edges, (start, end), delta)
-        axis.set_ylabel(name, rotation=0, ha="right", va="center")
+        row_without_scale(axis, name)
         axis.set(xlim=(start, end), ylim=(-0.35, 1.35))
-        bare(axis, ("bottom",) if axis is axes[-1] else ())
-        axis.tick_params(bottom=axis is axes[-1], labelbottom=axis is axes[-1])
     axes[-1].set_xlabel(f"seconds; matched: an onset less than {delta:g} s away, one for one")
-    _legend(figure, axes[:1], above=True)
+    legend(figure, axes[:1], "outside upper center")
     return figure
 
 
@@ -118,104 +94,70 @@ def _draw_beats(axis: Axes, beats: Array, onsets: Array, edges: Array, span: tup
     """One row of `beat_strips`: what lies in the span, and the pairs of the beats that do."""
     from matplotlib.collections import LineCollection
 
-    def within(times: Array) -> NDArray[np.bool_]:
-        return (times >= span[0]) & (times <= span[1])
-
     # Matched before the stretch is cut out: a partner may lie just outside of it.
-    pairs, shown = pmb.matched(beats, onsets, delta), within(beats)
+    pairs, shown = pmb.matched(beats, onsets, delta), (beats >= span[0]) & (beats <= span[1])
     paired, alone = shown & (pairs >= 0), shown & (pairs < 0)
-    axis.vlines(onsets[within(onsets)], 0.78, 1.22, color=INK, linewidth=1.6, label="onset")
-    joined = [[(float(onsets[k]), 0.78), (float(beat), 0.0)] for beat, k in zip(beats[paired], pairs[paired],
-                                                                             strict=True)]
-    axis.add_collection(LineCollection(joined, colors=BLUE, linewidths=1.2, label="_pairs"))
-    axis.scatter(beats[paired], np.zeros(paired.sum()), s=38, color=BLUE, zorder=4, clip_on=False,
-                 label="motion beat, matched")
-    axis.scatter(beats[alone], np.zeros(alone.sum()), s=38, facecolor="white", edgecolor=VERMILION, linewidths=1.6,
-                 zorder=3, clip_on=False, label="motion beat, not matched")
-    axis.vlines(edges[within(edges)], -0.35, 1.35, color=SOFT, linewidth=0.8, alpha=0.6, zorder=0, label="block edge")
+    axis.vlines(onsets, 0.78, 1.22, color=INK, label="onset")
+    joined = np.stack([np.stack([onsets[pairs[paired]], beats[paired]], 1), np.tile([0.78, 0.0], (paired.sum(), 1))], 2)
+    axis.add_collection(LineCollection(list(joined), colors=BLUE, label="_pairs"))
+    axis.scatter(beats[paired], np.zeros(paired.sum()), color=BLUE, zorder=4, label="motion beat, matched")
+    axis.scatter(beats[alone], np.zeros(alone.sum()), facecolor="white", edgecolor=VERMILION, zorder=3,
+                 label="motion beat, not matched")
+    axis.vlines(edges, -0.35, 1.35, color=SOFT, linewidth=0.8, zorder=0, label="block edge")
     count = int(shown.sum())
     label_text = f"PMB {100 * paired.sum() / count:.0f} %\n{paired.sum()} of {count}" if count else "no motion\nbeat"
-    axis.text(1.015, 0.5, label_text, transform=axis.transAxes, fontsize=TEXT, color=INK, va="center")
+    axis.text(1.015, 0.5, label_text, transform=axis.transAxes, va="center")
 
 
 # ---------------------------------------------------------------------------------------------------------- Fig. 18
 
-def size_sweep(sizes: Sequence[int], figures: Mapping[str, Sequence[Triple]],
-               reference: Mapping[str, float] | None = None, *, chosen: int | None = None) -> Figure:
+def size_sweep(sizes: Sequence[int], figures: Mapping[str, Sequence[Triple]], reference: Mapping[str, float],
+               chosen: int) -> Figure:
     """Metrics over the size of the lexicon, one panel for each (RG Fig. 18).
 
     sizes: [n], rising; figures: the metric's title -> a (mean, low, high) for each size, NaN where there is none;
     reference: the metric's title -> the performer's value, a dashed line; chosen: the size that is in use, dotted.
     """
-    # Three panels in a row are what a page is wide enough for.
-    across = min(COLUMNS, len(figures))
-    down = math.ceil(len(figures) / across)
-    figure = canvas(3.1 * down)
-    axes = figure.subplots(down, across, squeeze=False).ravel()
-    for axis, (title, values) in zip(axes, figures.items(), strict=False):
-        _draw_intervals(axis, np.array(sizes, float), np.array(values, float))
-        if chosen is not None:
-            axis.axvline(chosen, color=SOFT, linestyle=":", linewidth=1.2, label="size in use")
-        if reference and math.isfinite(reference.get(title, math.nan)):
-            axis.axhline(reference[title], color=INK, linestyle=DASHES[0], linewidth=1.2, label="performer")
+    figure = canvas(3.4)
+    axes = figure.subplots(1, len(figures), squeeze=False).ravel()
+    for axis, (title, values) in zip(axes, figures.items(), strict=True):
+        mean, low, high = np.array(values, dtype=np.float64).T
+        axis.errorbar(sizes, mean, (mean - low, high - mean), color=BLUE, marker="o", label="mean and 95 % interval")
+        axis.axvline(chosen, color=SOFT, linestyle=":", label="size in use")
+        if math.isfinite(reference.get(title, math.nan)):
+            axis.axhline(reference[title], color=INK, linestyle=DASHES[0], label="performer")
         # Sizes differ by factors.
         axis.set_xscale("log")
         axis.set_xticks(list(sizes), [f"{size:g}" for size in sizes])
         axis.set_xticks([], minor=True)
         axis.set(title=title, xlabel="lexemes")
-        _graded(axis)
-    for axis in axes[len(figures):]:
-        axis.axis("off")
-    _legend(figure, axes[:len(figures)])
+        axis.grid(axis="y")
+    legend(figure, axes)
     return figure
-
-
-def _draw_intervals(axis: Axes, at: Array, intervals: Array) -> None:
-    """Means [n] joined by a line, each with its interval; intervals: [n, 3] mean, low, high."""
-    axis.plot(at, intervals[:, 0], color=BLUE, marker="o", markersize=5, linewidth=1.6, label="mean and 95 % interval")
-    known = np.isfinite(intervals).all(axis=1)
-    axis.vlines(at[known], intervals[known, 1], intervals[known, 2], color=BLUE, linewidth=1.4, label="_interval")
 
 
 # ---------------------------------------------------------------------------------------------------------- Fig. 14
 
-def cluster_bars(panels: Mapping[str, Mapping[str, Any]]) -> Figure:
+def cluster_bars(panels: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Figure:
     """How much the cluster of a block's sound tells of its lexeme, for each level of the encoder (RG Fig. 14).
 
-    panels: whose motion -> `eval.metrics.audio_clusters.association`. Left the entropy of
-    the lexeme given the cluster beside what the same lexemes, turned round, have by chance, under the entropy of the
-    lexeme alone; right the gain, which alone has an interval. Clusters of a few blocks have a low entropy whatever they
-    hold, so a bar means something only beside its chance.
+    panels: whose motion -> `eval.metrics.audio_clusters.association`. The entropy of the lexeme given the cluster
+    beside what the same lexemes, turned round, have by chance, under the entropy of the lexeme alone. Clusters of a few
+    blocks have a low entropy whatever they hold, so a bar means something only beside its chance.
     """
-    levels = [name for name, value in next(iter(panels.values())).items()
-              if isinstance(value, Mapping) and "entropy" in value]
-    figure = canvas(3.9)
-    bars, gains = figure.subplots(1, 2, width_ratios=(3, 2))
-    wide = 0.8 / (2 * len(levels))
-    for group, measured in enumerate(panels.values()):
-        # One name in the legend, whatever the number of panels: matplotlib leaves out names that begin with "_".
-        hidden = "_" if group else ""
-        bars.hlines(float(measured["lexeme_entropy"]), group - 0.45, group + 0.45, color=INK, linestyle=DASHES[0],
-                    linewidth=1.4, label=f"{hidden}lexeme alone")
-        for number, name in enumerate(levels):
-            level, colour = measured[name], PALETTE[number % len(PALETTE)]
-            middle, gain = group + (2 * number + 1 - len(levels)) * wide, level["gain"]
-            bars.bar(middle - wide / 2, level["entropy"], 0.9 * wide, color=colour, label=f"{hidden}{name}")
-            bars.bar(middle + wide / 2, level["by_chance"], 0.9 * wide, facecolor="white", edgecolor=colour,
-                     hatch="///", linewidth=1.2, label=f"{hidden}{name}, by chance")
-            gains.vlines(middle, gain.low, gain.high, color=colour, linewidth=1.8, label=f"_{name}")
-            gains.plot([middle], [gain.mean], color=colour, marker="o", markersize=6.5, label=f"_{name}")
-            gains.annotate(f"p {level['p']:.2f}", (middle, max(gain.high, gain.mean)), (0, 4), ha="center",
-                           textcoords="offset points", fontsize=TEXT, color=INK)
-    gains.axhline(0.0, color=INK, linewidth=0.9, zorder=0)
-    # Room for the p above the highest gain.
-    gains.margins(y=0.12)
-    for axis, title in ((bars, "entropy of the lexeme given the cluster, nats"),
-                        (gains, "gain: chance less entropy, nats")):
-        axis.set_xticks(range(len(panels)), [f"{name}\n{panel['blocks']} blocks" for name, panel in panels.items()])
-        axis.set(title=title, xlim=(-0.55, len(panels) - 0.45))
-        _graded(axis)
-    _legend(figure, (bars,))
+    bars = [(f"{whose}\n{level}", value) for whose, levels in panels.items() for level, value in levels.items()]
+    figure, at = canvas(3.9), np.arange(len(bars))
+    axis = figure.subplots()
+    told, chance, alone = ([value[key] for _, value in bars] for key in ("entropy", "by_chance", "alone"))
+    axis.bar(at - 0.2, told, 0.38, color=BLUE, label="given the cluster")
+    axis.bar(at + 0.2, chance, 0.38, facecolor="white", edgecolor=BLUE, hatch="///", label="by chance")
+    axis.hlines(alone, at - 0.45, at + 0.45, color=INK, linestyle=DASHES[0], label="lexeme alone")
+    for place, (_, value) in enumerate(bars):
+        axis.text(place - 0.2, value["entropy"], f"p {value['p']:.2f}", ha="center", va="bottom")
+    axis.set_xticks(at, [name for name, _ in bars])
+    axis.set(ylabel="entropy of the lexeme, nats")
+    axis.grid(axis="y")
+    legend(figure, (axis,))
     return figure
 
 
@@ -250,16 +192,13 @@ def overview(of: Overview, start: float, seconds: float) -> Figure:
     spoken, sound, cells, hands = axes
     _draw_words(spoken, [word for word in of.words if word.text and word.end > start and word.start < end], start, end)
     draw_wave(sound, of.speech, of.beats, start, end)
-    sound.set_ylabel("sound")
-    _quiet(sound)
+    row_without_scale(sound, "sound")
     _draw_cells(cells, of.edges, of.lexemes, of.silent, start, end)
     _draw_hands(hands, of.hand_speed, of.fps, of.motion_beats, start, end)
     for axis in axes:
-        axis.vlines(of.edges, 0, 1, transform=axis.get_xaxis_transform(), color=FLOOR, linewidth=0.8, zorder=0,
-                    label="_edges")
-        axis.tick_params(bottom=axis is hands, labelbottom=axis is hands)
+        axis.vlines(of.edges, 0, 1, transform=axis.get_xaxis_transform(), color=FLOOR, zorder=0, label="_edges")
     hands.set_xlabel("seconds")
-    _legend(figure, (sound, hands))
+    legend(figure, (sound, hands))
     return figure
 
 
@@ -267,51 +206,36 @@ def _draw_words(axis: Axes, words: Sequence[Word], start: float, end: float) -> 
     """Each word over its middle, in three lanes in turn, so that neighbours do not run into each other."""
     for number, word in enumerate(words):
         middle = min(max((word.start + word.end) / 2, start), end)
-        axis.text(middle, 2.5 - number % 3, word.text, fontsize=TEXT, color=INK, ha="center", va="center", clip_on=True)
-    axis.set(ylim=(0, 3), ylabel="words")
-    _quiet(axis)
-
-
-def _quiet(axis: Axes) -> None:
-    """A row without a scale, its name beside it."""
-    bare(axis, ())
-    axis.yaxis.label.set(rotation=0, horizontalalignment="right", verticalalignment="center")
+        axis.text(middle, 2.5 - number % 3, word.text, ha="center", va="center", clip_on=True)
+    axis.set(ylim=(0, 3))
+    row_without_scale(axis, "words")
 
 
 def _draw_cells(axis: Axes, edges: Array, lexemes: Labels, silent: Sequence[int], start: float, end: float) -> None:
-    """Blocks as cells of their lexeme's colour, numbered where the number fits."""
+    """Blocks as cells of their lexeme's colour, with its number."""
     palette = colours(int(lexemes.max(initial=0)) + 1)
-    inch = (end - start) / (WIDE - 1.0)
     for left, right, lexeme in zip(edges[:-1], edges[1:], lexemes.tolist(), strict=True):
-        shown = min(right, end) - max(left, start)
-        if shown <= 0:
+        if min(right, end) <= max(left, start):
             continue
         # A silent lexeme is hatched: hue alone would not tell it apart.
-        still = lexeme in silent
-        axis.barh(0.5, right - left, 0.9, left, color="white" if still else palette[lexeme],
-                  edgecolor=palette[lexeme] if still else "white", hatch="////" if still else None, linewidth=1.0,
-                  label=f"_{lexeme}")
-        if shown >= (0.06 + 0.085 * len(str(lexeme))) * inch:
-            axis.text((max(left, start) + min(right, end)) / 2, 0.5, str(lexeme), fontsize=TEXT, ha="center",
-                      va="center", color=INK, bbox={"boxstyle": "round,pad=0.12", "fc": "white", "ec": "none"})
-    axis.set(ylim=(0, 1), ylabel="lexemes")
-    _quiet(axis)
+        look = ({"color": "white", "edgecolor": palette[lexeme], "hatch": "////"} if lexeme in silent else
+                {"color": palette[lexeme], "edgecolor": "white"})
+        axis.barh(0.5, right - left, 0.9, left, label=f"_{lexeme}", **look)
+        axis.text((max(left, start) + min(right, end)) / 2, 0.5, str(lexeme), ha="center", va="center", clip_on=True,
+                  bbox={"boxstyle": "round,pad=0.12", "fc": "white", "ec": "none"})
+    axis.set(ylim=(0, 1))
+    row_without_scale(axis, "lexemes")
 
 
 def _draw_hands(axis: Axes, speed: Array, fps: float, beat_times: Array, start: float, end: float) -> None:
     times = np.arange(len(speed)) / fps
-    # One frame more on both sides, so that the line reaches the edges.
-    shown = (times >= start - 1 / fps) & (times <= end + 1 / fps)
-    axis.plot(times[shown], speed[shown], color=INK, linewidth=1.4, label="_speed")
+    axis.plot(times, speed, color=INK, label="_speed")
     mine = beat_times[(beat_times >= start) & (beat_times <= end)]
     # Motion beats stand below the curve, where nothing hides them.
-    top = 1.1 * float(speed[shown].max(initial=0.0)) or 1.0
-    axis.vlines(mine, -0.22 * top, np.interp(mine, times, speed) if len(speed) else 0.0, color=BLUE, linewidth=0.9,
-                label="_beats")
-    axis.plot(mine, np.full(len(mine), -0.22 * top), color=BLUE, marker="^", markersize=6, linestyle="none",
-              label="motion beat", clip_on=False)
+    top = 1.1 * float(speed[(times >= start) & (times <= end)].max(initial=0.0)) or 1.0
+    axis.vlines(mine, -0.22 * top, np.interp(mine, times, speed), color=BLUE, linewidth=0.9, label="_beats")
+    axis.plot(mine, np.full(len(mine), -0.22 * top), color=BLUE, marker="^", linestyle="none", label="motion beat")
     axis.set(ylim=(-0.32 * top, top), ylabel="arms, m/s")
-    bare(axis)
 
 
 # ---------------------------------------------------------------------------------------------------------- Fig. 10
@@ -328,7 +252,7 @@ def style_editing(result: Mapping[str, Any]) -> Figure:
         rows, requested = {level: f"{feature} {level}" for level in LEVELS} | result["beside"], result["asked"][feature]
         drawn = boxes.boxplot([result["values"][row][feature] for row in rows.values()], whis=(0, 100))
         boxes.set_xticks(range(1, len(rows) + 1), list(rows))
-        for place, (level, colour) in enumerate(LEVEL_COLOURS.items(), 1):
+        for place, (level, colour) in enumerate(zip(LEVELS, PALETTE, strict=False), 1):
             series = result["series"][rows[level]]
             curve = series["values"][index]
             over_time.plot(np.arange(len(curve)) / series["fps"], curve, color=colour, label=level)
@@ -337,7 +261,7 @@ def style_editing(result: Mapping[str, Any]) -> Figure:
             drawn["boxes"][place - 1].set_color(colour)
         over_time.set_ylabel(result["titles"][feature])
         if index == 0:
-            over_time.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(LEVELS), frameon=False)
+            over_time.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(LEVELS))
     over_time.set_xlabel(f"seconds of {result['clips'][0]['name']} (mean over 4 s)")
     boxes.set_xlabel(f"means over {len(result['clips'])} clips")
     return figure

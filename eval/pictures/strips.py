@@ -36,8 +36,8 @@ _UNSAID: dict[str, dict[str, Any]] = {
     "png": {"Software": None}, "svg": {"Date": None, "Creator": None},
     "pdf": {"CreationDate": None, "Creator": None, "Producer": None}}
 _TRAIL_STEPS = 40
-_WIDEST = 21.0
-"""Inches."""
+POSES = 4.0
+"""Figures a second on a page."""
 _CAPTION, _SOUND, _CLOCK, _CREDIT = 0.24, 0.46, 0.26, 0.16
 """Metres of height: of a source's name, the waveform, the seconds with the gap below them, a credit."""
 
@@ -57,10 +57,8 @@ class Layout:
     views: Sequence[str] = tuple(VIEWS)
 
 
-STRIP = Layout(1.12, 0.72, -0.08, 1.93, 1000, 1.2)
-"""One motion, from head to foot, in one line."""
 PAGE = Layout(0.98, 0.88, 0.60, 2.02, 16, 0.84)
-"""Several, from the thighs to a raised hand; a line of 16 figures is 14 inches wide."""
+"""From the thighs to a raised hand; a line of 16 figures is 14 inches wide."""
 
 
 @dataclass(frozen=True)
@@ -72,17 +70,14 @@ class Source:
     credit: str = ""
 
 
-def frame_times(motion: Motion, start: float = 0.0, seconds: float | None = None, count: int = 8) -> Array:
-    """[count] seconds, evenly spread over the stretch and clamped to the motion; InputError when it holds none."""
-    # The last figure stands at the last frame, not a frame behind it.
-    last = (len(motion) - 1) / motion.fps
-    end = last if seconds is None else min(start + seconds, last)
-    if count < 1:
-        raise InputError("--frames", f"must be 1 or more, not {count}")
-    if not (math.isfinite(start) and 0 <= start <= last and end >= start):
-        raise InputError("strip", f"{start:g} s is outside the motion, which lasts {motion.duration:.2f} s",
-                         "give another --start or --seconds")
-    return np.linspace(start, end, count) if count > 1 else np.array([start])
+def page_times(start: float, seconds: float, longest: float) -> Array:
+    """[n] seconds, `POSES` a second, as far as the longest motion goes; InputError where there is none."""
+    if not (math.isfinite(start) and math.isfinite(seconds) and 0 <= start < longest and seconds > 0):
+        raise InputError("plot strip", f"{start:g} s and {seconds:g} s more are outside the motion, which lasts "
+                         f"{longest:.2f} s", "give another --start or --seconds")
+    # A small number for stretches that poses divide evenly.
+    end = min(start + seconds, longest)
+    return start + np.arange(max(1, math.floor((end - start) * POSES + 1e-9))) / POSES
 
 
 def draw_page(sources: Sequence[Source], times: Array, speech: Speech | None = None, beats: Beats | None = None,
@@ -95,7 +90,7 @@ def draw_page(sources: Sequence[Source], times: Array, speech: Speech | None = N
     from matplotlib.figure import Figure as NewFigure
 
     if not sources or len(times) == 0:
-        raise InputError("plot strip", "has nothing to draw", "name a motion, --take, --corpus, --ours or --system")
+        raise InputError("plot strip", "has nothing to draw", "name a motion, --take, --corpus or --ours")
     # A last line that is short keeps the scale of the others, so every row is as wide as a full one.
     wide = (min(len(times), layout.line) - 1) * layout.spacing + 2 * layout.margin
     # The page is a stack of rows, each of a height in metres of the figures' own scale.
@@ -114,9 +109,7 @@ def draw_page(sources: Sequence[Source], times: Array, speech: Speech | None = N
     rows += [(_CREDIT, partial(_draw_text, text=credit, size=7.5, colour=SOFT))
              for credit in dict.fromkeys(source.credit for source in sources) if credit]
     heights = [height for height, _ in rows]
-    # Wider pictures are made smaller as a whole, so that figures keep their shape.
-    scale = min(layout.scale, _WIDEST / wide)
-    figure = NewFigure(figsize=(wide * scale, sum(heights) * scale), facecolor="white")
+    figure = NewFigure(figsize=(wide * layout.scale, sum(heights) * layout.scale), facecolor="white")
     axes = figure.subplots(len(rows), 1, squeeze=False, height_ratios=heights, gridspec_kw={
         "left": 0.0, "right": 1.0, "bottom": 0.0, "top": 1.0, "hspace": 0.0}).ravel()
     for axis, (_, draw) in zip(axes, rows, strict=True):

@@ -33,20 +33,21 @@ from pathlib import Path
 
 import numpy as np
 
+from data_module.blocks import cut
 from data_module.errors import InputError
 from data_module.store import SPLITS, Store
-from data_module.types import Array, Motion
+from data_module.types import Array, Blocks, Motion
 from eval import stats
 from eval.baselines import controls as baselines
 from eval.baselines.unit_selection import NAME as UNITS
 from eval.clip.clip_set import TRUTH, ClipSet, common_clips, listed, shared_names
 from eval.clip.foreign import Clip, named, names_in, read_folder
-from eval.context import EvalContext, provenance, with_judges
+from eval.context import EvalContext, provenance
 from eval.metrics import CLIP_METRICS, EYE_METRICS, METRICS, SET_METRICS, Metric, eye, fgd
 from eval.metrics.diversity import diversity, motion_variance
-from eval.metrics.encode import EncodedMotion, SpeechBlocks, encode_motion, judged_reward
+from eval.metrics.encode import EncodedMotion, encode_motion
 from eval.metrics.evaluate import (
-    LEXEME_METRICS,
+    ACCURACY,
     MOTION_METRICS,
     SYNCHRONY,
     MotionBeats,
@@ -57,17 +58,7 @@ from eval.metrics.evaluate import (
     lexeme_values,
     synchrony,
 )
-from eval.metrics.gesture_features import (
-    FPS,
-    Features,
-    RawFeatures,
-    as_features,
-    by_name,
-    load,
-    networks,
-    pooled,
-    published,
-)
+from eval.metrics.gesture_features import pooled, spaces
 from eval.metrics.mismatch import Mismatch, matrix, mismatch
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
 from eval.score.played_rows import PlayedBundle, group_table, sounds_of, unit_selection_row
@@ -77,8 +68,6 @@ from eval.table import Marked, Table, publish
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.files import bundle_folder
 
-RAW_FRAMES = (34, 60)
-"""Windows of the raw directions, at 15 fps, where networks of two lengths are not to be had."""
 MOST = 60
 """Clips of a mismatch test at most, evenly chosen: it tries all pairs."""
 SAME = (1e-9, 1e-4)
@@ -108,22 +97,22 @@ class ScoreRow:
 @dataclass(frozen=True)
 class ScoredClips:
     """The clips that all rows share, heard once. context: networks, seed and the bundle whose lexicon reads motion,
-    if any; speeches: the blocks of each clip's speech as the bundle cuts it, None without the one or the other; truth:
-    the speakers' own motion in them."""
+    if any; blocks: of each clip's speech as the bundle cuts it, None without the one or the other; truth: the speakers'
+    own motion in them."""
 
     context: EvalContext
     clips: ClipSet
     tracks: list[OnsetTrack | None]
     voices: list[eye.VoiceActivity | None]
-    speeches: list[SpeechBlocks | None]
+    blocks: list[Blocks | None]
 
     @classmethod
     def of(cls, context: EvalContext, clips: ClipSet) -> ScoredClips:
-        """Each speech is heard, cut and encoded once for all rows."""
+        """Each speech is heard and cut once for all rows."""
         bundle = context.models
         return cls(context, clips, *(list(each) for each in zip(*((
             None if speech is None else OnsetTrack.of(speech), None if speech is None else eye.hear(speech),
-            None if speech is None or bundle is None else SpeechBlocks.of(bundle, speech))
+            None if speech is None or bundle is None else cut(speech, bundle.config.rhythm))
             for speech in clips.speeches), strict=True)))
 
     @cached_property
@@ -133,8 +122,9 @@ class ScoredClips:
 
     def encoded(self, motions: Sequence[Motion]) -> list[EncodedMotion | None]:
         """Motions of all clips as the bundle reads them; None where nothing is said."""
-        return [None if speech is None else encode_motion(self.context.bundle, motion, speech.blocks, speech.speaker)
-                for motion, speech in zip(motions, self.speeches, strict=True)]
+        return [None if speech is None or blocks is None else
+                encode_motion(self.context.bundle, motion, blocks, speech.speaker or "")
+                for motion, speech, blocks in zip(motions, self.clips.speeches, self.blocks, strict=True)]
 
     def row(self, name: str, kind: str, motions: list[Motion]) -> ScoreRow:
         """Everything about one set of motions."""
@@ -145,8 +135,8 @@ class ScoredClips:
             clip_values(motion, second, beats, track, self.context.seed + k) for k, (motion, second, beats, track)
             in enumerate(zip(motions, truth, row.beats, self.tracks, strict=True))])
         _put(row, tuple(EYE_METRICS), [
-            eye_values(motion, voice, None if speech is None else speech.blocks.edges, self.context.space)
-            for motion, voice, speech in zip(motions, self.voices, self.speeches, strict=True)])
+            eye_values(motion, voice, None if blocks is None else blocks.edges, self.context.space)
+            for motion, voice, blocks in zip(motions, self.voices, self.blocks, strict=True)])
         row.features = {key: pooled(motions, network) for key, network in self.context.networks.items()}
         first, second = (np.array([speed_histogram(hand_speeds(motion)) for motion in clips])
                         for clips in (motions, speakers))
@@ -160,13 +150,11 @@ class ScoredClips:
         of_sets = ("diversity", "motion_variance")
         bundle = self.context.models
         if bundle is None:
-            row.values |= {metric: np.full(len(row.motions), np.nan) for metric in LEXEME_METRICS}
-            row.reasons |= dict.fromkeys((*of_sets, *LEXEME_METRICS), "no lexicon was given (--bundle)")
+            row.values[ACCURACY] = np.full(len(row.motions), np.nan)
+            row.reasons |= dict.fromkeys((*of_sets, ACCURACY), "no lexicon was given (--bundle)")
             return
-        encoded, judged = self.encoded(row.motions), bundle.reward_judge is not None
-        _put(row, LEXEME_METRICS, [lexeme_values(
-            motion, truth, math.nan if motion is None or speech is None else judged_reward(bundle, motion, speech),
-            judged) for motion, truth, speech in zip(encoded, self.truth, self.speeches, strict=True)])
+        encoded = self.encoded(row.motions)
+        _put(row, (ACCURACY,), [lexeme_values(*pair) for pair in zip(encoded, self.truth, strict=True)])
         if not any(encoded):
             row.reasons |= dict.fromkeys(of_sets, "no speech is known")
             return
@@ -243,7 +231,8 @@ def _undefined(name: str, value: Interval) -> str:
 def fgd_cell(figure: fgd.Figure, sure: bool = False) -> Marked:
     """A distance; (?) where the sample is too small for it. sure: of the truth against itself."""
     doubt = not sure and math.isfinite(figure.distance) and figure.verdict.startswith("no")
-    return Marked(replace(figure.interval, mean=figure.distance), "(?)" if doubt else "", figure.reason)
+    reason = "" if math.isfinite(figure.distance) else f"{min(figure.windows)} windows in a set, and 2 are needed"
+    return Marked(figure.interval, "(?)" if doubt else "", reason)
 
 
 def floor_figures(truth: ScoreRow, shared: ScoredClips) -> tuple[dict[str, Marked], dict[str, fgd.Figure]]:
@@ -376,7 +365,7 @@ def score(context: EvalContext, clips: ClipSet) -> Scores:
     figures = {name: pair[0] for name, pair in both.items()}
     distances = {name: pair[1] for name, pair in both.items()}
     metrics = {**CLIP_METRICS, **EYE_METRICS, **SET_METRICS,
-               **{key: replace(METRICS["fgd"], about=f"FGD, {key}") for key in context.networks}}
+               **{key: replace(METRICS["fgd"], title=f"FGD, {key}") for key in context.networks}}
     systems = [row for row in rows.values() if row.kind == "system"]
     # Differences are of systems alone: what a control differs by is said by its flags.
     return Scores(
@@ -389,24 +378,6 @@ def score(context: EvalContext, clips: ClipSet) -> Scores:
 
 
 # --------------------------------------------------------------------------------------------------------- command
-
-def networks_of(fgd_folder: Path | None, work: Path | None, truth: Path) -> dict[str, Features]:
-    """The feature spaces of FGD, two window lengths at least: the papers' network (fgd_folder), our own in work
-    (trained there on the truth's training split where it is a store), and raw directions for lengths that lack."""
-    chosen: list[Features] = [published(fgd_folder)] if fgd_folder else []
-    # A network that was trained before is used again; another training would give distances of another scale.
-    folders = sorted(file.parent for file in work.rglob("gesture_features.safetensors")) if work is not None else []
-    if work is not None and not folders and (truth / "store.json").is_file():
-        work.mkdir(parents=True, exist_ok=True)
-        chosen += [network for network in networks(Store.open(truth), work) if network.name.startswith("own")]
-    chosen += [as_features(load(folder)) for folder in folders]
-    # FGD depends on the window's length, so one length alone is never shown.
-    for frames in RAW_FRAMES:
-        lengths = {round(network.frames / network.fps, 6) for network in chosen}
-        if len(lengths) < 2 and round(frames / FPS, 6) not in lengths:
-            chosen.append(RawFeatures(frames))
-    return by_name(chosen)
-
 
 def read_all(arguments: argparse.Namespace) -> tuple[dict[str, dict[str, Clip]], list[str]]:
     """The clips of truth and systems, and what was left out of their folders."""
@@ -461,11 +432,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--speech", type=Path, metavar="DIR", help="folder of the audio (default: beside the motion)")
     add("--fgd", type=Path, metavar="FOLDER", help="folder of the Human3.6M network of the papers")
     add("--work", type=Path, metavar="DIR",
-        help="work folder for our own networks of gesture features; that of the bundle's training also contains the "
-        "judging reward model")
+        help="work folder, which keeps the units of --units")
     add("--bundle", metavar="DIR",
-        help="bundle whose lexicon measures diversity, motion variance and lexeme accuracy, and whose judging model "
-        "in --work measures the reward (a folder, default or paper)")
+        help="bundle whose lexicon measures diversity, motion variance and lexeme accuracy")
     add("--split", default="test", choices=(*SPLITS, "all"), help="split of the store to compare (default: test)")
     add("--piece", metavar="SECONDS", help="cut long clips into pieces of this length")
     add("--fps", action="append", default=[], metavar="NAME=RATE",
@@ -483,16 +452,15 @@ def scored(arguments: argparse.Namespace) -> Scores:
     piece = None if arguments.piece is None else _positive("--piece", arguments.piece)
     bundle = None
     if arguments.bundle:
-        bundle = with_judges(bundles.load(bundle_folder(arguments.bundle)), arguments.work)
+        bundle = bundles.load(bundle_folder(arguments.bundle))
         # A bundle of RACER's own codec has no lexicon of the kind that these figures are of.
         _ = bundle.block_lexicon
     folders, left_out = read_all(arguments)
     if arguments.units:
         folders[UNITS] = unit_selection_row(folders[TRUTH], Store.open(arguments.units), arguments.work, arguments.seed)
-    networks = networks_of(arguments.fgd, arguments.work, arguments.truth)
     clips = common_clips(folders, piece=piece)
     clips.notes[:0] = left_out
-    context = EvalContext(models=bundle, networks=networks, seed=arguments.seed)
+    context = EvalContext(models=bundle, networks=spaces(arguments.fgd), seed=arguments.seed)
     return score(context, clips)
 
 

@@ -32,7 +32,7 @@ from gesticulator.bundle.files import INDEX, bundle_folder
 from gesticulator.gesticulator import Gesticulator
 from interpreters import INTERPRETERS
 
-SHOWN = ("above_A", "above_B", "consistency_above", "beats_per_second", "speed_hands")
+SHOWN = ("above_A", "above_B", "beats_per_second", "speed_hands")
 EXCHANGED = "sounds exchanged"
 
 
@@ -119,7 +119,7 @@ def group_table(groups: Mapping[str, Mapping[str, Speech]], systems: Mapping[str
             # The next sound of the same group: another language would differ in rate, and not in fit alone.
             rows[f"{group}, {name}, {EXCHANGED}"] = synchrony_means(motions, [*tracks[1:], tracks[0]], seed)
     counts = ", ".join(f"{group} {len(sounds)}" for group, sounds in groups.items())
-    columns = {name: Column(METRICS[name].about, METRICS[name].unit, METRICS[name].digits) for name in SHOWN}
+    columns = {name: Column(METRICS[name].title, METRICS[name].unit, METRICS[name].digits) for name in SHOWN}
     return Table("Synchrony by group", columns, rows, "recordings, system",
                  [f"Recordings: {counts}. Means over recordings with bootstrap 95 % intervals."])
 

@@ -52,7 +52,7 @@ class Scores:
 
 _GOOD = {"low": "less is better", "high": "more is better", "near": "near the truth's is good", "": "no judgement"}
 _PARTS = {"joints": "Joint errors against the speaker", "beats": "Motion beats and onsets",
-          "consistency": "Beat consistency", "vigour": "Speed and smoothness", "lexemes": "Measured by the bundle",
+          "vigour": "Speed and smoothness", "lexemes": "Measured by the bundle",
           "eye hands": "Perceptual figures: two hands", "eye trunk": "Perceptual figures: trunk and idle motion",
           "eye strokes": "Perceptual figures: strokes", "eye voice": "Perceptual figures: synchrony",
           "eye posture": "Perceptual figures: posture", "eye together": "Perceptual figures: parts together",
@@ -80,7 +80,7 @@ def tables(scores: Scores) -> list[Table]:
         # The floor is of distances between sets; in the other parts its row would be empty.
         rows = {name: row for name, row in scores.figures.items() if part in ("sets", "fgd") or name != FLOOR}
         if metrics:
-            columns = {name: Column(f"{metric.about}{' (!)' if name in flagged else ''}",
+            columns = {name: Column(f"{metric.title}{' (!)' if name in flagged else ''}",
                                     f"{metric.unit}{', ' if metric.unit else ''}{_GOOD[metric.good]}", metric.digits,
                                     metric.good) for name, metric in metrics.items()}
             out.append(Table(title, columns, {name: {key: row[key] for key in columns if key in row}
@@ -114,7 +114,7 @@ def _mismatch_table(scores: Scores) -> Table:
             # One digit more than the metric's own: differences are smaller than values.
             digits = scores.metrics[metric].digits + 1
             cells: dict[str, Cell] = {"right": test.right, "wrong": test.wrong, "difference": test.difference}
-            rows[f"{name}, {scores.metrics[metric].about}"] = {
+            rows[f"{name}, {scores.metrics[metric].title}"] = {
                 **{key: shown_cell(cell, digits) for key, cell in cells.items()},
                 "p": test.reason or f"{test.p_value:.3g}"}
     clips = len(scores.clips)
@@ -133,8 +133,8 @@ def _fgd_table(scores: Scores) -> Table:
     for name, distances in scores.distances.items():
         for key, figure in distances.items() if name != TRUTH else ():
             rows[f"{name}, {key}"] = {
-                "network": f"{figure.features} ({figure.sha256[:12]})",
-                "window": f"{figure.frames} at {figure.fps:g} fps",
+                "network": f"{figure.by.name} ({figure.by.sha256[:12]})",
+                "window": f"{figure.by.frames} at {figure.by.fps:g} fps",
                 "windows": f"{figure.windows[0]} / {figure.windows[1]}", "needed": figure.needed,
                 "bias": f"{figure.bias:.2g}" if math.isfinite(figure.bias) else None, "enough": figure.verdict}
     heads = {"network": "network (SHA-256)", "window": "window", "windows": "windows of it / of the truth",

@@ -29,7 +29,7 @@ TEXT = [
 def main() -> None:
     """Entry point."""
     utterances = [Utterance(tuple(Part(*part) for part in parts), "statement") for parts in TEXT]
-    spoken = speak("example", utterances, VOICE, np.random.default_rng(3))
+    spoken = speak(utterances, VOICE, np.random.default_rng(3))
     target = sys.argv[1] if len(sys.argv) > 1 else "examples/speech.flac"
     write_flac(target, spoken.speech)
     print(f"{target}: {spoken.speech.duration:.1f} s")

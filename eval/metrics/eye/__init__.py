@@ -47,11 +47,11 @@ def of_body(body: CommonBody, voice_activity: VoiceActivity | None = None, edges
     out = dict.fromkeys(EYE_METRICS, math.nan)
     if body.duration < SHORTEST:
         return out
-    for chapter in (hands, trunk, posture, together, units):
+    for chapter in (hands, trunk, posture, together):
         out |= chapter.figures(body)
     out |= strokes.figures(body, edges)
     if voice_activity is not None:
-        out |= voice.figures(body, voice_activity) | units.sound_figures(body, voice_activity)
+        out |= voice.figures(body, voice_activity) | units.figures(body, voice_activity)
     if space is not None:
         out["eye_frechet"] = space.distance(frechet.windows(body))
     return out

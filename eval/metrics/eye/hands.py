@@ -8,7 +8,7 @@ hips) and y_r, y_l their heights over the hips, frame by frame:
   a third of its speed.
 - one hand hanging: percentage of frames in which exactly one wrist is less than 6 cm above the hips; both hanging: in
   which both are.
-- percentiles of hand speed (5, 25, 50, 75, 95, 99), over frames and both hands, m/s.
+- percentiles of hand speed (25, 50, 75, 95), over frames and both hands, m/s.
 - drift: how far the mean wrist of the last 15 s lies from that of the first 15 s, both hands averaged, cm; defined from
   30 s on. A motion that is fed its own past may wander off.
 
@@ -41,7 +41,7 @@ RESTS = 0.33
 """Of the faster hand's speed: below it the other one rests."""
 HANGS = 0.06
 """Metres over the hips: a wrist that is lower hangs beside the body."""
-PERCENTILES = (5, 25, 50, 75, 95, 99)
+PERCENTILES = (25, 50, 75, 95)
 _DRIFT = 15.0
 """Seconds at both ends whose mean wrists are compared."""
 

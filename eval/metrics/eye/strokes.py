@@ -4,8 +4,6 @@ Theory: a stroke is a movement of one hand between two minima of its speed (prom
 from the chest, smoothed over 50 ms) whose fastest moment exceeds 0.3 m/s. Its amplitude is the distance between where
 it begins and ends, cm; the figures are the median and the 90th percentile.
 
-- attack: where in a stroke the hand is fastest, mean percentage of its duration. Muscles start slowly and brake fast,
-  so people are a little under 50 (48.2 in one take). It alone sees the arrow of time: backwards that take has 51.8.
 - seams: mean acceleration of the faster-changing hand within 2 frames of the inner block edges, over that elsewhere; no
   unit. 1 is no seam; chance edges on two real takes gave 1.26 and .98.
 - repetition: for each window of 2 s (10 Hz, both wrists seen from the chest, every 0.2 s) the root mean square distance
@@ -16,7 +14,7 @@ it begins and ends, cm; the figures are the median and the 90th percentile.
 Good: amplitude near a speaker's own (31 and 24 cm), seams at most 1.2.
 
 What fools them: a mirrored copy has all of them to within the difference of the two arms. A motion played backwards has
-the same sizes and repetition to the digit; attack refuses it. White jitter of 2 cm makes many short strokes of real
+the same sizes and repetition to the digit. White jitter of 2 cm makes many short strokes of real
 ones and drowns seams. A frozen pose has no stroke (undefined), no seam, and no repetition to speak of. Edges must be
 those of the system's own blocks: at other edges the seam figure is 1 by chance.
 
@@ -60,16 +58,6 @@ def strokes(path: Array) -> Array:
     return np.array(pairs, dtype=np.float64).reshape(-1, 2)
 
 
-def attack(path: Array) -> Array:
-    """[n] where each stroke of a wrist's path [T, 3] is fastest, as a share of it; strokes that the clip's begin or end
-    cuts off do not count."""
-    speed = smoothed_speed(path)
-    minima = find_peaks(-speed, prominence=_PROMINENCE)[0]
-    fastest = [speed[start:end].argmax() / (end - start) for start, end in zip(minima[:-1], minima[1:], strict=True)
-               if speed[start:end].max() > MOVES]
-    return np.array(fastest, dtype=np.float64)
-
-
 def seam(hands: Array, edges: Array) -> float:
     """Acceleration beside the inner edges [N + 1] (seconds) over that elsewhere, of hands [T, 2, 3]; NaN where either
     has no frame, or nothing moves."""
@@ -110,13 +98,11 @@ def figures(body: CommonBody, edges: Array | None = None) -> dict[str, float]:
     """Every figure of this chapter; edges: [N + 1] of the motion's own blocks, seconds."""
     # Seen from the chest: a step or a lean of the whole body is no stroke.
     hands = body.hands - body.points["Chest"][:, None]
-    lengths, fastest = (np.concatenate([measure(hands[:, k]) for k in (0, 1)]) for measure in (strokes, attack))
+    lengths = np.concatenate([strokes(hands[:, k]) for k in (0, 1)])
     out = {"eye_repetition": repetition(hands)}
     if len(lengths):
         median, large = 100.0 * np.percentile(lengths[:, 1], (50, 90))
         out |= {"eye_stroke_amplitude": float(median), "eye_stroke_amplitude_90": float(large)}
-    if len(fastest):
-        out["eye_attack"] = 100.0 * float(fastest.mean())
     # Three inner edges at least: fewer are too few for a mean.
     if edges is not None and len(edges) > 4:
         out["eye_seam"] = seam(body.hands, np.asarray(edges))

@@ -6,9 +6,10 @@ v (smoothed by 42 ms, m/s), the turning speed of a rotation in degrees a second,
 - head with hands: correlation of the turning speed of the head on the chest with the mean speed of the hands; no unit.
 - head travel, chest travel: mean speed of their places, cm/s.
 - fast velocity: percentage of the power of the wrists' velocity about the chest between 3 and 6 Hz (Welch).
-- variation over 4 s: coefficient of variation of the mean hand speed of windows of 4 s.
 
-Good: real speakers have .25 to .54, 6.9 to 9.6 and 4.5 to 5.0 cm/s, .7 to 12 %, .31 to .40.
+And for `units` and `rest`, variation over 4 s: coefficient of variation of the mean hand speed of windows of 4 s.
+
+Good: real speakers have .25 to .54, 6.9 to 9.6 and 4.5 to 5.0 cm/s, .7 to 12 %; a variation of .31 to .40.
 
 What fools them: the head's correlation is near that of any two parts that move in speech and stop in pauses. Jitter
 raises travel and the power between 3 and 6 Hz together. A motion played backwards, or mirrored, has all of them.
@@ -89,4 +90,4 @@ def figures(body: CommonBody) -> dict[str, float]:
     head = rotation.multiply(rotation.conjugate(body.chest), body.head)
     return {"eye_head_with_hands": correlation(np.stack([turning(head), speed[1:]], axis=1)),
             "eye_head_travel": travel(body.points["Head"]), "eye_chest_travel": travel(body.points["Chest"]),
-            "eye_fast": fast_share(body), "eye_variation": variation(speed, np.ones(len(speed), bool))}
+            "eye_fast": fast_share(body)}

@@ -5,22 +5,16 @@ of sum q q^T) is the root mean square of the rotation vectors from the mean, deg
 
 - head on chest: of the head's rotation relative to the chest; chest: of the chest's, relative to the facing hips.
 - head yaw: the 95th percentile of how far the face is turned from where the hips face, degrees.
-- longest freeze of the head: seconds for which it stays under 2 cm/s (smoothed over 50 ms).
 - hand, elbow in the torso: percentage of frames of the worse side in which a wrist lies within 11.5 cm, an elbow within
   13 cm, of the line from hips to chest.
-- elbow behind the trunk: percentage of frames in which, on the worse side, the elbow lies more than 8 cm behind the
-  line from hips to chest and less than 20 cm beside it, so that the trunk hides it, while the hand is ahead of that
-  line by more than 5 cm, or more than 6 cm above the hips. The hand of an arm that swings while walking is neither.
-- fastest elbow: the greatest speed of either elbow about its shoulder between two frames, m/s. Speakers reach 3; an
-  elbow that jumps to the other side of its arm within a frame, while the hand goes on, has 5 to 12.
 - fingers: percentage of time that some finger joint turns faster than 5 degrees a second; undefined without fingers.
 
-Good: near a speaker's own (16 and 9 degrees for the head, 9 and 4 for the chest, yaw under 25 degrees, no freeze over a
-second, 1 % or less in the torso, no elbow behind it, and none faster than 4 m/s).
+Good: near a speaker's own (16 and 9 degrees for the head, 9 and 4 for the chest, yaw under 25 degrees, 1 % or less in
+the torso).
 
 What fools them: a trunk that sways at random has a spread, so it says nothing of nods that go with the voice. A motion
-played backwards has all of them to the digit, and arms that mirror each other have the same trunk. Jitter ends every
-freeze. A body that stands apart from its hands at all times is never in its torso: a frozen pose passes that.
+played backwards has all of them to the digit, and arms that mirror each other have the same trunk. A body that stands
+apart from its hands at all times is never in its torso: a frozen pose passes that.
 
     >>> longest(np.array([True] * 30 + [False] + [True] * 60))
     1.0
@@ -34,7 +28,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from data_module.motion import rotation
 from data_module.types import Array
-from eval.metrics.eye.body import HZ, SIDES, CommonBody, chest_left, unit
+from eval.metrics.eye.body import HZ, SIDES, CommonBody
 from eval.stats import runs
 
 STILL = 0.02
@@ -43,8 +37,6 @@ SMOOTHING = 3.0
 """Frames at 60 Hz: the standard deviation of the Gaussian before speeds are taken (50 ms)."""
 _HAND_RADIUS, _ELBOW_RADIUS = 0.115, 0.13
 """Metres from the trunk's line: half a chest's depth."""
-_BEHIND, _HIDDEN, _AHEAD, _RAISED = 0.08, 0.20, 0.05, 0.06
-"""Metres: of an elbow behind the trunk's line and beside it, and of the hand ahead of that line or above the hips."""
 _FINGER_MOVES = 5.0
 """Degrees a second."""
 
@@ -84,24 +76,6 @@ def inside(body: CommonBody, joint: str, radius: float) -> float:
                for side in SIDES)
 
 
-def elbow_behind(body: CommonBody, side: str) -> float:
-    """Percentage of frames in which the elbow of a side is behind the trunk while the hand gestures."""
-    up, left = unit(body.points["Chest"]), chest_left(body)
-    # Square to the trunk's line, so that a twist of the chest does not pass for leaning.
-    left = unit(left - (left * up).sum(axis=1, keepdims=True) * up)
-    ahead, sign = np.cross(left, up), 1.0 if side == "Left" else -1.0
-    elbow, hand = body.points[side + "ForeArm"], body.points[side + "Hand"]
-    hidden = ((elbow * ahead).sum(axis=1) < -_BEHIND) & (sign * (elbow * left).sum(axis=1) < _HIDDEN)
-    return 100.0 * float((hidden & (((hand * ahead).sum(axis=1) > _AHEAD) | (hand[:, 1] > _RAISED))).mean())
-
-
-def fastest_elbow(body: CommonBody) -> float:
-    """m/s of the faster elbow about its shoulder at its fastest moment; no smoothing, which would hide a jump."""
-    # About the shoulder: a step of the whole body moves no elbow.
-    ways = np.stack([body.points[side + "ForeArm"] - body.points[side + "Arm"] for side in SIDES])
-    return HZ * float(np.linalg.norm(np.diff(ways, axis=1), axis=-1).max(initial=0.0))
-
-
 def figures(body: CommonBody) -> dict[str, float]:
     """Every figure of this chapter."""
     # Where the face points, as a heading: a nod is no turn.
@@ -111,11 +85,8 @@ def figures(body: CommonBody) -> dict[str, float]:
         "eye_head": spread(rotation.multiply(rotation.conjugate(body.chest), body.head)),
         "eye_chest": spread(body.chest),
         "eye_head_yaw": float(np.percentile(yaw, 95)),
-        "eye_freeze_head": longest(smoothed_speed(body.points["Head"]) < STILL),
         "eye_hand_in_torso": inside(body, "Hand", _HAND_RADIUS),
         "eye_elbow_in_torso": inside(body, "ForeArm", _ELBOW_RADIUS),
-        "eye_elbow_behind": max(elbow_behind(body, side) for side in SIDES),
-        "eye_elbow_fastest": fastest_elbow(body),
     }
     if body.finger_speed is not None:
         out["eye_fingers"] = 100.0 * float((body.finger_speed > _FINGER_MOVES).mean())

@@ -4,8 +4,6 @@ Theory: a gesture unit goes from rest to rest: preparation, strokes, holds, retr
 is under 0.15 m/s for 0.4 s within 10 cm of its home (its own 10 % height), or for 0.8 s anywhere; it moves over
 0.3 m/s. v is the speed of `eval.metrics.eye.together.hand_speeds`; a pause is a silence of 0.3 s or more.
 
-Without the sound, of each hand: units a minute, and their median length, seconds. With the sound:
-
 - held: percentage of speech and hands in which a hand 6 cm over the hips or higher is under 0.15 m/s for 0.25 s or
   more.
 - pauses with a moving hand: percentage of the time of pauses in which the faster hand is over 0.15 m/s.
@@ -76,17 +74,6 @@ def gesture_units(height: Array, speed: Array) -> list[tuple[int, int]]:
     rests = lasting(slow & (height < np.percentile(height, 10) + _HOME), _REST_AT_HOME) | lasting(slow, _REST_ANYWHERE)
     return [(begin, stop) for begin, stop in runs(~rests).tolist() if speed[begin:stop].max() > MOVES]
 
-
-def figures(body: CommonBody) -> dict[str, float]:
-    """The figures of this chapter that need no sound."""
-    speed, heights = hand_speeds(body), body.hands[..., 1]
-    lengths = [(stop - begin) / HZ for hand in (0, 1)
-               for begin, stop in gesture_units(heights[:, hand], speed[:, hand])]
-    out = {"eye_units": len(lengths) / 2 / (body.duration / 60)}
-    return out | ({"eye_unit_length": float(np.median(lengths))} if lengths else {})
-
-
-# --------------------------------------------------------------------------------------------------- with the sound
 
 def silent_frames(voice: VoiceActivity, frames: int) -> NDArray[np.bool_]:
     """[frames] at 60 Hz, whether the voice is silent."""
@@ -209,8 +196,8 @@ def _frames(body: CommonBody, voice: VoiceActivity) -> int:
     return min(len(body), int(len(voice.silent) * HZ / TRACK_HZ))
 
 
-def sound_figures(body: CommonBody, voice: VoiceActivity) -> dict[str, float]:
-    """The figures of this chapter that need the sound, without those that there is too little of."""
+def figures(body: CommonBody, voice: VoiceActivity) -> dict[str, float]:
+    """Every figure of this chapter, without those that there is too little of."""
     frames = _frames(body, voice)
     if frames < 2 * HZ:
         return {}

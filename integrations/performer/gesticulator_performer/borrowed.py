@@ -28,7 +28,7 @@ def lexemes_of_clip(stem: str) -> tuple[str, ...]:
 
 
 def load_borrowed(folder: str | Path) -> tuple[PerformerBody, tuple[Stroke, ...]]:
-    rows = [row for _, row in read_clips(folder, {"file", "person", "emphasis"}) if row["person"] == LENDER]
+    rows = [row for row in read_clips(folder, {"file", "person", "emphasis"}) if row["person"] == LENDER]
     chosen = [{"file": row["file"], "speaker": LENDER, "posture": "", "hand": "", "emphasis": row["emphasis"] or "1.0",
                "lexeme": lexemes_of_clip(Path(row["file"]).stem)[0]}
               for row in rows if lexemes_of_clip(Path(row["file"]).stem)]

@@ -10,7 +10,7 @@ import numpy as np
 from data_module.motion.kinematics import quintic_offset
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array
-from gesticulator_performer.takes import FPS
+from gesticulator_performer.torso import FPS
 
 # Seconds: a difference in velocity costs as much as the difference in pose that it makes in this time.
 _VELOCITY = 0.12

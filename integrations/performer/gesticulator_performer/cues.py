@@ -11,8 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 
-from data_module.errors import InputError, shown
-from gesticulator_performer.clips import check_file, check_time, complete_rows
+from gesticulator.directing.meaning_cues import meaning_cues
+from gesticulator_performer.clips import complete_rows
 from gesticulator_performer.syllables import is_function_word
 
 LANGUAGES = ("en", "de", "es")
@@ -20,9 +20,11 @@ MEANINGS, CLIPS = "meanings.csv", "licensed_clips.csv"
 _PHASES = ("ready", "strokeStart", "emphasis", "stroke", "relax")
 _COLUMNS = frozenset({"label", "category", "offensive", "talk"} | {f"cues_{language}" for language in LANGUAGES})
 _CLIP_COLUMNS = frozenset({"file", "person", "label", *_PHASES})
-_ADVICE = "take the tables that came with the clips"
 # Weight of a cue that is one very common word.
 _COMMON = 0.35
+# Least score of a call of the detector: the texts are our own, and talk of meanings on purpose. What the score adds to
+# the weight of its word: detected phrases are played in about four of five cases.
+_LEAST_SCORE, _SURER = 0.55, 0.3
 # Chance of a label of emotion against one of another category that has the same cue: a plain "yes" is a nod, seldom a
 # cheer.
 _EMOTIONAL = 0.25
@@ -60,13 +62,25 @@ class Asked:
 @dataclass(frozen=True)
 class Cues:
     """Cues of the labels that have clips or were asked for. phrases: by language, words in the spelling of `plain` ->
-    labels with their chances; clips: by file stem; wanted: all labels; apart, again: see `strokes.StrokeCues`."""
+    labels with their chances; clips: by file stem; wanted: all labels.
+
+    detected: whether the detector of the product (`gesticulator.directing.meaning_cues`) calls for the labels that it
+    knows: it reads phrases with their guards, and does not fire on idioms, homonyms and negations. Then two gestures
+    with a meaning are at least `apart` seconds apart, and a label does not come again within `again` seconds.
+    """
 
     phrases: Mapping[str, Mapping[tuple[str, ...], Mapping[str, float]]]
     clips: Mapping[str, MeantClip]
     wanted: frozenset[str] = frozenset()
-    apart: float = 0.0
-    again: float = 0.0
+    detected: bool = False
+
+    @property
+    def apart(self) -> float:
+        return 3.0 if self.detected else 0.0
+
+    @property
+    def again(self) -> float:
+        return 20.0 if self.detected else 0.0
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -74,7 +88,21 @@ class Cues:
 
     def asked(self, words: Sequence[str], language: str = "en", pauses: Sequence[float] = ()) -> dict[int, Asked]:
         """What the words of a speech ask for, by index. At each place the longest phrase counts; its last content word
-        carries the stroke. pauses: of no use here."""
+        carries the stroke. pauses: seconds of silence after each word, for the detector."""
+        if not self.detected:
+            return self._listed(words, language)
+        detector = meaning_cues(language)
+        out: dict[int, Asked] = {}
+        for word, asked in self._listed(words, language).items():
+            new = {label: chance for label, chance in asked.labels.items() if label not in detector.gestures}
+            if new:
+                out[word] = Asked(new, asked.weight)
+        for call in detector.called(words, pauses):
+            if call.score >= _LEAST_SCORE and call.label in self.wanted:
+                out[call.word] = Asked({call.label: 1.0}, 1.0 + _SURER * call.score)
+        return out
+
+    def _listed(self, words: Sequence[str], language: str) -> dict[int, Asked]:
         out: dict[int, Asked] = {}
         for first, last, labels in self.found(words, language):
             carrier = next((k for k in range(last, first, -1) if not is_function_word(words[k], language)), first)
@@ -111,44 +139,16 @@ def mirrored(label: str) -> str:
 
 def read_cues(folder: str | Path, labels: Set[str] = frozenset()) -> Cues:
     """Read both tables. Labels that are offensive, do not suit a standing speaker or have neither a clip nor a place in
-    `labels` are left out. InputError names the line of a row that is short or holds no time, of an unknown label and of
-    a label that comes twice."""
+    `labels` are left out."""
     folder = Path(folder)
-    rows = _meanings(folder / MEANINGS)
+    rows = {row["label"]: row for row in complete_rows(folder / MEANINGS, _COLUMNS)}
     allowed = {label for label, row in rows.items() if row["offensive"] == "no" and row["talk"] == "yes"}
-    clips = [clip for clip in _clips(folder / CLIPS, set(rows)) if clip.label in allowed]
+    clips = [MeantClip(row["file"], row["person"], row["label"],
+                       tuple(float(row[phase]) for phase in _PHASES if row[phase]))
+             for row in complete_rows(folder / CLIPS, _CLIP_COLUMNS) if row["label"] in allowed]
     used = {clip.label for clip in clips} | (allowed & labels)
     return Cues({language: _phrases({label: row for label, row in rows.items() if label in used}, language)
                  for language in LANGUAGES}, {clip.stem: clip for clip in clips}, frozenset(used))
-
-
-def _meanings(file: Path) -> dict[str, dict[str, str]]:
-    rows: dict[str, dict[str, str]] = {}
-    for where, row in complete_rows(file, _COLUMNS):
-        label = row["label"]
-        if not re.fullmatch(r"[a-z]+(_[a-z]+)*", label) or label in rows:
-            raise InputError(where, f"has {shown(label)!r} as its label, which is taken or not in small letters",
-                             _ADVICE)
-        for column in ("offensive", "talk"):
-            if row[column] not in ("yes", "no"):
-                raise InputError(where, f"has {shown(row[column])!r} as {column}, which is yes or no", _ADVICE)
-        rows[label] = row
-    return rows
-
-
-def _clips(file: Path, labels: set[str]) -> list[MeantClip]:
-    out = []
-    for where, row in complete_rows(file, _CLIP_COLUMNS):
-        check_file(where, row["file"])
-        if row["label"] not in labels:
-            raise InputError(where, f"has the label {shown(row['label'])!r}, which {MEANINGS} lacks", _ADVICE)
-        for phase in _PHASES:
-            check_time(where, row[phase], phase)
-        phases = tuple(float(row[phase]) for phase in _PHASES if row[phase])
-        if len(phases) not in (0, len(_PHASES)) or list(phases) != sorted(phases):
-            raise InputError(where, "has phases that are missing or out of order", _ADVICE)
-        out.append(MeantClip(row["file"], row["person"], row["label"], phases))
-    return out
 
 
 def _phrases(rows: Mapping[str, Mapping[str, str]], language: str) -> dict[tuple[str, ...], dict[str, float]]:

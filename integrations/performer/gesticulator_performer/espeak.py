@@ -18,7 +18,7 @@ from scipy.signal import resample_poly
 
 from data_module.errors import InputError
 from data_module.types import Samples
-from gesticulator_performer.espeak_child import NO_VOICE, PHONEME_EVENT, WORD_EVENT, library
+from gesticulator_performer.espeak_child import NO_VOICE, PHONEME_EVENT, WORD_EVENT
 from gesticulator_performer.sound import RATE, Phone, Sounded, trimmed, word_spans
 
 # The first letter of espeak's mnemonics for vowels, in English, German and Spanish.
@@ -38,10 +38,6 @@ class Line:
 
 
 _CHILD = "from gesticulator_performer.espeak_child import main; main()"
-
-
-def available() -> bool:
-    return library() is not None
 
 
 def sound_phrases(lines: Sequence[Line]) -> list[Sounded]:

@@ -8,7 +8,6 @@ or change between words.
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import tempfile
 from functools import lru_cache
@@ -26,10 +25,6 @@ VOWELS = frozenset(_VOWEL_NAMES.split())
 _PAUSE = "pau"
 _PHONE = re.compile(r"([a-z]+):([0-9.]+)")
 _WORD = re.compile(r"\w+(?:'\w+)*")
-
-
-def available() -> bool:
-    return shutil.which("flite") is not None
 
 
 def tokens_of(text: str) -> list[str]:

@@ -18,11 +18,12 @@ from data_module.motion.motion_beats import beats_of_speed
 from data_module.truth import Phrase
 from data_module.types import Array, Speech, Word
 from gesticulator_performer import voices
-from gesticulator_performer.sentence_pool import Pool, say, stretched
+from gesticulator_performer.sentence_pool import Pool, stretched
 from gesticulator_performer.sound import RATE, Sounded, decibels, recorded, with_tilt
 from gesticulator_performer.syllables import Nucleus, listen
-from gesticulator_performer.takes import FPS, WRISTS, arms_speed
+from gesticulator_performer.takes import WRISTS, arms_speed
 from gesticulator_performer.text import Part
+from gesticulator_performer.torso import FPS
 from gesticulator_performer.types import Spoken
 
 SLOWEST, FASTEST = 0.80, 1.25
@@ -101,18 +102,6 @@ class Match:
 
 
 @dataclass(frozen=True)
-class FittedSpeech:
-    """Speech for a motion, and how well it fits. matched, beats: motion beats with a vowel on them, and all motion
-    beats; empty: seconds of windows without a phrase; rates: [K, 2] playing rate and seconds of each piece."""
-
-    spoken: Spoken
-    matched: int
-    beats: int
-    empty: float
-    rates: Array
-
-
-@dataclass(frozen=True)
 class Energy:
     """Mean and standard deviation of mean log speed over the takes, for the global part of effort."""
 
@@ -125,8 +114,8 @@ def log_speed(speed: Array) -> Array:
     return np.log(gaussian_filter1d(speed, 0.1 * FPS, mode="nearest") + 0.1)
 
 
-def speech_for(name: str, places: Array, pool: Pool, energy: Energy, movements: Array,
-               rng: np.random.Generator) -> FittedSpeech:
+def speech_for(places: Array, pool: Pool, energy: Energy, movements: Array,
+               rng: np.random.Generator) -> Spoken:
     """Speech for the joint positions [T, 16, 3] (60 fps, facing frame) of a talk. movements: [T, M] z-score of each of
     `meaning.MOVEMENTS` at each frame. InputError comes from the voice's program. Same arguments and generator state,
     same bytes."""
@@ -139,22 +128,17 @@ def speech_for(name: str, places: Array, pool: Pool, energy: Energy, movements: 
     features = movements[np.minimum((beats * FPS).astype(int) + 6, len(movements) - 1)]
     free = np.ones(len(pool), dtype=bool)
     laid: list[tuple[Match, Sounded, float]] = []
-    matched, empty = 0, 0.0
     for window, effort in zip(windows, efforts, strict=True):
         near = np.flatnonzero((targets > window.start + 0.02) & (targets < window.end + 0.05))
         near = near[np.argsort(targets[near])]
         wanted = Wanted(window, targets[near], strength[near], features[near])
         best = _best(pool, free, wanted, rng)
         if best is None:
-            empty += window.end - window.start
             continue
         free[best.phrase] = False
-        match, sounded = _spoken_again(pool, best, effort, wanted, rng)
+        match, sounded = _spoken_again(pool, best, effort, wanted)
         laid.append((match, sounded, effort))
-        matched += match.beats
-    spoken = _laid_out(name, pool, laid, log_speed(speed), rng)
-    rates = np.concatenate([_rates(match) for match, _, _ in laid]) if laid else np.zeros((0, 2))
-    return FittedSpeech(spoken, matched, len(beats), empty, rates)
+    return _laid_out(pool, laid, log_speed(speed), rng)
 
 
 def phrase_windows(speed: Array, rng: np.random.Generator) -> list[Window]:
@@ -352,11 +336,10 @@ def _ended(candidates: Candidates, wanted: Wanted, table: _Table) -> Match | Non
     return Match(int(candidates.indices[b]), cost, np.array(anchors), len(pairs))
 
 
-def _spoken_again(pool: Pool, match: Match, effort: float, wanted: Wanted,
-                  rng: np.random.Generator) -> tuple[Match, Sounded]:
+def _spoken_again(pool: Pool, match: Match, effort: float, wanted: Wanted) -> tuple[Match, Sounded]:
     """Speak the phrase with its effort and align it again, because effort changes the rate and so the vowel times."""
     k = match.phrase
-    sounded = say(pool.voice, [Part(pool.texts[k], effort, 0.0)], rng)[0]
+    sounded = voices.sound_all([Part(pool.texts[k], effort, 0.0)], voices.VOICES[pool.voice])[0]
     duration = len(sounded.samples) / RATE
     times = np.array([n.vowel for n in voices.nuclei_of(sounded.phones)])
     count = int(np.isfinite(pool.vowels[k]).sum())
@@ -371,12 +354,7 @@ def _spoken_again(pool: Pool, match: Match, effort: float, wanted: Wanted,
     return replace(match, anchors=match.anchors * np.array([duration / pool.durations[k], 1.0])), sounded
 
 
-def _rates(match: Match) -> Array:
-    steps = np.diff(match.anchors, axis=0)
-    return np.stack([steps[:, 0] / steps[:, 1], steps[:, 1]], axis=1)
-
-
-def _laid_out(name: str, pool: Pool, laid: Sequence[tuple[Match, Sounded, float]], level: Array,
+def _laid_out(pool: Pool, laid: Sequence[tuple[Match, Sounded, float]], level: Array,
               rng: np.random.Generator) -> Spoken:
     """Place the phrases in time at the loudness of their effort, record them and measure the syllables. level: log
     speed [T] of the motion, which is heard beside the effort."""
@@ -409,6 +387,4 @@ def _laid_out(name: str, pool: Pool, laid: Sequence[tuple[Match, Sounded, float]
         words += [Word(w.text, float(a), float(b)) for w, (a, b) in zip(sounded.words, spans, strict=True)]
         phrases.append(Phrase(start, end, effort))
     speech = Speech(recorded(dry, active, rng), RATE, tuple(words), pool.voice)
-    language = voices.VOICES[pool.voice].language
-    syllables = listen(speech, phrases, nuclei, language)
-    return Spoken(name, speech, syllables, tuple(phrases), pool.voice, language)
+    return Spoken(speech, listen(speech, phrases, nuclei, "en"), tuple(phrases), "en")

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from data_module.types import Array
-from gesticulator_performer.takes import FPS, soft_limit
+from gesticulator_performer.takes import soft_limit
+from gesticulator_performer.torso import FPS
 
 # Soft limit of the bend of a joint against the hanging hand: bends of overlapping strokes add up.
 _FARTHEST = np.radians(95.0)

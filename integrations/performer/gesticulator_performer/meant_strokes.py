@@ -17,7 +17,6 @@ import numpy as np
 from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh
 from data_module.types import Motion
-from gesticulator_performer.called_cues import CalledCues
 from gesticulator_performer.cues import CLIPS, Cues, MeantClip, read_cues
 from gesticulator_performer.lending import lent
 from gesticulator_performer.repertoire import Repertoire
@@ -67,7 +66,7 @@ def with_repertoire(strokes: StrokeSet, takes: Repertoire, source: Path) -> Stro
     """The strokes with takes of named gestures, which come at the words that the detector finds. source: with the
     folder `meaning`, whose table tells which labels suit a standing speaker."""
     allowed = read_cues(source / FOLDER, takes.labels)
-    return replace(strokes, repertoire=takes, cues=CalledCues(allowed.wanted, allowed))
+    return replace(strokes, repertoire=takes, cues=replace(allowed, detected=True))
 
 
 def _labelled(stroke: Stroke, cues: Cues) -> Stroke:

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from data_module.types import Array
-from gesticulator_performer.takes import FPS, WRISTS
+from gesticulator_performer.takes import WRISTS
+from gesticulator_performer.torso import FPS
 
 # Point near the chest that a hand moves to for "me", metres from the hips.
 _HEART = np.array([0.0, 0.38, 0.12])

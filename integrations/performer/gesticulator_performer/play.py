@@ -28,7 +28,8 @@ from gesticulator_performer.living_fingers import living_fingers
 from gesticulator_performer.plan import BRAKE, Casting, Habits, Planned
 from gesticulator_performer.strokes import LEFT, RIGHT, SIDES, PerformerBody, StrokeSet
 from gesticulator_performer.styles import NEUTRAL, StyleTrack
-from gesticulator_performer.takes import MIRROR, TORSO_RADIUS, capsule_depth
+from gesticulator_performer.takes import MIRROR
+from gesticulator_performer.torso import FPS, TORSO_RADIUS, capsule_depth
 from gesticulator_performer.trunk import (
     Segment,
     idle_arms,
@@ -41,9 +42,6 @@ from gesticulator_performer.trunk import (
     yaw_scale,
 )
 from gesticulator_performer.types import Played, Spoken
-
-FPS = 60.0
-"""Frames per second of the finished motion: twice that of the clips, so that a beat can be moved by half a frame."""
 
 # Fitting the motion to its plan.
 # Most renderings of both arms that bring the measured beats to the planned ones.
@@ -207,7 +205,7 @@ def perform(spoken: Spoken, performer: str, strokes: StrokeSet, staging: Staging
         score = replace(score, leads=np.maximum(score.leads, trespass))
     else:
         score, tuning, _ = _rehearse(score, tuning)
-    return Played(_assemble(score, _render(score, tuning)), tuple(_truth(p) for p in score.planned), performer)
+    return Played(_assemble(score, _render(score, tuning)), tuple(_truth(p) for p in score.planned))
 
 
 def _rehearse(score: _Score, tuning: _Tuning) -> tuple[_Score, _Tuning, Array]:

@@ -38,7 +38,6 @@ from gesticulator.directing import meaning_cues
 from gesticulator_performer import tables, text, voices
 from gesticulator_performer.types import Spoken
 
-PARTS = ("motion", "talk", "style", "reading")
 SHARES = {"motion": 0.36, "talk": 0.46, "style": 0.18}
 """Shares of the hours of synthetic speech. Part A has 10 minutes of real motion, so more of it would be repetition."""
 SHORTEST, LONGEST = 115.0, 150.0
@@ -73,7 +72,7 @@ _DETECTOR = ("meaning_cues.py", "meaning_cues.json")
 # Five and six times this is added to that index for the recordings of `ADDED`.
 _ADDED = 10_000
 # Purposes of the random generators of a recording; one each, so that a longer text does not change the voice.
-_TEXT, _VOICE, _PLAY, _STYLE, _POOL = 0, 1, 2, 3, 4
+_TEXT, _VOICE, _PLAY, _STYLE = 0, 1, 2, 3
 CREDITS = {
     "speech": "synthetic voices",
     "readings": "readings: public domain (LibriVox)",
@@ -203,11 +202,10 @@ class Performer:
         style = styles.NEUTRAL
         if isinstance(item.content, Script) and item.content.styled:
             style = styles.draw_style(2.0 * LONGEST, rng)
-            spoken = styles.styled_speech(item.info.name, item.content.utterances, item.info.voice, style,
+            spoken = styles.styled_speech(item.content.utterances, item.info.voice, style,
                                           self._rng(item.index, _VOICE))
         elif isinstance(item.content, Script):
-            spoken = voices.speak(item.info.name, item.content.utterances, item.info.voice,
-                                  self._rng(item.index, _VOICE))
+            spoken = voices.speak(item.content.utterances, item.info.voice, self._rng(item.index, _VOICE))
         else:
             spoken = self._reading(item)
         manner = STEADY if item.info.part == "style" else draw_manner(rng)
@@ -228,9 +226,9 @@ class Performer:
         script: MotionScript = item.content
         takes = [take for take in self._library.talks() if self._take_splits[take.name] == item.info.split]
         pool = self._pool(item.info.voice, item.info.split)
-        request = TalkRequest(item.info.name, script.group, script.seconds)
+        request = TalkRequest(script.group, script.seconds)
         talk = talk_for_motion(request, self._library, takes, pool, self._rng(item.index, _PLAY))
-        spoken = talk.fitted.spoken
+        spoken = talk.spoken
         info = replace(item.info, language=spoken.language, sources=talk.takes)
         joins = tuple(Mark(JOIN, time, time) for time in talk.edges[1:-1].tolist())
         truth = Truth((), spoken.syllables, spoken.phrases, joins, phases=truth_of_phases(talk.motion))
@@ -240,9 +238,6 @@ class Performer:
         strokes = self._strokes.strokes
         held_out = sum(stroke.held_out for stroke in strokes)
         lines = [f"strokes: {len(strokes)} including mirror images, {held_out} of them held out for test"]
-        clips = {Path(row["file"]).stem for row in self._manifest}
-        lines.append(f"clips without a usable stroke: {len(clips - {stroke.base for stroke in strokes})} of "
-                     f"{len(clips)} (postures, fidgets, and clips with the wrong hand, posture or order)")
         if self._repertoire is not None:
             takes = self._repertoire.outlines
             lines.append(f"named gestures: {len(takes)} takes of {len(self._repertoire.labels)} gestures from scripts, "
@@ -297,8 +292,7 @@ class Performer:
         if (voice, split) not in self._pools:
             from gesticulator_performer.sentence_pool import make_pool
 
-            rng = self._rng(_FIRST["motion"] + list(voices.VOICES).index(voice), _POOL)
-            self._pools[voice, split] = make_pool(voice, self._phrases[0][voice, split], rng)
+            self._pools[voice, split] = make_pool(voice, self._phrases[0][voice, split])
         return self._pools[voice, split]
 
     @functools.cached_property
@@ -317,14 +311,10 @@ class Performer:
         return out, used
 
     @functools.cached_property
-    def _manifest(self) -> list[dict[str, str]]:
+    def _performers(self) -> tuple[str, ...]:
         from gesticulator_performer.strokes import read_manifest
 
-        return read_manifest(self._source / "strokes")
-
-    @property
-    def _performers(self) -> tuple[str, ...]:
-        return tuple(sorted({row["speaker"] for row in self._manifest}))
+        return tuple(sorted({row["speaker"] for row in read_manifest(self._source / "strokes")}))
 
     @functools.cached_property
     def _stems(self) -> tuple[str, ...]:
@@ -417,7 +407,7 @@ class Performer:
         if item.info.language == "en":
             transcript = read_text(self._source / "speech" / f"{reading.stem}.txt", "save it as text in UTF-8")
             speech = replace(speech, words=transcripts.alignment(speech, transcript).words)
-        return find_syllables(item.info.name, speech, item.info.voice, item.info.language)
+        return find_syllables(speech, item.info.language)
 
 
 def truth_of_phases(motion: Motion) -> tuple[PhaseSpan, ...]:

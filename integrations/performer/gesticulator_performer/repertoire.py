@@ -1,9 +1,8 @@
 """Takes of named gestures that were drawn from scripts, as strokes of the performer.
 
-A folder holds `takes.csv` and the clips beside it (BVH in metres, joints of the character). A row gives the label of
-the gesture ("thumbs_up"), its size, the acting hands, whether they touch the body or each other, the licence, and the
-seconds of its phases. Unlike a stroke that was captured, a take keeps its size and its tempo, and its phases are marked
-rather than measured. A performer takes them for the gestures of which there are few captured strokes.
+A folder holds `takes.csv` and the clips beside it (BVH in metres, joints of the character). Unlike a stroke that was
+captured, a take keeps its size and its tempo, and its phases are marked rather than measured. A performer takes them
+for the gestures of which there are few captured strokes.
 """
 
 from __future__ import annotations
@@ -15,15 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from data_module.errors import InputError, shown
+from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh
-from data_module.motion.kinematics import joint_positions
 from data_module.truth import SCRIPTED
-from gesticulator_performer.clips import check_file, check_time, complete_rows
+from gesticulator_performer.clips import complete_rows
 from gesticulator_performer.lending import lent
 from gesticulator_performer.strokes import (
-    ACTING_SIDES,
-    SIDES,
     PerformerBody,
     Stroke,
     held_out_keys,
@@ -35,13 +31,12 @@ from gesticulator_performer.strokes import (
 ENOUGH = 3
 """Captured strokes of a label, mirror images apart, from which on its scripted takes are not played."""
 TAKES = "takes.csv"
-COLUMNS = ("file", "label", "size", "hand", "touches", "licence", "start", "stroke", "apex", "hold_end", "end")
+COLUMNS = ("file", "label", "size", "hand", "licence", "start", "stroke", "apex", "hold_end", "end")
 """file: a BVH file in the folder, metres, joints of the character; label: of the gesture ("thumbs_up"); size: of
-`SIZES`; hand: "left", "right", "both" or "none"; touches: whether a hand touches the body or the other hand, yes or no;
-the rest: seconds in the clip at which preparation and stroke begin, the stroke ends, and hold and retraction end."""
+`SIZES`; hand: "left", "right", "both" or "none"; the rest: seconds in the clip at which preparation and stroke begin,
+the stroke ends, and hold and retraction end."""
 SIZES: Mapping[str, float] = {"small": 0.65, "medium": 1.0, "large": 1.4}
 """The sizes of takes, as factors on the medium one."""
-_PHASES = ("start", "stroke", "apex", "hold_end", "end")
 _ADVICE = "draw the takes again: gesticulator gesture-takes FOLDER"
 _BODY = "script"
 # Lent takes in memory, about 70 kB each.
@@ -85,31 +80,21 @@ class Repertoire:
         if _BODY not in self._bodies:
             self._bodies[_BODY] = standing_body(_BODY, [motion])
         figure = self._bodies[_BODY]
-        if not motion.skeleton.same_joints(figure.skeleton):
-            raise InputError(file, f"has other joints than the other clips of {TAKES}", _ADVICE)
-        if outline.end > motion.duration:
-            raise InputError(file, f"ends before its retraction does, at {outline.end:g} s", _ADVICE)
         arms = np.stack([logs_against(figure.rest, motion.rotations, joints) for joints in figure.arms])
         trunk = logs_against(figure.rest, motion.rotations, figure.trunk)
-        hands = joint_positions(figure.skeleton, motion.rotations)[:, [figure.skeleton.index(side + "Hand")
-                                                                       for side in SIDES]]
-        reach = float(np.linalg.norm(hands - hands[:1], axis=-1).max())
-        stroke = replace(outline, clip=outline.base, fps=motion.fps, arms=arms, trunk=trunk, reach=reach)
+        stroke = replace(outline, clip=outline.base, fps=motion.fps, arms=arms, trunk=trunk)
         if outline.clip != outline.base:
             stroke = replace(mirror(stroke), lexeme=outline.lexeme, hand=outline.hand, meaning=outline.meaning)
         return lent(stroke, figure, body, trunk=True)
 
 
 def read_repertoire(folder: str | Path) -> Repertoire:
-    """The takes of a folder; the clips are read when they are played. InputError for a missing folder or clip, and with
-    the line of the table that is wrong."""
+    """The takes of a folder; the clips are read when they are played. InputError for a missing folder."""
     folder = Path(folder)
     if not (folder / TAKES).is_file():
         raise InputError(folder, f"holds no {TAKES}", _ADVICE)
     rows = complete_rows(folder / TAKES, frozenset(COLUMNS))
-    outlines = [_outline(folder, where, row) for where, row in rows]
-    if len({outline.clip for outline in outlines}) < len(outlines):
-        raise InputError(folder / TAKES, "names a clip twice", _ADVICE)
+    outlines = [_outline(row) for row in rows]
     held_out = held_out_keys((_BODY, outline.base) for outline in outlines)
     free = {outline.meaning for outline in outlines if (_BODY, outline.base) not in held_out}
     whole: list[Stroke] = []
@@ -117,28 +102,13 @@ def read_repertoire(folder: str | Path) -> Repertoire:
         kept = (_BODY, outline.base) in held_out and outline.meaning in free
         other = mirror(replace(outline, held_out=kept))
         whole += [replace(outline, held_out=kept), replace(other, lexeme=other.meaning)]
-    return Repertoire(folder, tuple(whole), tuple(dict.fromkeys(row["licence"] for _, row in rows)))
+    return Repertoire(folder, tuple(whole), tuple(dict.fromkeys(row["licence"] for row in rows)))
 
 
-def _outline(folder: Path, where: str, row: Mapping[str, str]) -> Stroke:
+def _outline(row: Mapping[str, str]) -> Stroke:
     """A row of the table as a stroke without motion."""
-    check_file(where, row["file"])
-    if not (folder / row["file"]).is_file() or Path(row["file"]).parent != Path() or not row["file"].endswith(".bvh"):
-        raise InputError(where, f"names {shown(row['file'])!r}, which is not a BVH file in this folder", _ADVICE)
-    for column, known in (("size", SIZES), ("hand", ACTING_SIDES), ("touches", ("yes", "no"))):
-        if row[column] not in known:
-            raise InputError(where, f"has {shown(row[column])!r} as {column}, which is one of {', '.join(known)}",
-                             _ADVICE)
-    for phase in _PHASES:
-        check_time(where, row[phase] or "none", phase)
-    times = [float(row[phase]) for phase in _PHASES]
-    if not times[0] < times[1] < times[2] < times[3] < times[4]:
-        raise InputError(where, "has phases out of order", _ADVICE)
-    if not row["label"].replace("_", "").isalpha() or not row["licence"].isprintable():
-        raise InputError(where, f"has {shown(row['label'])!r} as its label or no printable licence", _ADVICE)
-    start, _, apex, hold_end, end = times
+    start, apex, hold_end, end = (float(row[phase]) for phase in ("start", "apex", "hold_end", "end"))
     base = SCRIPTED + row["file"].removesuffix(".bvh")
     none = np.zeros((2, 0, 0, 3)), np.zeros((0, 0, 3))
-    return Stroke(base, base, _BODY, "", row["label"], row["hand"], 0.0, *none, start, apex,
-                  hold_end, end, 0.0, steady=True, meaning=row["label"], faithful=True, size=SIZES[row["size"]],
-                  touches=row["touches"] == "yes")
+    return Stroke(base, base, _BODY, row["label"], row["hand"], 0.0, *none, start, apex, hold_end, end, steady=True,
+                  meaning=row["label"], faithful=True, size=SIZES[row["size"]])

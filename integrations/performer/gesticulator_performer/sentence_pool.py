@@ -10,7 +10,7 @@ import numpy as np
 from data_module.truth import Phrase
 from data_module.types import Array, Samples, Speech, Word
 from gesticulator_performer import meaning, text, voices
-from gesticulator_performer.sound import RATE, Sounded
+from gesticulator_performer.sound import RATE
 from gesticulator_performer.syllables import Nucleus, listen
 
 _LEAST_LETTERS, _LONGEST_LETTERS = 6, 70
@@ -40,7 +40,7 @@ class Pool:
 
 
 def phrase_texts(rng: np.random.Generator, count: int, split: str, used: set[str]) -> tuple[str, ...]:
-    """`count` new phrases of the grammar, some of them joined; none is in `said`, to which they are added."""
+    """`count` new phrases of the grammar, some of them joined; none is in `used`, to which they are added."""
     phrases: list[str] = []
     while len(phrases) < count:
         for utterance in text.compose(rng, 60.0, split, used):
@@ -57,8 +57,8 @@ def phrase_texts(rng: np.random.Generator, count: int, split: str, used: set[str
     return tuple(phrases[:count])
 
 
-def make_pool(voice: str, texts: Sequence[str], rng: np.random.Generator) -> Pool:
-    spoken = say(voice, [text.Part(one, 0.0, _PAUSE) for one in texts], rng)
+def make_pool(voice: str, texts: Sequence[str]) -> Pool:
+    spoken = voices.sound_all([text.Part(one, 0.0, _PAUSE) for one in texts], voices.VOICES[voice])
     gap = np.zeros(round(_PAUSE * RATE), dtype=np.float32)
     offset, pieces = 0, []
     nuclei: list[Nucleus] = []
@@ -91,10 +91,6 @@ def make_pool(voice: str, texts: Sequence[str], rng: np.random.Generator) -> Poo
     level = float(np.sqrt(np.mean(np.concatenate([one.samples for one in spoken]) ** 2))) + 1e-9
     return Pool(voice, tuple(texts), np.array([len(one.samples) / RATE for one in spoken]), vowels, prominence,
                 asks, level)
-
-
-def say(voice: str, parts: Sequence[text.Part], rng: np.random.Generator) -> list[Sounded]:
-    return voices.sound_all(parts, voices.VOICES[voice])
 
 
 def stretched(samples: Samples, anchors: Array) -> Samples:

@@ -23,7 +23,7 @@ from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
 from data_module.types import Array, Motion, Skeleton
 from gesticulator_performer.clips import read_clips
-from gesticulator_performer.cues import Asked, mirrored
+from gesticulator_performer.cues import Cues, mirrored
 from gesticulator_performer.shoulders import with_rhythm
 
 LEFT, RIGHT = 0, 1
@@ -94,17 +94,15 @@ class Stroke:
 
     clip: name of the recording; base: the same for a clip and its mirror image. arms: [2, T, A, 3] log rotations of
     the left and the right arm against the rest pose; trunk: [T, B, 3] likewise, B joints of `PerformerBody.trunk`.
-    start, beat, hold_end, end: seconds in the clip. reach: metres that the acting hand travels. held_out: for the test
+    start, beat, hold_end, end: seconds in the clip. held_out: for the test
     split only. steady: must not be played faster than recorded. meaning: label of the gesture ("point_there"), "" for
     none. faithful: a hand touches the head or the other hand, so the stroke is played at its recorded size. size: of a
-    take that was drawn from a script, which keeps its shape and tempo, 1 for medium; 0 for a captured stroke. touches:
-    a hand of such a take touches the body or the other hand.
+    take that was drawn from a script, which keeps its shape and tempo, 1 for medium; 0 for a captured stroke.
     """
 
     clip: str
     base: str
     speaker: str
-    posture: str
     lexeme: str
     hand: str
     fps: float
@@ -114,13 +112,11 @@ class Stroke:
     beat: float
     hold_end: float
     end: float
-    reach: float
     held_out: bool = False
     steady: bool = False
     meaning: str = ""
     faithful: bool = False
     size: float = 0.0
-    touches: bool = False
     _splines: dict[tuple[int, int | None], CubicSpline] = field(default_factory=dict, compare=False, repr=False)
 
     @property
@@ -148,21 +144,6 @@ class Stroke:
         return self._splines[key](np.clip(seconds, 0.0, (len(track) - 1) / self.fps))
 
 
-class StrokeCues(Protocol):
-    """What calls for strokes with a meaning."""
-
-    @property
-    def apart(self) -> float:
-        """Least seconds between two of them; 0 leaves it to the strokes."""
-
-    @property
-    def again(self) -> float:
-        """Seconds in which a label does not come again."""
-
-    def asked(self, words: Sequence[str], language: str = "en", pauses: Sequence[float] = ()) -> Mapping[int, Asked]:
-        """What the words of a speech ask for, by index. pauses: seconds of silence after each word, if known."""
-
-
 class ScriptedTakes(Protocol):
     """Takes that were drawn from scripts; see `repertoire.Repertoire`."""
 
@@ -180,7 +161,7 @@ class StrokeSet:
 
     strokes: tuple[Stroke, ...]
     figures: Mapping[str, PerformerBody]
-    cues: StrokeCues | None = None
+    cues: Cues | None = None
     repertoire: ScriptedTakes | None = None
 
     @property
@@ -351,8 +332,8 @@ def load_strokes(folder: str | Path) -> StrokeSet:
 
 
 def read_manifest(folder: str | Path) -> list[dict[str, str]]:
-    """The rows of `manifest.csv` in a folder of strokes, each with its `_COLUMNS`; InputError as of `read_clips`."""
-    return [row for _, row in read_clips(folder, _COLUMNS)]
+    """The rows of `manifest.csv` in a folder of strokes, each with its `_COLUMNS`."""
+    return read_clips(folder, _COLUMNS)
 
 
 def _key(stroke: Stroke) -> tuple[str, str]:
@@ -432,6 +413,6 @@ def measured_stroke(figure: PerformerBody, row: Mapping[str, str], rotations: Ar
         start, beat, hold_end, end = listed
     stem = Path(row["file"]).stem
     logs = np.stack([logs_against(figure.rest, rotations, joints) for joints in figure.arms])
-    return Stroke(stem, stem, row["speaker"], row["posture"], row["lexeme"], hand, fps, logs,
-                  logs_against(figure.rest, rotations, figure.trunk), start, beat, hold_end, end, reach,
+    return Stroke(stem, stem, row["speaker"], row["lexeme"], hand, fps, logs,
+                  logs_against(figure.rest, rotations, figure.trunk), start, beat, hold_end, end,
                   steady=stem in _NOT_FASTER)

@@ -60,8 +60,7 @@ def draw_style(seconds: float, rng: np.random.Generator) -> StyleTrack:
     return StyleTrack(_KNOTS * np.arange(count, dtype=np.float64), _MOST * np.tanh((mean + drift) / _MOST))
 
 
-def styled_speech(name: str, utterances: Sequence[Utterance], voice: str, style: StyleTrack,
-                  rng: np.random.Generator) -> Spoken:
+def styled_speech(utterances: Sequence[Utterance], voice: str, style: StyleTrack, rng: np.random.Generator) -> Spoken:
     """Speak utterances; the style of each phrase is that of `style` at the time where the phrase begins."""
     speaker = voices.VOICES[voice]
     parts: list[Part] = []
@@ -77,7 +76,7 @@ def styled_speech(name: str, utterances: Sequence[Utterance], voice: str, style:
         parts.append(new)
         spoken.append(sounded)
         clock += len(sounded.samples) / RATE + new.pause
-    return voices.with_syllables(name, voices.on_the_clock(parts, spoken, speaker, rng), voice)
+    return voices.on_the_clock(parts, spoken, speaker, rng)
 
 
 def shelved(samples: Samples, decibel: float) -> Samples:

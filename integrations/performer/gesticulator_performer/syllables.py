@@ -59,10 +59,10 @@ def listen(speech: Speech, phrases: Sequence[Phrase], nuclei: Sequence[Nucleus] 
                  for p, a, b, c in zip(places, loud, high, score, strict=True))
 
 
-def find_syllables(name: str, speech: Speech, voice: str, language: str) -> Spoken:
+def find_syllables(speech: Speech, language: str) -> Spoken:
     """The phrases and syllables of a real voice, detected in the signal (and in the words, if they are known)."""
     phrases = find_phrases(speech)
-    return Spoken(name, speech, listen(speech, phrases, language=language), phrases, voice, language)
+    return Spoken(speech, listen(speech, phrases, language=language), phrases, language)
 
 
 def loudness(speech: Speech) -> Array:

@@ -30,11 +30,7 @@ from gesticulator_performer import mended_arms
 from gesticulator_performer.clips import read_clips
 from gesticulator_performer.shoulders import with_rhythm
 from gesticulator_performer.strokes import arm_joints
-from gesticulator_performer.torso import FPS as FPS
-from gesticulator_performer.torso import TORSO_RADIUS as TORSO_RADIUS
-from gesticulator_performer.torso import capsule_depth as capsule_depth
-from gesticulator_performer.torso import facing_positions as facing_positions
-from gesticulator_performer.torso import torso_depth as torso_depth
+from gesticulator_performer.torso import FPS, facing_positions, torso_depth
 from gesticulator_performer.wrists import with_loose_wrists
 
 GROUPS: dict[str, tuple[str, ...]] = {
@@ -153,7 +149,7 @@ def load_takes(folder: str | Path) -> Library:
 def list_takes(folder: str | Path) -> list[tuple[RealTake, Path]]:
     """The usable takes of `manifest.csv`, without their motion, and their files."""
     listed: list[tuple[RealTake, Path]] = []
-    for _, row in read_clips(folder, {"file", "person", "licence"}):
+    for row in read_clips(folder, {"file", "person", "licence"}):
         stem = Path(row["file"]).stem
         group = group_of(stem)
         if group and stem not in _TWINS:

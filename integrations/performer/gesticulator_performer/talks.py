@@ -18,7 +18,6 @@ from gesticulator_performer.chaining import Chain, chain, seam_ratio
 from gesticulator_performer.sentence_pool import Pool
 from gesticulator_performer.takes import (
     ARM_SIDES,
-    FPS,
     HIPS,
     SKULL,
     SPINE,
@@ -26,10 +25,10 @@ from gesticulator_performer.takes import (
     Library,
     MotionRange,
     RealTake,
-    facing_positions,
     mirrored,
     stretches,
 )
+from gesticulator_performer.torso import FPS, facing_positions
 from gesticulator_performer.trunk import calm, pitch_accents, postures, sway, yaw_scale
 from gesticulator_performer.types import Spoken
 
@@ -64,7 +63,7 @@ class MadeTalk:
     """Motion with speech synthesised for it. edges: seconds at which stretches begin; takes: names of those used."""
 
     motion: Motion
-    fitted: inverse.FittedSpeech
+    spoken: Spoken
     edges: Array
     takes: tuple[str, ...]
 
@@ -73,7 +72,6 @@ class MadeTalk:
 class TalkRequest:
     """What a talk should be. group: its manner, a key of `takes.GROUPS`; seconds: its length."""
 
-    name: str
     group: str
     seconds: float
 
@@ -90,15 +88,15 @@ def talk_for_motion(request: TalkRequest, library: Library, takes: Sequence[Real
         turned = bool(rng.random() < 0.5) if mixed else flip
         pieces.append(_slowed(_one_handed(library, mirrored(logs) if turned else logs, rng), slower))
     joined, places = _smoothest(library, pieces, request.seconds, rng)
-    synthesis = inverse.speech_for(request.name, places, pool, ENERGY, movements.features_of(places), rng)
-    logs = with_life(joined.logs, synthesis.spoken, rng)
+    spoken = inverse.speech_for(places, pool, ENERGY, movements.features_of(places), rng)
+    logs = with_life(joined.logs, spoken, rng)
     rotations = library.rotations(logs)
     root = np.tile([0.0, HIP_HEIGHT, 0.0], (len(rotations), 1))
     used = tuple(sorted({named[k][0] for k in joined.used}))
     lacking = {joint for take in takes if take.name in used for joint in take.filled}
     motion = Motion(CHARACTERS[rotations.shape[1]], rotations, root, FPS,
                     filled=tuple(joint for joint in FINGERED.names if joint in lacking))
-    return MadeTalk(motion, synthesis, joined.edges, used)
+    return MadeTalk(motion, spoken, joined.edges, used)
 
 
 def _smoothest(library: Library, pieces: Sequence[Array], seconds: float,

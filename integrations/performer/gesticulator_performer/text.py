@@ -57,10 +57,8 @@ def compose(rng: np.random.Generator, seconds: float, split: str, used: set[str]
     all named gestures, not only for those with captured strokes. Effort drifts from sentence to
     sentence (AR(1), 0.7) and varies from phrase to phrase. Same generator state, same text.
     """
-    if split not in SPLITS:
-        raise InputError(f"split {split!r}", "is not known", f"choose one of {', '.join(SPLITS)}")
     used = set() if used is None else used
-    source = _English(split, repertoire) if language == "en" else _phrasebook(split, language)
+    source = _English(split, repertoire) if language == "en" else _Phrases(PHRASEBOOKS[language, split])
     pace = CHARACTERS_PER_SECOND.get(language, _LETTERS_PER_SECOND)
     utterances: list[Utterance] = []
     mood = float(rng.normal(0, 0.5))
@@ -122,13 +120,6 @@ class _Phrases:
 
 def _one(rng: np.random.Generator, entries: Sequence[_T]) -> _T:
     return entries[int(rng.integers(len(entries)))]
-
-
-def _phrasebook(split: str, language: str) -> _Phrases:
-    if (language, split) not in PHRASEBOOKS:
-        known = sorted({"en"} | {name for name, _ in PHRASEBOOKS})
-        raise InputError(f"language {language!r}", "has no grammar here", f"choose one of {', '.join(known)}")
-    return _Phrases(PHRASEBOOKS[language, split])
 
 
 def _new_sentence(rng: np.random.Generator, source: _English | _Phrases, used: set[str]) -> tuple[str, list[str]]:

@@ -9,7 +9,7 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array
 
 FPS = 60.0
-"""Frames per second of the performer's motion."""
+"""Frames per second of the performer's motion: twice that of the clips, so that a beat can be moved by half a frame."""
 TORSO_RADIUS, ELBOW_RADIUS = 0.115, 0.13
 """Radius of the capsule from hips to chest that a hand (half the depth of an adult's chest) or an elbow may not enter,
 metres."""

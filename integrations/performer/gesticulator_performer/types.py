@@ -12,11 +12,9 @@ from data_module.types import Motion, Speech
 class Spoken:
     """Speech with everything that the performer uses; `speech.words` holds the words, `language` is ISO 639-1."""
 
-    name: str
     speech: Speech
     syllables: tuple[Syllable, ...]
     phrases: tuple[Phrase, ...]
-    voice: str
     language: str
 
 
@@ -26,4 +24,3 @@ class Played:
 
     motion: Motion
     strokes: tuple[PlayedStroke, ...]
-    performer: str

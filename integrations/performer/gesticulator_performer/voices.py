@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from data_module.errors import InputError
 from data_module.truth import Phrase
 from data_module.types import Array, Samples, Speech, Word
 from gesticulator_performer import espeak, flite
@@ -27,7 +26,7 @@ LEAD = 0.4
 class Voice:
     """A voice. engine: "flite" or "espeak"; base: the engine's name for it. pitch: Hz (espeak: 0 to 99); spread: the
     engine's measure of pitch range (flite: Hz; espeak: 0 to 99); tract: factor on the formants (flite); rate: factor on
-    the engine's normal speed; language: ISO 639-1, or 639-3 if there is none (cmn)."""
+    the engine's normal speed."""
 
     name: str
     engine: str
@@ -36,45 +35,22 @@ class Voice:
     spread: float
     tract: float = 1.0
     rate: float = 1.0
-    language: str = "en"
 
 
 VOICES = {name: Voice(name, **settings) for name, settings in table("voices.toml")["voices"].items()}
 TRAIN_VOICES = ("slt", "rms", "kal", "us_f3", "slt_deep", "rms_light", "gb_m3", "slt_high", "rms_deep", "scot_f2")
 TEST_VOICES = ("awb", "rp_m7", "awb_high")
-@dataclass(frozen=True)
-class Synthesis:
-    """Synthesised speech: words in `speech`, phones and phrases in seconds."""
-
-    speech: Speech
-    phones: tuple[Phone, ...]
-    phrases: tuple[Phrase, ...]
 
 
-def synthesise(utterances: Sequence[Utterance], voice: Voice, rng: np.random.Generator) -> Synthesis:
-    """Speak the utterances and record them: 16 kHz, word times, phone times, phrases with their effort.
+def speak(utterances: Sequence[Utterance], voice: str, rng: np.random.Generator) -> Spoken:
+    """Speak the utterances with a voice of `VOICES` and record them: 16 kHz, word times, phrases with their effort.
 
     Effort drives loudness (9 dB either way), brightness, pitch, pitch range and rate together. Phrases are spoken one
     by one and placed by counting samples. The generator determines the room, the noise and the level.
     InputError names the Debian package of a missing program.
     """
     parts = [part for utterance in utterances for part in utterance.parts]
-    if not parts:
-        raise InputError("text", "is empty", "give a sentence to speak")
-    return on_the_clock(parts, sound_all(parts, voice), voice, rng)
-
-
-def speak(name: str, utterances: Sequence[Utterance], voice: str, rng: np.random.Generator) -> Spoken:
-    if voice not in VOICES:
-        raise InputError(f"voice {voice!r}", "is not known", f"choose one of {', '.join(VOICES)}")
-    return with_syllables(name, synthesise(utterances, VOICES[voice], rng), voice)
-
-
-def with_syllables(name: str, synthesis: Synthesis, voice: str) -> Spoken:
-    """Synthesised speech of a voice of `VOICES` with its measured syllables."""
-    language = VOICES[voice].language
-    syllables = listen(synthesis.speech, synthesis.phrases, nuclei_of(synthesis.phones), language)
-    return Spoken(name, synthesis.speech, syllables, synthesis.phrases, voice, language)
+    return on_the_clock(parts, sound_all(parts, VOICES[voice]), VOICES[voice], rng)
 
 
 def nuclei_of(phones: Sequence[Phone]) -> list[Nucleus]:
@@ -139,8 +115,8 @@ def _wider(effort: float) -> float:
 
 
 def on_the_clock(parts: Sequence[Part], spoken: Sequence[Sounded], voice: Voice,
-                 rng: np.random.Generator) -> Synthesis:
-    """Concatenate phrases and pauses at the loudness of their effort, and record them."""
+                 rng: np.random.Generator) -> Spoken:
+    """Join English phrases and pauses at the loudness of their effort, record them, and measure the syllables."""
     lengths = [len(s.samples) + round(p.pause * RATE) for s, p in zip(spoken, parts, strict=True)]
     starts = np.cumsum([round(LEAD * RATE), *lengths])
     dry = np.zeros(int(starts[-1]), dtype=np.float32)
@@ -159,4 +135,5 @@ def on_the_clock(parts: Sequence[Part], spoken: Sequence[Sounded], voice: Voice,
         words += [replace(word, start=word.start + offset, end=word.end + offset) for word in sounded.words]
         phrases.append(Phrase(offset, stop / RATE, part.effort))
     samples = recorded(dry, active, rng)
-    return Synthesis(Speech(samples, RATE, tuple(words), voice.name), tuple(phones), tuple(phrases))
+    speech = Speech(samples, RATE, tuple(words), voice.name)
+    return Spoken(speech, listen(speech, phrases, nuclei_of(phones), "en"), tuple(phrases), "en")

@@ -9,7 +9,7 @@ import pytest
 from gesticulator_performer import hands, styles, text, voices
 from gesticulator_performer.hands import HANGING_LEVEL, Manner, PhraseHands
 from gesticulator_performer.strokes import LEFT, RIGHT, StrokeSet
-from gesticulator_performer.takes import FPS
+from gesticulator_performer.torso import FPS
 from gesticulator_performer.types import Played, Spoken
 from procedural import played as perform_by
 from procedural import procedural_strokes
@@ -30,7 +30,7 @@ def strokes() -> StrokeSet:
 @pytest.fixture(scope="module")
 def spoken() -> Spoken:
     rng = np.random.default_rng(4)
-    return voices.speak("talk", text.compose(rng, 45.0, "train"), "rms", rng)
+    return voices.speak(text.compose(rng, 45.0, "train"), "rms", rng)
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def _constant(amplitude: float, tempo: float) -> styles.StyleTrack:
 
 def _said(style: styles.StyleTrack) -> Spoken:
     rng = np.random.default_rng(9)
-    return styles.styled_speech("s", text.compose(rng, 12.0, "train"), "rms", style, np.random.default_rng(2))
+    return styles.styled_speech(text.compose(rng, 12.0, "train"), "rms", style, np.random.default_rng(2))
 
 
 def test_amplitude_and_tempo_can_be_heard() -> None:

@@ -8,7 +8,8 @@ from gesticulator_performer import inverse, movements
 from gesticulator_performer.inverse import Candidates, Energy, Wanted, Window, assign, phrase_windows
 from gesticulator_performer.sentence_pool import NO_VOWEL, Pool, make_pool, phrase_texts, stretched
 from gesticulator_performer.sound import RATE
-from gesticulator_performer.takes import FPS, arms_speed, facing_positions
+from gesticulator_performer.takes import arms_speed
+from gesticulator_performer.torso import FPS, facing_positions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_takes import library, moving
@@ -106,7 +107,7 @@ def test_stretched_sound_has_its_clicks_at_the_anchors() -> None:
 @pytest.fixture(scope="module")
 def pool() -> Pool:
     texts = phrase_texts(np.random.default_rng(5), 220, "train", set())
-    return make_pool("rms", texts, np.random.default_rng(6))
+    return make_pool("rms", texts)
 
 
 def test_speech_for_motion_stresses_its_beats_and_pauses_in_its_rests(pool: Pool) -> None:
@@ -118,23 +119,21 @@ def test_speech_for_motion_stresses_its_beats_and_pauses_in_its_rests(pool: Pool
     at = clock / clock[-1] * (len(logs) - 1)
     logs = np.stack([np.interp(at, np.arange(len(logs)), column) for column in logs.reshape(len(logs), -1).T], axis=-1)
     places = facing_positions(lib.rotations(logs.reshape(-1, 16, 3)))
-    made, again = (inverse.speech_for("talk", places, pool, Energy(0.4, 0.6), movements.features_of(places),
+    made, again = (inverse.speech_for(places, pool, Energy(0.4, 0.6), movements.features_of(places),
                                       np.random.default_rng(3)) for _ in range(2))
-    assert np.array_equal(made.spoken.speech.samples, again.spoken.speech.samples)
-    assert len(made.spoken.speech.samples) == round(len(places) / FPS * RATE)
+    assert np.array_equal(made.speech.samples, again.speech.samples)
+    assert len(made.speech.samples) == round(len(places) / FPS * RATE)
     speed = arms_speed(places)
     beats = beats_of_speed(speed, FPS)
-    vowels = np.array([s.vowel for s in made.spoken.syllables])
-    phrases = made.spoken.phrases
-    assert len(phrases) >= 6 and made.matched > 0.4 * len(beats)
+    vowels = np.array([s.vowel for s in made.syllables])
+    phrases = made.phrases
+    assert len(phrases) >= 6
     assert all(a.end <= b.start for a, b in zip(phrases, phrases[1:], strict=False))
     spoken = np.array([b for b in beats if any(p.start < b < p.end for p in phrases)])
     off = np.abs(vowels[None] - spoken[:, None] - 0.038).min(axis=1)
     shifts = 0.31 + 0.9 * np.arange(20.0)
     chance = np.abs(vowels - (spoken[:, None, None] + shifts[:, None]) % 40.0 - 0.038).min(axis=-1)
     assert np.mean(off < 0.1) > np.mean(chance < 0.1) + 0.1
-    rates = made.rates
-    assert rates[:, 0].min() > 0.7 and rates[:, 0].max() < 1.4
-    words = made.spoken.speech.words
+    words = made.speech.words
     assert words and all(w.end >= w.start for w in words)
     assert all(any(p.start - 0.05 <= w.start <= p.end + 0.05 for p in phrases) for w in words)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from gesticulator_performer import shoulders, takes, wrists
-from gesticulator_performer.takes import FPS
-from gesticulator_performer.torso import facing_positions
+from gesticulator_performer.torso import FPS, facing_positions
 from test_mended_arms import SIDES, hanging
 
 from data_module.motion import kinematics, rotation

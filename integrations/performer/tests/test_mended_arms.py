@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gesticulator_performer import mended_arms, takes
-from gesticulator_performer.takes import FPS, MotionRange
-from gesticulator_performer.torso import facing_positions, torso_depth
+from gesticulator_performer.takes import MotionRange
+from gesticulator_performer.torso import FPS, facing_positions, torso_depth
 
 from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, FINGERED

@@ -19,7 +19,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from procedural import planned, procedural_strokes
 
-from data_module.errors import InputError
 from data_module.files import read_table
 from data_module.motion import kinematics, rotation
 from data_module.truth import Phrase, Syllable
@@ -72,8 +71,8 @@ def _said(text: str, language: str = "en", pause: float = 0.0) -> Spoken:
     own = tuple(Word(word, float(t), float(t) + 0.3) for word, t in zip(words, times, strict=True))
     syllables = tuple(Syllable(w.start, w.start + 0.05, w.end, k, 0.0, 0.0, 0.5) for k, w in enumerate(own))
     end = float(times[-1]) + 0.3
-    return Spoken("test", Speech(np.zeros(int(16000 * (end + 2)), np.float32), 16000, own), syllables,
-                  (Phrase(1.0, end, 0.0),), "nobody", language)
+    return Spoken(Speech(np.zeros(int(16000 * (end + 2)), np.float32), 16000, own), syllables,
+                  (Phrase(1.0, end, 0.0),), language)
 
 
 def _labels(cues: Cues, text: str, language: str = "en") -> dict[str, set[str]]:
@@ -96,20 +95,6 @@ def test_cues_do_not_overlap_and_their_carrier_is_among_their_words(words: list[
     places = [k for first, last, _ in found for k in range(first, last + 1)]
     assert places == sorted(set(places))
     assert all(any(first <= at <= last for first, last, _ in found) for at in own.asked(words))
-
-
-@pytest.mark.parametrize(("meanings", "clips", "message"), [
-    (MEANINGS.replace(",no,yes", ",maybe,yes", 1), CLIPS, r"meanings\.csv, line 2.*maybe.*yes or no"),
-    (MEANINGS.replace("shrug", "nod"), CLIPS, r"meanings\.csv, line 7.*nod.*taken"),
-    (MEANINGS.replace("offensive", "rude"), CLIPS, r"lacks columns offensive"),
-    (MEANINGS, CLIPS.replace("shrug", "juggle"), r"licensed_clips\.csv, line 2.*juggle"),
-    (MEANINGS, CLIPS.replace(",,,,,", ",1,2,x,3,4", 1), r"line 2.*'x' as the time of its emphasis"),
-    (MEANINGS, CLIPS.replace(",,,,,", ",1,2,1.5,3,4", 1), r"line 2.*out of order"),
-    (MEANINGS, CLIPS.replace("strokes/", "../", 1), r"line 2.*not a file in this folder"),
-])
-def test_a_bad_table_is_named_with_its_line(tmp_path: Path, meanings: str, clips: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        read_cues(_write(tmp_path, meanings, clips))
 
 
 def _played(strokes: StrokeSet, text: str, language: str = "en", seeds: int = 40) -> list[tuple[str, Planned]]:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from gesticulator_performer import takes
 from gesticulator_performer.chaining import chain, seam_ratio
-from gesticulator_performer.takes import FPS, HIPS, SKULL, SPINE, Library, MotionRange, RealTake
+from gesticulator_performer.takes import HIPS, SKULL, SPINE, Library, MotionRange, RealTake
+from gesticulator_performer.torso import FPS, facing_positions
 
 from data_module.errors import InputError
 from data_module.motion import kinematics, rotation
@@ -53,8 +54,8 @@ def test_a_mirror_image_swaps_the_hands_and_twice_is_nothing() -> None:
     lib_rest = lib.rest
     assert np.allclose(takes.mirrored(rotation.to_exponential_map(lib_rest)[None])[0],
                        rotation.to_exponential_map(lib_rest), atol=1e-9)
-    first = takes.facing_positions(lib.rotations(logs))
-    second = takes.facing_positions(lib.rotations(takes.mirrored(logs)))
+    first = facing_positions(lib.rotations(logs))
+    second = facing_positions(lib.rotations(takes.mirrored(logs)))
     left, right = takes.WRISTS
     assert np.allclose(first[:, left] * [-1, 1, 1], second[:, right], atol=1e-9)
 
@@ -82,7 +83,7 @@ def test_idling_and_hands_too_high_are_cut_out() -> None:
     high = RealTake("high", "ann", "conversation", "none", logs.copy())
     high.logs[540:660, LEFT_ARM] = [0.0, 0.0, 2.6]
     low = takes.stretches(lib, high, MotionRange(0.45, 1.0))
-    places = takes.facing_positions(lib.rotations(np.concatenate(low)))
+    places = facing_positions(lib.rotations(np.concatenate(low)))
     assert places[:, list(takes.WRISTS), 1].max() < 0.45 + 0.16 + 0.1
 
 
@@ -112,14 +113,14 @@ def test_seams_of_a_chain_cannot_be_told_from_the_rest() -> None:
     ratios = []
     for seed in range(4):
         out = chain(pieces, 40.0, np.random.default_rng(seed), recent=3)
-        hands = takes.facing_positions(lib.rotations(out.logs))[:, list(takes.WRISTS)]
+        hands = facing_positions(lib.rotations(out.logs))[:, list(takes.WRISTS)]
         ratios.append(seam_ratio(hands, out.edges))
         assert len(out.logs) == 40 * FPS and out.edges[-1] == 40.0 and (np.diff(out.edges)[:-1] > 1.5).all()
         assert all(out.used[k] not in out.used[max(0, k - 3):k] for k in range(1, len(out.used)))
         # The same takes cut together without care jump at every seam.
         hard = np.concatenate([pieces[k][:int((b - a) * FPS)] for k, a, b in
                                zip(out.used, out.edges, out.edges[1:], strict=False)])
-        cut = takes.facing_positions(lib.rotations(hard))[:, list(takes.WRISTS)]
+        cut = facing_positions(lib.rotations(hard))[:, list(takes.WRISTS)]
         assert seam_ratio(cut, out.edges) > 3.0
     assert max(ratios) < 1.35
 
@@ -155,4 +156,4 @@ def test_takes_as_published_lose_their_turning(outside_data: Path) -> None:
             q = lib.rotations(logs)
             yaw = rotation.yaw_of(q[:, 0])
             assert np.degrees(2.0 * np.arctan2(np.abs(yaw[:, 2]), np.abs(yaw[:, 0]))).max() < 15.0
-            assert takes.facing_positions(q)[:, list(takes.WRISTS), 1].max() < 0.5 + 0.2
+            assert facing_positions(q)[:, list(takes.WRISTS), 1].max() < 0.5 + 0.2

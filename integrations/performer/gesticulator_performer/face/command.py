@@ -14,7 +14,6 @@ def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--minutes", type=float, default=80.0, help="synthetic speech (default 80)")
     p.add_argument("--epochs", type=int, default=14, help="passes over the speech (default 14)")
     p.add_argument("--seed", type=int, default=1, help="random seed (default 1)")
-    p.add_argument("--quiet", action="store_true", help="print no progress")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -26,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
         if not least <= value <= most:
             raise InputError(f"{flag} {value:g}", "is out of range", f"choose {least} to {most}")
     settings = FaceTraining(minutes=args.minutes, epochs=args.epochs, seed=args.seed)
-    net = fit(recordings_of(settings), settings, args.quiet)
+    net = fit(recordings_of(settings), settings)
     save(net, settings, args.out)
     return 0
 

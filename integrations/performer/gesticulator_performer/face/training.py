@@ -102,10 +102,8 @@ def with_long_pause(piece: LabelledRows, rng: np.random.Generator) -> LabelledRo
     return LabelledRows(longer.reshape(-1, rows.shape[2]).astype(np.float32), labels)
 
 
-def fit(recordings: Sequence[LabelledRows], settings: FaceTraining, quiet: bool = True, start: Any = None
-        ) -> Any:
-    """A trained `VisemeNet`; start: one to go on from. The same recordings and settings give the same weights on one
-    machine."""
+def fit(recordings: Sequence[LabelledRows], settings: FaceTraining) -> Any:
+    """A trained `VisemeNet`. The same recordings and settings give the same weights on one machine."""
     import torch
 
     from gesticulator_performer.face.viseme_net import VisemeNet, stacked
@@ -113,11 +111,10 @@ def fit(recordings: Sequence[LabelledRows], settings: FaceTraining, quiet: bool 
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng(settings.seed)
     pieces = sequences(recordings)
-    net = VisemeNet() if start is None else start.train()
-    if start is None:
-        seen = np.concatenate([stacked(augmented(piece.rows, rng)) for piece in pieces[::6]])
-        net.mean.copy_(torch.from_numpy(seen.mean(0)))
-        net.deviation.copy_(torch.from_numpy(seen.std(0) + 1e-3))
+    net = VisemeNet()
+    seen = np.concatenate([stacked(augmented(piece.rows, rng)) for piece in pieces[::6]])
+    net.mean.copy_(torch.from_numpy(seen.mean(0)))
+    net.deviation.copy_(torch.from_numpy(seen.std(0) + 1e-3))
     steps = settings.epochs * max(len(pieces) // settings.batch, 1)
     optimiser = torch.optim.AdamW(net.parameters(), settings.rate, weight_decay=1e-2)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.rate, total_steps=steps, pct_start=0.1)
@@ -130,7 +127,7 @@ def fit(recordings: Sequence[LabelledRows], settings: FaceTraining, quiet: bool 
         optimiser.step()
         schedule.step()
         total += loss.item()
-        if not quiet and (step + 1) % 100 == 0:
+        if (step + 1) % 100 == 0:
             print(f"step {step + 1} of {steps}: loss {total / 100:.3f}", flush=True)
             total = 0.0
     return net.eval()

@@ -64,7 +64,7 @@ def _drawn(gesture: NamedGesture, folder: Path, seed: int) -> Iterator[dict[str,
             name = f"{label}_{size}_{number + 1}.bvh"
             (folder / name).write_text(bvh_text(motion, 1.0), encoding="utf-8")
             yield {"file": name, "label": label, "size": size, "hand": _hand(draw), "licence": LICENCE,
-                   "touches": "yes" if _touches(draw) else "no", **_marks(draw, at - begin)}
+                   **_marks(draw, at - begin)}
 
 
 def _take(cue: GestureCue, at: float, draw: GestureDraw, seed: int) -> tuple[Motion, float]:
@@ -91,10 +91,6 @@ def _hand(draw: GestureDraw) -> str:
     if script.main is None:
         return "none"
     return "both" if script.other is not None else script.side.lower()
-
-
-def _touches(draw: GestureDraw) -> bool:
-    return any(part is not None and part.touches for part in (draw.script.main, draw.script.other))
 
 
 def _marks(draw: GestureDraw, apex: float) -> dict[str, float]:
