@@ -22,7 +22,7 @@ from data_module.motion import skeletons
 from data_module.motion.kinematics import positions_of
 from data_module.types import Array, Blocks, Motion
 
-__all__ = ["Controls", "Curve", "Levels", "controls_from", "measure", "read_curve"]
+__all__ = ["Controls", "Curve", "Levels", "measure", "read_curve"]
 
 FEATURES = ("height", "speed", "radius")
 """Right hand over the hips (m), mean speed of both hands (m/s), mean horizontal distance of both hands from the
@@ -180,13 +180,6 @@ class Controls:
 
 
 # ------------------------------------------------------------------------------------------ the command line
-
-def controls_from(height: str | None, speed: str | None, radius: str | None, levels: Levels) -> Controls:
-    """The controls from the options --hand-height, --hand-speed and --hand-radius; see `parse`."""
-    given = dict(zip(FEATURES, (height, speed, radius), strict=True))
-    return Controls(**{name: parse(f"--hand-{name}", text, name, levels)
-                       for name, text in given.items() if text is not None})
-
 
 def parse(flag: str, text: str, feature: str, levels: Levels) -> float | Curve:
     """The target of a feature from "low", "mid" or "high", a number in its unit, or the path of a CSV file.

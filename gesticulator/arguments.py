@@ -14,14 +14,14 @@ from data_module.errors import InputError
 from data_module.settings import field_docs, whole_number
 from gesticulator.cli import PROGRAM
 from gesticulator.export.clip import NAME, ClipLayout, check_clip_outputs, parse_keys
-from gesticulator.export.writers import ELSEWHERE, UNITS, WRITERS, check_output, suffix_of
+from gesticulator.export.writers import UNITS, WRITERS, check_output, suffix_of
 from gesticulator.jobs import CharacterRequest, Job, RunSettings, is_folder, jobs_for
 from gesticulator.options import RANGES, InferenceOptions, OptionFlag
 from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
-    from gesticulator.plan.plan import GestureCue, GesturePlan
+    from gesticulator.plan.plan import GestureCue
 
 FORMAT = "bvh"
 """The format written to a folder if --format is not given."""
@@ -147,7 +147,7 @@ def infer_arguments(p: argparse.ArgumentParser) -> None:
     p.usage = f"{p.prog} SPEECH [SPEECH ...] -o FILE [options]"
     p.add_argument("speech", nargs="*", metavar="SPEECH",
                    help="audio files (WAV, FLAC, OGG, MP3; M4A, MP4, WebM and other video with PyAV; 0.3 s to one "
-                   "hour), folders of them, patterns such as '*.wav', or - for standard input")
+                   "hour), folders of them, or - for standard input")
     out = p.add_argument_group(
         "output (at least one is required)", "A path that ends in / or is a folder receives one file per recording, "
         "named\nafter it; any other path is the file itself. Missing folders are created.")
@@ -198,7 +198,11 @@ def settings_of(args: argparse.Namespace, upper: bool = False) -> Job:
     values = {field.name: getattr(args, field.name) for field in fields(InferenceOptions) if "flag" in field.metadata}
     # argparse collects repeated options in lists; options are frozen and hashed.
     values.update({name: tuple(value) for name, value in values.items() if isinstance(value, list)})
-    options = InferenceOptions(**{**values, "plan": _plan_of(args)})
+    if args.plan is not None:
+        from gesticulator.plan.plan_file import read_plan
+
+        values["plan"] = read_plan(args.plan)
+    options = InferenceOptions(**values)
     if options.cues and options.face != "full":
         from gesticulator.plan.gestures import EXPRESSIONS
 
@@ -206,14 +210,6 @@ def settings_of(args: argparse.Namespace, upper: bool = False) -> Job:
         if any(cue.gesture in EXPRESSIONS for cue in options.cues):
             raise InputError("--cue", "names an expression of the face", "add --face full, or leave it out")
     return Job(None, options=options, character=_character_of(args, upper), any_length=args.any_length)
-
-
-def _plan_of(args: argparse.Namespace) -> GesturePlan | None:
-    if args.plan is None:
-        return None
-    from gesticulator.plan.plan_file import read_plan
-
-    return read_plan(args.plan)
 
 
 def _character_of(args: argparse.Namespace, upper: bool) -> CharacterRequest | None:
@@ -281,10 +277,7 @@ def _output_files(args: argparse.Namespace) -> dict[str, str]:
 def _suffix_of(name: str, chosen: str | None) -> str:
     """The suffix of an output; chosen: the value of --format."""
     if is_folder(name):
-        suffix = "." + (chosen or FORMAT).lower().lstrip(".")
-        # A format of two parts may be named by its first: g1 for .g1.csv.
-        longer = (known for known in (*WRITERS, *ELSEWHERE) if known.startswith(f"{suffix}."))
-        return suffix if suffix in WRITERS else next(longer, suffix)
+        return "." + (chosen or FORMAT).lower().lstrip(".")
     if chosen is not None:
         raise InputError("--format", f"is for folders, and {name} is a file", "leave it out")
     return suffix_of(name) or f".{FORMAT}"

@@ -159,16 +159,17 @@ class Gesticulator:
         from data_module.text.transcript import as_transcript, with_transcript
 
         if text is not None:
-            with_words, timing = with_transcript(speech, as_transcript(text, speech))
-            return with_words, timing.note
-        from data_module.text.transcription import transcribed
+            transcript = as_transcript(text, speech)
+        else:
+            from data_module.text.transcription import transcribed
 
-        assert model is not None
-        transcript = transcribed(speech, model)
-        if transcript is None:
-            return speech, "no words heard"
+            assert model is not None
+            heard = transcribed(speech, model)
+            if heard is None:
+                return speech, "no words heard"
+            transcript = heard
         with_words, timing = with_transcript(speech, transcript)
-        return with_words, timing.note.replace("times given", "heard with their times", 1)
+        return with_words, timing.note
 
     def _generate(self, speech: Speech, options: InferenceOptions, encoded: SpeechFeatures | None,
                   on_block: OnBlock | None) -> Performance:
@@ -192,7 +193,7 @@ class Gesticulator:
             if on_block is not None:
                 on_block(len(blocks), len(encoded))
         generated = GeneratedMotion(encoded.blocks, blocks, loop.motion_of(self.bundle, setup, blocks))
-        performance = self.assemble(Assembler(self.bundle, speech, options, setup), generated)
+        performance = Assembler(self.bundle, speech, options, setup).performance(generated, self.lexeme_names)
         if not self.keeps_generations:
             return performance
         from gesticulator.editing.render import Generation
@@ -213,10 +214,6 @@ class Gesticulator:
         director = Director(self.bundle, options, speech.words or (), float(encoded.blocks.edges[-1]))
         return [director.request(block, knots, control)
                 for (block, control), knots in zip(parts, times, strict=True)]
-
-    def assemble(self, assembler: Assembler, generated: GeneratedMotion) -> Performance:
-        """The performance of generated blocks."""
-        return assembler.performance(generated, self.lexeme_names)
 
     # ------------------------------------------------------------------------------------------------------ plans
 
@@ -251,7 +248,8 @@ class Gesticulator:
         assert options.plan is not None
         check_plan_of(self.bundle, options.plan, sound_hash(speech))
         renderer = renderer or self.plan_renderer(speech, options)
-        performance = self.assemble(self.assembler(speech, options), renderer.render(options.plan, on_block))
+        performance = self.assembler(speech, options).performance(renderer.render(options.plan, on_block),
+                                                                  self.lexeme_names)
         return replace(performance, generation=renderer.generation()) if self.keeps_generations else performance
 
     def plan_renderer(self, speech: Speech, options: InferenceOptions, generation: Generation | None = None
@@ -324,15 +322,12 @@ class Gesticulator:
         self._warm.add(text)
         # Noise with the level of speech: silence would never reach the generator.
         noise = np.random.default_rng(0).normal(0, 0.05, _WARM_SECONDS * SAMPLE_RATE).astype(np.float32)
-        try:
-            # Each latency takes another way through the cutter, and a stream may change between them.
-            for latency in ("full", "low"):
-                stream = self._stream(SAMPLE_RATE, latency, text, InferenceOptions())
-                stream.feed(noise)
-                stream.idle(0.5)
-                stream.finish()
-        except InputError:  # a bundle that cannot stream says so when a stream is opened
-            self._warm.discard(text)
+        # Each latency takes another way through the cutter, and a stream may change between them.
+        for latency in ("full", "low"):
+            stream = self._stream(SAMPLE_RATE, latency, text, InferenceOptions())
+            stream.feed(noise)
+            stream.idle(0.5)
+            stream.finish()
 
     def _stream(self, sample_rate: float, latency: str, text: bool, checked: InferenceOptions) -> Stream:
         from gesticulator.stream import Stream

@@ -103,13 +103,8 @@ COMMAND = Command(
     examples=(
         "infer speech.wav -o gesture.bvh --preview gesture.html",
         "infer speech.wav -o gesture.bvh --text speech.txt",
-        "infer speech.wav -o gesture.bvh --transcribe tiny.en",
-        "infer speech.wav -o gesture.glb -o gesture.vrma -o gesture.mp4",
-        "infer recordings/ -o out/ --format fbx",
-        "infer speech.wav --character rig.glb -o talk.glb",
         "infer silence.wav --character rig.glb -o idle.glb --loop --clip-name idle",
         "infer speech.wav -o gesture.bvh --hand-height low --hand-speed 0.3 --activity 0.6",
-        "infer speech.wav -o gesture.bvh --plan-out plan.json --energy calm",
         "infer speech.wav -o again.bvh --plan plan.json --intensity 1.3",
         "infer speech2.wav -o gesture.bvh --plan plan.json --retime --plan-out plan2.json",
         "infer speech.wav -o gesture.bvh --text speech.txt --cue bread=wave --hold-still 3.2-5.0",

@@ -7,7 +7,6 @@ error of one recording is stored in its `Job`.
 
 from __future__ import annotations
 
-import glob
 import hashlib
 import os
 import sys
@@ -131,7 +130,7 @@ def file_hash(path: Path) -> str:
 
 
 def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None = None) -> list[Job]:
-    """The jobs of a command. names: files, folders, patterns, or "-". outputs: suffix (".bvh") -> the file or folder
+    """The jobs of a command. names: files, folders, or "-". outputs: suffix (".bvh") -> the file or folder
     to write to. text: a transcript, or a folder of transcripts named like the recordings.
 
     A path that ends in a slash, or that is a folder, means a folder; anything else is a file. `InputError` for an
@@ -172,8 +171,7 @@ def is_folder(given: str) -> bool:
 
 
 def _sources(names: Sequence[str]) -> list[Path | None]:
-    """All named recordings without repeats, in the order of the command; contents of folders and patterns are
-    sorted."""
+    """All named recordings without repeats, in the order of the command; contents of folders are sorted."""
     from data_module.speech.audio import SOUNDS
 
     unique: dict[Path | None, Path | None] = {}
@@ -188,12 +186,6 @@ def _sources(names: Sequence[str]) -> list[Path | None]:
                             if file.suffix.lower() in SOUNDS and not file.name.startswith(".") and file.is_file())
             if not inside:
                 raise InputError(path, "is a folder without sound files", f"give one with {', '.join(SOUNDS)}")
-        elif set(name) & set("*?[") and not os.path.lexists(name):
-            # A shell passes a quoted pattern on unexpanded, and Windows never expands patterns.
-            matches = glob.glob(name, recursive=True)  # noqa: PTH207 - Path.glob refuses absolute patterns
-            inside = sorted(Path(match) for match in matches if Path(match).is_file())
-            if not inside:
-                raise InputError(name, "matches no file", "check the pattern")
         else:
             inside = [path]
         # The first name that a recording was given under stays, so messages show what was typed.

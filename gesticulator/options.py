@@ -209,11 +209,6 @@ class InferenceOptions:
                          tuple((float(begin), float(stop)) for begin, stop in self.hold_still))
 
     @property
-    def energy_share(self) -> float:
-        """The factor of the energy on activity."""
-        return ENERGIES[self.energy][1]
-
-    @property
     def _moves(self) -> bool:
         """Whether a cue is of the body, not of the face."""
         if not self.cues:

@@ -125,9 +125,14 @@ class Stream:
             raise InputError("plan", "needs a whole recording", "render it without a stream")
         self._director: Director | None = None
         self._marks: StreamMarks | None = None
-        self._meanings = self._meaning_track(options)
+        self._meanings: MeaningTrack | None = None
         shaping: Callable[[Array, Array], Array] | None = None
         # Imported where it is needed: a plain stream starts faster without it.
+        named = representation_of(bundle.config).name == "rotations"
+        if self._text and named:
+            from gesticulator.directing.meanings import track_of
+
+            self._meanings = track_of(options)
         if options.shaped or options.directed or self._meanings is not None:
             from gesticulator.directing.directions import Director
             from gesticulator.directing.knobs import Shaping
@@ -138,14 +143,17 @@ class Stream:
             from gesticulator.directing.knobs import gestures_over
             from gesticulator.directing.marks import StreamMarks
 
-            self._marks = StreamMarks(representation_of(bundle.config).name == "rotations")
+            self._marks = StreamMarks(named)
             shaping = shaping or gestures_over(self._meant, options.seed or 0)
         self._path = MotionPath(bundle, setup.speaker, options, self._cutter.latency == "low", shaping)
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
         self._turns = HeadTurns(int(options.seed), joints)
         self._face = _face_of(options)
         self._scale = bundle.statistics.present.numpy() / bundle.statistics.deviation
-        self._state, self._finished, self._hurried = StreamState.IDLE, False, False
+        self._state, self._finished = StreamState.IDLE, False
+        self.hurried = False
+        """Whether blocks are generated at lower cost: one candidate, few steps, no guidance. Set it when generation
+        falls behind; a stream that was never hurried gives the frames of a file."""
         self._begun = self._committed = 0.0  # media time at which the utterance begins, and of the last knot
         self._past_blocks = 0
         rest = bundle.rest_feature(setup.speaker).cpu().numpy().astype(np.float32).reshape(1, -1)
@@ -181,15 +189,12 @@ class Stream:
 
     @property
     def look_ahead(self) -> float:
-        """Seconds of sound after a frame that are needed at most before the frame is final."""
-        return self.look_ahead_at(self.latency)
-
-    def look_ahead_at(self, latency: str) -> float:
-        """`look_ahead` with another latency, "full" or "low"."""
+        """Seconds of sound after a frame that are needed at most before the frame is final; it depends on
+        `latency`."""
         beats = self._bundle.config.rhythm.beats
         # From a beat to where the next beat is certain, and from there to where the pauses of the block after it are.
         certain = beats.d_max + beats.d_min + onsets.LOOK_AHEAD
-        if latency != "low":
+        if not self._path.prompt:
             known = beats.d_max + silence.LOOK_AHEAD + silence.STEP * silence.FRAME
             # A block is generated once the next one is known; its last knot is certain with the knot after that.
             certain = beats.d_max + max(certain, known) + beats.d_max / self._bundle.frames
@@ -208,35 +213,22 @@ class Stream:
 
     @history.setter
     def history(self, seconds: float) -> None:
-        if not 0 < seconds <= LONGEST_HISTORY:
-            raise InputError(f"history {seconds:g} s", "is out of range", f"give up to {LONGEST_HISTORY:g}")
-        self._path.history = float(seconds)
+        self._path.history = min(float(seconds), LONGEST_HISTORY)
 
     @property
     def latency(self) -> str:
         """Look-ahead of the blocks: "full", or "low", with which a block is generated without the one after it. It may
-        be set between two calls: frames follow each other without a gap or a jump. The frames after a change to "full"
-        come when as much sound is known as it needs, so none comes for `look_ahead_at("full") - look_ahead_at("low")`
-        seconds of sound."""
+        be set between two calls: frames follow each other without a gap or a jump. After a change to "full" none comes
+        for as many seconds of sound as `look_ahead` grows by."""
         return "low" if self._path.prompt else "full"
 
     @latency.setter
     def latency(self, latency: str) -> None:
+        if latency not in LATENCIES:
+            raise InputError(f"latency {latency!r}", "is unknown", f"choose among {', '.join(LATENCIES)}")
         if self._cutter is not None:
             self._cutter.latency = latency
-        elif latency not in LATENCIES:
-            raise InputError(f"latency {latency!r}", "is unknown", f"choose among {', '.join(LATENCIES)}")
         self._path.prompt = latency == "low"
-
-    @property
-    def hurried(self) -> bool:
-        """Whether blocks are generated at lower cost: one candidate, few steps, no guidance. Set it when generation
-        falls behind; a stream that was never hurried gives the frames of a file."""
-        return self._hurried
-
-    @hurried.setter
-    def hurried(self, on: bool) -> None:
-        self._hurried = on
 
     # ------------------------------------------------------------------------------------------------------- input
 
@@ -308,8 +300,7 @@ class Stream:
         replaced by the returned ones, from number `first` on. None replaces no frame. Sound that was fed for later
         times is forgotten. `InputError` for a time in the future or longer ago than `history`.
         """
-        parts = list(self.steps("interrupt", at))
-        return self._joined(parts[0].first, parts)
+        return self._at_once("interrupt", at)
 
     def finish(self) -> StreamFrames:
         """End the stream and return its last frames. `InputError` if nothing was ever fed."""
@@ -317,31 +308,21 @@ class Stream:
 
     # --------------------------------------------------------------------------------------------------- internals
 
-    def _meaning_track(self, options: InferenceOptions) -> MeaningTrack | None:
-        """The gestures that the words call for; None in a stream without words."""
-        if not self._text or representation_of(self._bundle.config).name != "rotations":
-            return None
-        from gesticulator.directing.meanings import track_of
-
-        return track_of(options)
-
     def _meant(self, until: float) -> list[TimedCue]:
         """The gestures of words and of marks that begin up to a time."""
         return [*(() if self._meanings is None else self._meanings.cues(until)),
                 *(() if self._marks is None else self._marks.cues())]
 
     def _at_once(self, call: StreamCall, *arguments: Any) -> StreamFrames:
+        """All steps of a call as one."""
         self._check_open()
-        first = self._path.next
-        return self._joined(first, list(self.steps(call, *arguments)))
-
-    def _joined(self, first: int, parts: Sequence[StreamFrames]) -> StreamFrames:
-        """All parts of a call as one."""
-        joints, faces = len(self.skeleton), [part.face for part in parts if part.face is not None]
+        first, joints = self._path.next, len(self.skeleton)
+        parts = list(self.steps(call, *arguments))
+        faces = [part.face for part in parts if part.face is not None]
         if faces:
             from gesticulator.face.motion import joined
         return StreamFrames(
-            first, self.fps, self.skeleton,
+            parts[0].first if parts else first, self.fps, self.skeleton,
             np.concatenate([np.zeros((0, joints, 4)), *(part.rotations for part in parts)]),
             np.concatenate([np.zeros((0, 3)), *(part.root_positions for part in parts)]),
             tuple(block for part in parts for block in part.blocks), joined(faces) if faces else None)
@@ -511,7 +492,7 @@ class Stream:
             request = Request(speech, control) if self._director is None else self._director.request(
                 speech, times, control)
             generated, self._performance = loop.step(self._bundle, self._setup, self._performance,
-                                                     replace(request, fast=self._hurried))
+                                                     replace(request, fast=self.hurried))
             self._past_blocks += 1
             yield self._show(times, generated.motion), generated.block
 

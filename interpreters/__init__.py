@@ -14,9 +14,6 @@ from typing import Any
 
 from data_module.registry import Registry, RegistryEntry
 
-__part_of__ = "gesticulator"
-"""Lets `gesticulator.version` distinguish this package from another of the same name."""
-
 
 @dataclass(frozen=True)
 class InterpreterEntry(RegistryEntry):

@@ -12,13 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data_module.controls import (
-    FEATURES,
     Controls,
     ControlWarning,
     Curve,
     Levels,
     at_knots,
-    controls_from,
     measure,
     parse,
     per_frame,
@@ -186,19 +184,6 @@ def test_what_training_never_saw_is_said_and_used() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert parse("--hand-height", "0.5", "height", levels()) == 0.5
-
-
-def test_every_option_reaches_its_own_feature(tmp_path: Path) -> None:
-    file = tmp_path / "speed.csv"
-    file.write_text("time,value\n0,0.2\n2,0.6\n")
-    asked = controls_from("low", str(file), "0.25", levels())
-    assert asked == Controls(-0.1, Curve((0.0, 2.0), (0.2, 0.6)), 0.25)
-    assert controls_from(None, None, None, levels()) == Controls.free()
-    for index, name in enumerate(FEATURES):
-        texts: list[str | None] = [None, None, None]
-        texts[index] = "rubbish"
-        with pytest.raises(InputError, match=f"--hand-{name}"):
-            controls_from(texts[0], texts[1], texts[2], levels())
 
 
 @pytest.mark.parametrize("text", [

@@ -42,8 +42,6 @@ def test_a_normaliser_gives_zero_mean_unit_spread_and_comes_back(seed: int, scal
     assert np.allclose(out.mean(axis=(0, 1)), 0, atol=1e-6)
     assert np.allclose(out.std(axis=(0, 1)), [1, 0, 1], atol=1e-6)
     assert np.allclose(normaliser.invert(out), values)
-    again = Normaliser.from_dict(normaliser.to_dict())
-    assert np.array_equal(again.apply(values), out)
 
 
 @pytest.mark.parametrize("rms", [0.3, 0.01, 0.001])

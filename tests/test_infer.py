@@ -112,7 +112,7 @@ def test_bad_recordings(name: str, tiny_bundle: Path, tmp_path: Path, capfd: pyt
     (["--speaker", "nobody"], "nobody"), (["--bundle", "nowhere"], "nowhere"), (["--fps", "0"], "fps"),
     (["--temperature", "-1"], "temperature"), (["-o", "o.max"], ".bvh"),
     (["--explain", "o.txt"], ".json"), (["--activity", "2"], "--activity 2"), (["--activity", "nan"], "--activity"),
-    (["--hand-height", "sky"], "hand_height"), (["--hand-speed", "-1"], "hand_speed"),
+    (["--hand-height", "sky"], "--hand-height"), (["--hand-speed", "-1"], "--hand-speed"),
     (["--hand-radius", "nowhere.csv"], "nowhere.csv"), (["--text", "nowhere.txt"], "nowhere.txt"),
 ])
 def test_bad_arguments(arguments: list[str], said: str, recording: Path, tiny_bundle: Path, tmp_path: Path,

@@ -264,8 +264,8 @@ def statistics_tensors(bundle: Bundle) -> dict[str, Tensor]:
     arrays = {"mean_pose": s.mean_pose, "rest_pose": s.rest_pose, "deviation": s.deviation, "bounds": s.bounds,
               "frequencies": bundle.frequencies, "transitions": bundle.transitions,
               "rest_distances": bundle.rest_distances}
-    for name, normaliser in (("low", s.low), ("high", s.high)):
-        arrays.update({f"{name}_{key}": value for key, value in normaliser.to_dict().items()})
+    arrays |= {"low_mean": s.low.mean, "low_spread": s.low.spread, "high_mean": s.high.mean,
+               "high_spread": s.high.spread}
     if s.quiet_low is not None and s.quiet_high is not None:
         arrays.update({"quiet_low": s.quiet_low, "quiet_high": s.quiet_high})
     if s.levels is not None:
@@ -301,12 +301,6 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
     replace_folder(Path(path), write)
 
 
-def required(config: Config) -> tuple[str, ...]:
-    """Parts that a bundle of these settings requires."""
-    system = system_of(config)
-    return "lexicon", *system.PARTS, *(("style",) if system.BLOCKS and config.generator.styled else ())
-
-
 def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
     """Open a bundle; InputError if it is broken, of another format, or does not match its hashes.
 
@@ -320,9 +314,10 @@ def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
     if index["skeleton"].get("names") != list(CHARACTERS[config.motion.joints].names):
         raise InputError(folder / INDEX, "was trained on another skeleton", "train it again")
     weights = Weights(folder, index["files"])
-    table = part_table()
     # Which parts are optional depends on the settings; the others must be there.
-    lacking = [name for name in required(config) if table[name].file not in weights]
+    system = system_of(config)
+    required = ("lexicon", *system.PARTS, *(("style",) if system.BLOCKS and config.generator.styled else ()))
+    lacking = [name for name in required if part_table()[name].file not in weights]
     if lacking:
         raise InputError(folder, f"lacks {', '.join(lacking)}", "copy the bundle again")
     # Before any weights: the width of word vectors decides shapes of the interpreters.
@@ -357,23 +352,20 @@ def _statistics(folder: Path, weights: Weights, config: Config, speakers: tuple[
                 ) -> tuple[Statistics, dict[str, NDArray[np.float64]]]:
     """The statistics, and all arrays of their file."""
     tensors = {key: value.double().numpy() for key, value in weights.read(_STATISTICS, None).items()}
+    levels = {key.removeprefix("levels_"): value for key, value in tensors.items() if key.startswith("levels_")}
     motion, count, size = representation_of(config).width, len(speakers), system_of(config).codebook_shape(config)[0]
-    wanted = {"mean_pose": (count, motion), "rest_pose": (count, motion), "deviation": (motion,),
+    shapes = {"mean_pose": (count, motion), "rest_pose": (count, motion), "deviation": (motion,),
               "bounds": (2, motion), "frequencies": (count, size), "transitions": (size, size),
               "rest_distances": (count, size)}
-    for name, shape in wanted.items():
-        if name not in tensors or tensors[name].shape != shape:
-            raise InputError(folder / f"{_STATISTICS}{ENDING}", f"does not fit the settings ({name})", "train it again")
-    # Normalisers are stored flat, as low_mean, low_spread and so on.
-    groups = {name: {key.partition("_")[2]: value for key, value in tensors.items() if key.startswith(f"{name}_")}
-              for name in ("low", "high", "levels")}
+    wrong = [name for name, shape in shapes.items() if name not in tensors or tensors[name].shape != shape]
     try:
-        low, high = Normaliser.from_dict(groups["low"]), Normaliser.from_dict(groups["high"])
-        levels = Levels.from_dict(groups["levels"]) if groups["levels"] else None
-        statistics = Statistics(speakers, tensors["mean_pose"], tensors["rest_pose"], tensors["deviation"],
-                                tensors["bounds"], low, high, tensors.get("quiet_low"), tensors.get("quiet_high"),
-                                levels)
+        if wrong:
+            raise ValueError(wrong[0])
+        return Statistics(
+            speakers, tensors["mean_pose"], tensors["rest_pose"], tensors["deviation"], tensors["bounds"],
+            Normaliser(tensors["low_mean"], tensors["low_spread"]),
+            Normaliser(tensors["high_mean"], tensors["high_spread"]), tensors.get("quiet_low"),
+            tensors.get("quiet_high"), Levels.from_dict(levels) if levels else None), tensors
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(folder / f"{_STATISTICS}{ENDING}", f"does not fit together ({str(error)[:100]})",
-                         "train it again") from None
-    return statistics, tensors
+        raise InputError(folder / f"{_STATISTICS}{ENDING}", f"does not fit the settings ({error})", "train it again"
+                         ) from None

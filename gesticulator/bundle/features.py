@@ -6,7 +6,6 @@ bundle.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -67,18 +66,6 @@ class Normaliser:
     def invert(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
         """The inverse of `apply`."""
         return (values * self.spread + self.mean).astype(values.dtype)
-
-    def to_dict(self) -> dict[str, Array]:
-        """The arrays to store."""
-        return {"mean": self.mean, "spread": self.spread}
-
-    @classmethod
-    def from_dict(cls, arrays: Mapping[str, Array]) -> Normaliser:
-        """The inverse of `to_dict`; KeyError or ValueError for invalid arrays."""
-        mean, spread = (np.asarray(arrays[name], dtype=np.float64) for name in ("mean", "spread"))
-        if mean.ndim != 1 or mean.shape != spread.shape or not (spread > 0).all():
-            raise ValueError("mean and spread must be [D], spread positive")
-        return cls(mean, spread)
 
 
 @dataclass(frozen=True)

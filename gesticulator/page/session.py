@@ -77,11 +77,6 @@ class EditSession:
         self.on_edit: Callable[[Mapping[str, Any], GesturePlan], None] = lambda request, plan: None
         """Called with the request and the rendered plan before each answer."""
 
-    @property
-    def speakers(self) -> tuple[str, ...]:
-        """The names of the performers."""
-        return self._gesticulator.speakers
-
     def perform(self, plan: GesturePlan) -> Performance:
         """The performance of a plan; `InputError` with the line if it is invalid or of another recording."""
         options = planned(InferenceOptions(plan=plan))
