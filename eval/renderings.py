@@ -222,7 +222,7 @@ class BundleSystem:
 
     def speaker(self, voice: AcceptanceVoice) -> str | None:
         """The voice's performer where the bundle knows that name, else None, the bundle's default."""
-        return voice.performer if voice.performer in self.gesticulator.speakers else None
+        return voice.performer if voice.performer in self.gesticulator.bundle.speakers else None
 
     def render(self, voice: AcceptanceVoice, seed: int, rolled: bool = False, **asked: Any) -> Rendering:
         """A voice with a seed. asked: options beside speaker and seed."""

@@ -81,7 +81,6 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
     audio.add_argument("--text", metavar="FILE", help="transcript, in which cue phrases choose gestures with a meaning "
                        "(--meaning): plain text, TextGrid, SRT, VTT, TSV or JSON with word times; or a folder of "
                        "transcripts named like the recordings")
-    audio.add_argument("--any-length", action="store_true", help="accept recordings longer than an hour")
     # The help of an option is its docstring, so that both say the same.
     docs = field_docs(InferenceOptions)
     for field in fields(InferenceOptions):
@@ -146,8 +145,8 @@ def infer_arguments(p: argparse.ArgumentParser) -> None:
     """Add the arguments of `gesticulator infer`."""
     p.usage = f"{p.prog} SPEECH [SPEECH ...] -o FILE [options]"
     p.add_argument("speech", nargs="*", metavar="SPEECH",
-                   help="audio files (WAV, FLAC, OGG, MP3; M4A, MP4, WebM and other video with PyAV; 0.3 s to one "
-                   "hour), folders of them, or - for standard input")
+                   help="audio files (WAV, FLAC, OGG, MP3; M4A, MP4, WebM and other video with PyAV; 0.3 s or "
+                   "longer), folders of them, or - for standard input")
     out = p.add_argument_group(
         "output (at least one is required)", "A path that ends in / or is a folder receives one file per recording, "
         "named\nafter it; any other path is the file itself. Missing folders are created.")
@@ -209,14 +208,11 @@ def settings_of(args: argparse.Namespace, upper: bool = False) -> Job:
         # Without a face the cue would have no effect, which no message would tell.
         if any(cue.gesture in EXPRESSIONS for cue in options.cues):
             raise InputError("--cue", "names an expression of the face", "add --face full, or leave it out")
-    return Job(None, options=options, character=_character_of(args, upper), any_length=args.any_length)
+    return Job(None, options=options, character=_character_of(args, upper))
 
 
 def _character_of(args: argparse.Namespace, upper: bool) -> CharacterRequest | None:
     if args.character is None:
-        for name in ("mapping", "save_mapping"):
-            if getattr(args, name) is not None:
-                raise InputError(f"--{name.replace('_', '-')}", "is about a character", "name one with --character")
         return None
     # None leaves it to the character's own pose (`retargeter_for`).
     legs = False if args.seated or upper else True if args.legs else None
@@ -241,8 +237,7 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
         if args.text is not None and not args.retime:
             raise InputError("--text", "is already in the plan", "leave it out")
     like = settings_of(args, clip is not None and clip.bare)
-    return [replace(job, options=like.options, clip=clip, character=like.character, unit=args.unit,
-                    any_length=like.any_length) for job in jobs]
+    return [replace(job, options=like.options, clip=clip, character=like.character, unit=args.unit) for job in jobs]
 
 
 def _clip_of(args: argparse.Namespace) -> ClipLayout | None:

@@ -127,15 +127,14 @@ def verbs() -> list[str]:
     return sorted(VERBS, key=lambda name: (name != DEFAULT, name))
 
 
-def usage(known: Mapping[str, Command], program: str = PROGRAM) -> str:
-    """The usage of a program with its verbs, one per line."""
-    width = max(map(len, known), default=0)
+def usage(known: Mapping[str, Command]) -> str:
+    """The usage of the program with its verbs, one per line."""
+    width, program = max(map(len, known), default=0), PROGRAM
     lines = "\n".join(f"  {name:<{width}}  {command.summary}" for name, command in known.items())
-    text = f"usage: {program} VERB ...      ({program} VERB --help describes each)\n"
-    if DEFAULT in known:
-        text += f"       {program} SPEECH -o FILE  is short for  {program} {DEFAULT} SPEECH -o FILE\n"
-        lines += f"\n\nFor a recording named like a verb, include its folder: ./{DEFAULT}"
-    return f"{text}\n{lines}\n\n{program} --version prints the version\n"
+    return (f"usage: {program} VERB ...      ({program} VERB --help describes each)\n"
+            f"       {program} SPEECH -o FILE  is short for  {program} {DEFAULT} SPEECH -o FILE\n\n{lines}\n\n"
+            f"For a recording named like a verb, include its folder: ./{DEFAULT}\n\n"
+            f"{program} --version prints the version\n")
 
 
 def _check_is_no_verb(word: str, known: Sequence[str]) -> None:
@@ -168,8 +167,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments[0] in VERBS:
             verb = arguments.pop(0)
             program = f"{PROGRAM} {verb}"
-        elif DEFAULT not in VERBS:
-            raise InputError(PROGRAM, "is not installed with its commands", "install it with pip install .")
         else:
             _check_is_no_verb(arguments[0], verbs())
         command: Command = VERBS.load(verb)

@@ -24,7 +24,7 @@ from gesticulator.performance import Performance
 from gesticulator.plan.plan import sound_hash
 from gesticulator.sampling import loop
 from gesticulator.sampling.cutter import BlockCutter, encode_speech
-from gesticulator.sampling.loop import BlockMotion, GeneratedMotion, OnBlock, Request, Setup, controls_at
+from gesticulator.sampling.loop import BlockMotion, GeneratedMotion, Request, Setup, controls_at
 from gesticulator.setup import SetupResolver
 
 if TYPE_CHECKING:
@@ -65,16 +65,6 @@ class Gesticulator:
         return cls(load_bundle(bundle_folder(path), device))
 
     @property
-    def speakers(self) -> tuple[str, ...]:
-        """Names of the performers in the training data; each has a gesture style of its own."""
-        return self.bundle.speakers
-
-    @property
-    def interpreters(self) -> tuple[str, ...]:
-        """Names of the bundle's lexeme interpreters; the first is the default."""
-        return self.bundle.interpreters
-
-    @property
     def reads_text(self) -> bool:
         """True when the bundle has an interpreter that reads the words."""
         return "interpreter_text" in self.bundle.parts
@@ -97,14 +87,14 @@ class Gesticulator:
     # ------------------------------------------------------------------------------------------------- recordings
 
     def __call__(self, speech: SpeechInput, sample_rate: float | None = None, *, text: Text | None = None,
-                 encoded: SpeechFeatures | None = None, on_block: OnBlock | None = None, **options: Any) -> Performance:
+                 encoded: SpeechFeatures | None = None, **options: Any) -> Performance:
         """Gesture for a recording.
 
         speech: the path of a sound file, samples [n] or [n, channels] with their `sample_rate` in hertz, or a `Speech`,
         with or without words. text: the spoken text as a `str`, or the path of a transcript (plain text, TextGrid, SRT,
         VTT, JSON). Without words the audio-only models are used (RG 6.3). encoded: the result of `encode_speech` for
-        this speech, to avoid encoding it again. on_block(done, total) is called after each block. options: the fields
-        of `InferenceOptions`. `InputError` for unusable input.
+        this speech, to avoid encoding it again. options: the fields of `InferenceOptions`. `InputError` for unusable
+        input.
 
         >>> g = Gesticulator.from_pretrained()
         >>> g("speech.wav", text="Hello there", hand_height="low", seed=3).save("gesture.bvh")
@@ -116,8 +106,8 @@ class Gesticulator:
         recording = as_speech(speech, sample_rate)
         name = Path(speech).name if isinstance(speech, str | os.PathLike) else ""
         if checked.plan is not None:
-            performance = self._of_plan(recording, checked, text, on_block)
-            return performance.labelled(name, performance.notes)
+            performance = self._of_plan(recording, checked, text)
+            return performance.labelled(name, performance.decided.notes)
         recording, note = self._with_words(_prepared(recording, checked), text, checked.transcribe)
         # The words are in the speech from here on, and in the plan.
         checked = replace(checked, transcribe=None)
@@ -125,7 +115,7 @@ class Gesticulator:
             from gesticulator.directing.cues import without_mismatches
 
             checked = without_mismatches(checked, recording.words or (), recording.duration)
-        performance = self._generate(recording, checked, encoded, on_block)
+        performance = self._generate(recording, checked, encoded)
         return performance.labelled(name, () if note is None else (note,))
 
     def encode_speech(self, speech: Speech, blocks: Blocks | None = None, cutters: list[BlockCutter] | None = None
@@ -171,8 +161,7 @@ class Gesticulator:
         with_words, timing = with_transcript(speech, transcript)
         return with_words, timing.note
 
-    def _generate(self, speech: Speech, options: InferenceOptions, encoded: SpeechFeatures | None,
-                  on_block: OnBlock | None) -> Performance:
+    def _generate(self, speech: Speech, options: InferenceOptions, encoded: SpeechFeatures | None) -> Performance:
         """A first generation, for speech at 16 kHz with its words."""
         # Marks in the text ([shrug]) become cues; the words themselves are read without them.
         if any(word.marks for word in speech.words or ()):
@@ -190,8 +179,6 @@ class Gesticulator:
             blocks.append(block)
             if self.keeps_generations:
                 states.append(state)
-            if on_block is not None:
-                on_block(len(blocks), len(encoded))
         generated = GeneratedMotion(encoded.blocks, blocks, loop.motion_of(self.bundle, setup, blocks))
         performance = Assembler(self.bundle, speech, options, setup).performance(generated, self.lexeme_names)
         if not self.keeps_generations:
@@ -217,8 +204,7 @@ class Gesticulator:
 
     # ------------------------------------------------------------------------------------------------------ plans
 
-    def _of_plan(self, speech: Speech, options: InferenceOptions, text: Text | None, on_block: OnBlock | None
-                 ) -> Performance:
+    def _of_plan(self, speech: Speech, options: InferenceOptions, text: Text | None) -> Performance:
         """The performance of the plan of the options, which is first moved onto this sound if they say so."""
         from gesticulator.directing import directions as directing
 
@@ -233,12 +219,11 @@ class Gesticulator:
             options = replace(options, plan=moved.plan, retime=False)
         options = directing.planned(options)
         assert options.plan is not None
-        performance = self.render(directing.with_planned_words(_prepared(speech, options), options.plan), options,
-                                  on_block=on_block)
-        return replace(performance, retiming=report).labelled("", notes or performance.notes)
+        performance = self.render(directing.with_planned_words(_prepared(speech, options), options.plan), options)
+        return replace(performance, retiming=report).labelled("", notes or performance.decided.notes)
 
-    def render(self, speech: Speech, options: InferenceOptions, renderer: PlanRenderer | None = None,
-               on_block: OnBlock | None = None) -> Performance:
+    def render(self, speech: Speech, options: InferenceOptions, renderer: PlanRenderer | None = None
+               ) -> Performance:
         """Render the plan of the options (as returned by `directing.planned`) for a speech at 16 kHz.
 
         renderer: the `plan_renderer` of the same first generation; then only edited blocks are generated.
@@ -248,8 +233,8 @@ class Gesticulator:
         assert options.plan is not None
         check_plan_of(self.bundle, options.plan, sound_hash(speech))
         renderer = renderer or self.plan_renderer(speech, options)
-        performance = self.assembler(speech, options).performance(renderer.render(options.plan, on_block),
-                                                                  self.lexeme_names)
+        generated = renderer.render(options.plan)
+        performance = self.assembler(speech, options).performance(generated, self.lexeme_names)
         return replace(performance, generation=renderer.generation()) if self.keeps_generations else performance
 
     def plan_renderer(self, speech: Speech, options: InferenceOptions, generation: Generation | None = None
@@ -271,7 +256,7 @@ class Gesticulator:
                             partial(self.encode_speech, speech), plan, generation)
 
     def retimed(self, plan: GesturePlan, speech: SpeechInput, sample_rate: float | None = None, *,
-                text: Text | None = None, on_block: OnBlock | None = None) -> Retimed:
+                text: Text | None = None) -> Retimed:
         """A plan on another export of its sound, and a report of what was kept, moved, decided anew and lost
         (`gesticulator.editing.retiming`).
 
@@ -295,7 +280,7 @@ class Gesticulator:
             return draft
         renderer = self.plan_renderer(directing.with_planned_words(recording, draft.plan),
                                       directing.planned(InferenceOptions(plan=draft.plan)))
-        return replace(draft, plan=named(retiming.decided(draft.plan, renderer.generation(on_block).blocks),
+        return replace(draft, plan=named(retiming.decided(draft.plan, renderer.generation().blocks),
                                          self.lexeme_names()))
 
     # ---------------------------------------------------------------------------------------------------- streams

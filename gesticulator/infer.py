@@ -34,7 +34,7 @@ def _run_all(jobs: Sequence[Job], settings: RunSettings) -> int:
     """Process recordings and print a summary of each; the number of those that succeeded."""
     if len(jobs) == 1:
         check_job(jobs[0])  # before the models are loaded
-    worker, done = _worker(jobs, settings, settings.quiet), 0
+    worker, done = _worker(jobs, settings), 0
     for job in jobs:
         try:
             with limited_threads(settings.threads):
@@ -56,13 +56,13 @@ def _run_all(jobs: Sequence[Job], settings: RunSettings) -> int:
     return done
 
 
-def _worker(jobs: Sequence[Job], settings: RunSettings, quiet: bool) -> Worker:
+def _worker(jobs: Sequence[Job], settings: RunSettings) -> Worker:
     """Load the character and the models, and check that these can follow the options."""
     from gesticulator.gesticulator import Gesticulator
 
     options, retargeter = jobs[0].options, retargeter_for(jobs[0].character, settings.quiet)
     with limited_threads(settings.threads):
-        worker = Worker(Gesticulator.from_pretrained(settings.bundle), retargeter, quiet)
+        worker = Worker(Gesticulator.from_pretrained(settings.bundle), retargeter)
         # A wrong option is the error of the command, not of each recording.
         if options.plan is None:
             worker.gesticulator.resolver.setup(options, text=False)
@@ -87,8 +87,7 @@ def _run_batch(jobs: Sequence[Job], settings: RunSettings) -> tuple[int, int]:
 def _process(jobs: Sequence[Job], settings: RunSettings) -> Callable[[str], float]:
     """Load the models; returns a function that processes the recording at a path and returns its duration in
     seconds."""
-    # In a batch the bar of the whole batch is shown, not one for each recording.
-    worker, by_path = _worker(jobs, settings, quiet=True), {str(job.source): job for job in jobs}
+    worker, by_path = _worker(jobs, settings), {str(job.source): job for job in jobs}
 
     def process(path: str) -> float:
         with limited_threads(settings.threads):

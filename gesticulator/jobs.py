@@ -12,7 +12,6 @@ import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -58,8 +57,7 @@ class Job:
 
     source: its file; None is standard input. targets: the output files. text: its transcript, if any. options: of the
     performance. clip: how files for animation tools are laid out; None: by default. character: None for the default
-    skeleton. unit: of length in BVH files. any_length: whether it may last longer than an hour. fault: why it
-    cannot be processed, if that is already known.
+    skeleton. unit: of length in BVH files. fault: why it cannot be processed, if that is already known.
     """
 
     source: Path | None
@@ -69,7 +67,6 @@ class Job:
     clip: ClipLayout | None = None
     character: CharacterRequest | None = None
     unit: str = "cm"
-    any_length: bool = False
     fault: InputError | None = None
 
     @property
@@ -83,7 +80,7 @@ class Job:
         file that a setting names counts by its content, so that a moved folder changes nothing."""
         # A digest instead of the values: rows of a manifest stay short, and hold no paths.
         parts = [(entry.name, _content(getattr(self, entry.name))) for entry in fields(self)
-                 if entry.name not in ("source", "targets", "any_length", "fault")]
+                 if entry.name not in ("source", "targets", "fault")]
         return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
@@ -141,7 +138,10 @@ def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None 
     if not outputs:
         raise InputError("output", "is missing", "name a file or a folder with -o")
     for suffix, given in outputs.items():
-        _check_output(given, suffix, len(sources))
+        if not is_folder(given) and len(sources) > 1:
+            raise InputError(given, f"is one file for {len(sources)} recordings", f"name a folder: {given}/")
+        if not is_folder(given) and suffix_of(given) != suffix:
+            raise InputError(given, f"does not end in {suffix}", f"name it so, or {given}/ for a folder")
     if text is not None:
         _check_text(text, len(sources))
     # Two recordings of one name in different folders would overwrite each other's output.
@@ -193,19 +193,6 @@ def _sources(names: Sequence[str]) -> list[Path | None]:
     return list(unique.values())
 
 
-def _check_output(given: str, suffix: str, count: int) -> None:
-    if is_folder(given):
-        return
-    ending = suffix_of(given)
-    # The advice names the path that was most likely meant.
-    stem = given[:-len(ending)] if ending else given
-    if count > 1:
-        raise InputError(given, f"is one file for {count} recordings", f"name a folder: {stem}/")
-    if ending != suffix:
-        raise InputError(given, f"does not end in {suffix}", f"name it {stem or 'gesture'}{suffix}, or {given}/ for a "
-                         "folder")
-
-
 def _check_text(given: str, count: int) -> None:
     if not os.path.lexists(given):
         raise InputError(given, "does not exist", "check --text")
@@ -245,7 +232,7 @@ def check_job(job: Job) -> None:
     if job.fault is not None:
         raise job.fault
     if job.source is not None:
-        check_file(job.source, job.any_length)
+        check_file(job.source, any_length=True)
     elif sys.stdin is None or sys.stdin.isatty():
         raise InputError("standard input", "is closed" if sys.stdin is None else "is a terminal",
                          f"pipe a recording into {PROGRAM}, or name a file")
@@ -278,12 +265,10 @@ def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> R
 
 @dataclass(frozen=True)
 class Worker:
-    """What the jobs of a command are processed with. retargeter: None for the default skeleton; quiet: show no progress
-    bar."""
+    """What the jobs of a command are processed with. retargeter: None for the default skeleton."""
 
     gesticulator: Gesticulator
     retargeter: Retargeter | None = None
-    quiet: bool = False
 
     def perform(self, job: Job) -> tuple[float, str]:
         """Process one recording: read it, generate its gestures and write the files. Returns seconds of sound, and the
@@ -296,7 +281,9 @@ class Worker:
         factor = (time.perf_counter() - begin) / speech.duration
         written = [performance.save(target, unit=job.unit if target.suffix.lower() == ".bvh" else "cm")
                    for target in job.targets]
-        notes = [*performance.notes, *(performance.retiming.lines()[1:] if performance.retiming is not None else ())]
+        notes = list(performance.decided.notes)
+        if performance.retiming is not None:
+            notes += performance.retiming.lines()[1:]
         pages = [f"open {page} in a browser to watch it" for page in written if page.suffix.lower() == ".html"]
         lexemes = performance.lexemes.tolist()
         line = (f"{job.name}: {speech.duration:.1f} s, {len(lexemes) - 1} beats, {len(set(lexemes))} of "
@@ -305,21 +292,12 @@ class Worker:
         return speech.duration, "\n  ".join([line, *notes, *pages])
 
     def performed(self, job: Job, speech: Speech) -> Performance:
-        """The performance of a recording, on the default skeleton, with a progress bar on the terminal; with legs, too,
-        where the character stands."""
-        from tqdm import tqdm
-
+        """The performance of a recording, on the default skeleton; with legs, too, where the character stands."""
         # Legs cost time, so they are generated only where something shows them.
         stands = self.retargeter is not None and self.retargeter.mapping.legs and self.retargeter.legs
         options: dict[str, Any] = {**vars(job.options), "legs": job.options.legs or stands}
-        with closing(tqdm(desc=job.name, unit=" blocks", leave=False,
-                          disable=self.quiet or not sys.stderr.isatty())) as bar:
-            def on_block(done: int, total: int) -> None:
-                bar.total = total
-                bar.update()
-
-            performance = self.gesticulator(speech, text=job.text, on_block=on_block, **options)
-        return performance.labelled(job.name, performance.notes)
+        performance = self.gesticulator(speech, text=job.text, **options)
+        return performance.labelled(job.name, performance.decided.notes)
 
     def _laid_out(self, job: Job, performance: Performance) -> Performance:
         """The performance as the clip of the job, on the character."""
@@ -335,7 +313,7 @@ def load(job: Job) -> Speech:
     """The recording; warns if it is too quiet even after the requested gain."""
     from data_module.speech.audio import amplified, level_note, load_speech
 
-    speech = load_speech(job.source or sys.stdin.buffer, job.any_length)
+    speech = load_speech(job.source or sys.stdin.buffer, any_length=True)
     note = level_note(amplified(speech, job.options.gain))
     if note is not None:
         complain(f"{PROGRAM}: warning: {job.name}: {note}")

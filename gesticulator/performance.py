@@ -71,16 +71,6 @@ class Performance:
 
         return np.array([[choice.score for choice in block.alternatives] for block in self.decided.blocks])
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Remarks for the user, a line each."""
-        return self.decided.notes
-
-    @property
-    def sound_name(self) -> str:
-        """The name of the sound file; empty for samples."""
-        return self.decided.sound.name
-
     def labelled(self, sound_name: str, notes: tuple[str, ...] = ()) -> Performance:
         """The performance with the name of its sound file and with remarks for the user."""
         # A file name may contain bytes that are not valid UTF-8.
@@ -144,8 +134,7 @@ class Performance:
 
     def as_clip(self, clip: ClipLayout) -> Performance:
         """The performance laid out as a clip for animation tools: looped, of the upper body alone, in place. Do it
-        before `on`; ValueError after. `InputError` if the motion is too short for a loop, or if there is no resting
-        pose for an additive clip."""
+        before `on`; ValueError after. `InputError` if the motion is too short for a loop."""
         if self.character is not None and clip.changes_motion:
             raise ValueError("make the clip first, then transfer it to a character")
         motion = self.motion
@@ -157,20 +146,14 @@ class Performance:
                 from gesticulator.body.clips import looped
 
                 motion = looped(motion)
-        made = replace(self, motion=motion, clip=clip)
-        if clip.additive:
-            made._rest_of(motion)
-        return made
+        return replace(self, motion=motion, clip=clip)
 
     def _rest_of(self, motion: Motion) -> Motion:
         """The resting pose on the skeleton of a motion, of the upper body alone."""
-        from data_module.errors import InputError
         from data_module.motion.skeletons import resized
         from gesticulator.body.clips import upper_alone
 
-        if self.rest is None:
-            raise InputError("--layer additive", "needs a resting pose, which these weights lack",
-                             "use a bundle whose motion is in rotations")
+        assert self.rest is not None
         rest = upper_alone(resized(self.rest(), motion.skeleton))
         return replace(rest, root_positions=motion.root_positions[:1])
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import os
-import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -19,10 +18,6 @@ from gesticulator.sampling.loop import Setup
 from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 from interpreters.base import as_interpreter
-
-
-class InterpreterWarning(UserWarning):
-    """An interpreter was chosen that is no better than another, or worse (`InterpreterEntry.doubt`)."""
 
 
 class SetupResolver:
@@ -55,13 +50,9 @@ class SetupResolver:
                              "deterministic", "leave it out, or choose another seed")
         chosen = options.interpreter or bundle.interpreters[0]
         interpreter = as_interpreter(bundle.interpreter_named(chosen, text) if isinstance(chosen, str) else chosen)
-        # Interpreters of other packages have no figures of ours, so there is nothing to warn of.
-        known = INTERPRETERS.get(interpreter.name)
-        if known is not None and known.doubt:
-            warnings.warn(InterpreterWarning(known.doubt), stacklevel=2)
         temperature = options.temperature
-        if temperature is None:
-            temperature = None if known is None else known.temperature
+        if temperature is None and interpreter.name in INTERPRETERS:
+            temperature = INTERPRETERS[interpreter.name].temperature
         if temperature is None:
             # Q values and log-probabilities have different scales, so each has a default of its own.
             temperature = defaults.q_temperature if interpreter.gives_values else defaults.temperature
@@ -73,7 +64,7 @@ class SetupResolver:
     def check_activity(self, activity: float) -> None:
         """`InputError` for a share of gestures between none and all that the bundle cannot decide."""
         # With rest by phrases (silence.rest=life) activity works without a gate, which would only rank the phrases.
-        if 0 < activity < 1 and "gate" not in self._bundle.parts and not self._bundle.rests_by_phrase:
+        if 0 < activity < 1 and "gate" not in self._bundle.parts and not self._bundle.config.rests_by_phrase:
             raise InputError(f"activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")
 
 

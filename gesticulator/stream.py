@@ -109,7 +109,7 @@ class Stream:
                  sample_rate: float = SAMPLE_RATE) -> None:
         """setup: the performer; options: frame rate, gain, seed, legs, knobs and cues; cutter: makes the cutter of an
         utterance, whose blocks begin at `start` seconds."""
-        if not bundle.rests_by_phrase:
+        if not bundle.config.rests_by_phrase:
             raise InputError("the bundle", "cannot rest without speech",
                              "use one with a lexicon of blocks and silence.rest=life")
         self._bundle, self._setup, self._new_cutter = bundle, setup, cutter

@@ -89,7 +89,7 @@ def test_a_str_is_what_is_said_and_a_path_is_a_file(g: Gesticulator, tmp_path: P
     spoken = "тяжёлый хлеб медленно поднимается"  # the aligner knows English alone, so the times are guessed
     (tmp_path / "words.txt").write_text(spoken, encoding="utf-8")
     said, read = g(voice(), RATE, text=spoken), g(voice(), RATE, text=tmp_path / "words.txt")
-    assert same(said, read) and said.notes == read.notes and "4 words" in said.notes[0]
+    assert same(said, read) and said.decided.notes == read.decided.notes and "4 words" in said.decided.notes[0]
     assert [word.text for word in said.speech.words or () if word.text] == spoken.split()
     assert not same(said, g(voice(), RATE))
     for name in (str(tmp_path / "words.txt"), "nowhere.srt"):
@@ -174,7 +174,7 @@ def test_the_explanation_says_what_was_done(g: Gesticulator) -> None:
              interpreter="cql", text="тяжёлый хлеб")
     told = json.loads(json.dumps(made.explain()))
     levels = g.bundle.levels
-    assert levels is not None and told["score_is"] == "Q value" and told["notes"] == list(made.notes)
+    assert levels is not None and told["score_is"] == "Q value" and told["notes"] == list(made.decided.notes)
     assert told["made_by"]["gesticulator"] == gesticulator.__version__
     assert told["made_by"]["settings"] == {
         "words": True, "fps": 25.0, "gain": 0.0,

@@ -218,7 +218,7 @@ def hours_of_flac(folder: Path, hours: float, told: bool) -> Path:
 @pytest.mark.parametrize("told", [True, False])
 def test_more_than_an_hour_is_refused_by_its_header_or_while_it_is_read(tmp_path: Path, told: bool) -> None:
     path = hours_of_flac(tmp_path, 4.0, told)
-    refused_early(path, "longer than 1 hour", "--any-length", *(["4 hours"] if told else []),
+    refused_early(path, "longer than 1 hour", "any_length", *(["4 hours"] if told else []),
                   size=10_000 if told else path.stat().st_size // 3)
     if told:
         with pytest.raises(InputError, match="4 hours"):

@@ -50,17 +50,15 @@ def test_a_slash_or_a_folder_means_a_folder_and_anything_else_a_file(folder: Pat
     assert targets("talks") == [str(Path("talks", "b.bvh"))]
     assert targets("new/deep/x.bvh") == [str(Path("new", "deep", "x.bvh"))]
     assert targets("x.BVH") == ["x.BVH"]
-    for wrong, advice in (("new", "new.bvh, or new/"), ("x.fbx", "x.bvh"), ("a.b/x", "a.b/x.bvh")):
-        with pytest.raises(InputError, match=r"does not end in \.bvh") as refused:
+    for wrong in ("new", "x.fbx", "a.b/x"):
+        with pytest.raises(InputError, match=r"does not end in \.bvh.*/ for a folder"):
             targets(wrong)
-        assert advice in str(refused.value)
     assert not (folder.parent / "new").exists(), "folders are made when there is something to write"
 
 
 def test_one_file_for_several_recordings_is_refused(folder: Path) -> None:
-    with pytest.raises(InputError, match="one file for 3 recordings") as refused:
+    with pytest.raises(InputError, match="one file for 3 recordings"):
         targets("x.bvh", "talks")
-    assert "x/" in str(refused.value)
 
 
 def test_two_recordings_of_one_name_are_refused(folder: Path) -> None:

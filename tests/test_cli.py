@@ -157,7 +157,7 @@ def test_numbers_out_of_range_are_refused_before_anything_is_read(name: str, tex
 ODD = ["", " ", "-", "--", ".", "..", "/", "a/", "*", "[", "**/x.wav", "no.wav", "x.bvh", "x.html", "é", "\udce9", "\n",
        "a" * 300, "a" * 5000, "nan", "-1", "1e999", "9" * 5000, "infer", "low", "NUL", "~", "%s", "{0}", "@file",
        "--seed=x"]
-FLAGS = ["-o", "--preview", "--explain", "--text", "--gain", "--any-length", "--speaker", "--hand-height", "--activity",
+FLAGS = ["-o", "--preview", "--explain", "--text", "--gain", "--speaker", "--hand-height", "--activity",
          "--interpreter", "--temperature", "--seed", "--fps", "--bundle", "--threads", "--quiet", "--nothing"]
 
 

@@ -15,7 +15,6 @@ import soundfile
 
 from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import JOINTS
-from data_module.speech import audio
 from gesticulator import infer
 from gesticulator.gesticulator import Gesticulator
 
@@ -170,16 +169,6 @@ def test_a_recording_from_standard_input(recording: Path, tiny_bundle: Path, tmp
     assert done.stdout.startswith(b"standard input: 8.0 s")
     infer.main([str(recording), "-o", str(tmp_path / "file.bvh"), *asked, "--quiet"])
     assert (tmp_path / "stdin.bvh").read_bytes() == (tmp_path / "file.bvh").read_bytes()
-
-
-def test_a_long_recording_is_asked_for_by_name(recording: Path, tiny_bundle: Path, tmp_path: Path,
-                                               capfd: pytest.CaptureFixture[str],
-                                               monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(audio, "LONGEST", 5.0)
-    with pytest.raises(SystemExit) as stop:
-        run([str(recording), "-o", str(tmp_path / "o.bvh")], tiny_bundle)
-    assert stop.value.code == 2 and "--any-length" in capfd.readouterr().err
-    assert run([str(recording), "-o", str(tmp_path / "o.bvh"), "--any-length", "--quiet"], tiny_bundle) == 0
 
 
 def test_a_nearly_silent_recording_is_told_with_the_gain_that_helps(

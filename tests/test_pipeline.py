@@ -81,7 +81,7 @@ def test_without_words_the_ear_alone_decides(system: Gesticulator) -> None:
     assert not np.array_equal(read.scores, heard.scores) and not np.array_equal(read.codes, heard.codes)
     half_deaf = Gesticulator(without(bundle, "style_text"))(dataclasses.replace(SPEECH, words=WORDS))
     assert np.array_equal(read.scores[0], half_deaf.scores[0]) and not np.array_equal(read.codes[0], half_deaf.codes[0])
-    assert heard.notes == () and read.notes == ()
+    assert heard.decided.notes == () and read.decided.notes == ()
 
 
 def test_the_words_themselves_matter_and_when_they_are_said(system: Gesticulator) -> None:

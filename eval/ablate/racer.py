@@ -224,7 +224,7 @@ def _episodes(racer: RacerRows, config: Config) -> Episodes:
     if not file.exists():
         # Behaviour beside the recorded one: without it no other lexeme than the person's was ever tried.
         interpreters: dict[str, LexemeInterpreter] = {
-            "sampled": racer.bundle.interpreter, "statistical": racer.bundle.statistical()}
+            "sampled": racer.bundle.interpreter, "statistical": racer.bundle.interpreter_named("statistical")}
         build(racer.takes, plain, racer.taught(config).sequence, silent=racer.silent,
               vectors=racer.bundle.vectors.numpy(), seed=config.seed,
               policies=BehaviourPolicies(interpreters, features_of(racer.corpus))).save(file)

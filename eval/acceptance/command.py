@@ -143,7 +143,7 @@ def _opened(arguments: argparse.Namespace) -> Acceptance:
     chosen = _voices(arguments, store, system)
     others = [system_at(name, Path(place), cache) for name, place in places.items()]
     # First among the others: what it reaches without hearing anything is what the rest must beat.
-    if WITHOUT_SOUND in system.gesticulator.interpreters:
+    if WITHOUT_SOUND in system.gesticulator.bundle.interpreters:
         others.insert(0, system.asking(WITHOUT_SOUND, interpreter=WITHOUT_SOUND))
     if store is not None:
         others.append(UnitSystem(UNITS, store, work, cache))

@@ -62,7 +62,7 @@ class PlayedBundle:
     def motion(self, system: Gesticulator, speech: Speech, seed: int) -> Motion:
         """Its motion for a sound, in the manner of the speaker where the bundle knows that name; on the 16-joint
         character, without fingers, as files are read. InputError where the bundle lacks the interpreter."""
-        speaker = speech.speaker if speech.speaker in system.speakers else None
+        speaker = speech.speaker if speech.speaker in system.bundle.speakers else None
         return to_character(system(speech, speaker=speaker, interpreter=self.interpreter, seed=seed).motion)
 
     def row(self, truth: Mapping[str, Clip], seed: int) -> dict[str, Clip]:

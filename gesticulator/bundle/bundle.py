@@ -48,14 +48,12 @@ if TYPE_CHECKING:
     from data_module.text.word_vectors import WordEncoder
     from generator.flow import FlowGenerator
     from generator.model import Generator
-    from interpreters.advantage import Critics
     from interpreters.base import Interpreter
     from interpreters.cql import QNetwork
     from interpreters.gate import ActivityGate
     from interpreters.lstm import LstmInterpreter, StyleInterpreter
     from interpreters.planner import UnitPlanner, UnitStyleInterpreter
     from interpreters.reward import RewardEnsemble
-    from interpreters.statistical import StatisticalInterpreter
     from lexicon.autoencoder import Lexicon
     from lexicon.movement import MovementLexicon
     from lexicon.racer import RacerCodec
@@ -157,8 +155,6 @@ class Bundle:
     """Decides the phase of each block's gesture unit; None if lexemes are chosen without phases."""
     q_network: ClassVar[_Part[QNetwork]] = _Part()
     """RACER's Q-network."""
-    advantage: ClassVar[_Part[Critics]] = _Part()
-    """The value of lexemes relative to the behaviour policy."""
     reward: ClassVar[_Part[RewardEnsemble]] = _Part()
     """The reward that trained the policies; None unless it was added (`JUDGES`)."""
     reward_judge: ClassVar[_Part[RewardEnsemble]] = _Part()
@@ -182,12 +178,6 @@ class Bundle:
     def system(self) -> System:
         """Its system, a module of `gesticulator.systems`."""
         return system_of(self.config)
-
-    @property
-    def rests_by_phrase(self) -> bool:
-        """Whether rest is decided phrase by phrase, with idle motion; such a bundle can rest without speech, so that a
-        stream can go on for ever."""
-        return self.config.rests_by_phrase
 
     @property
     def frames(self) -> int:
@@ -223,12 +213,6 @@ class Bundle:
     def speakers(self) -> tuple[str, ...]:
         """Names of the performers."""
         return self.statistics.speakers
-
-    def statistical(self) -> StatisticalInterpreter:
-        """The speech-independent interpreter over the same lexicon."""
-        from interpreters.statistical import StatisticalInterpreter
-
-        return StatisticalInterpreter(self.frequencies, self.transitions)
 
     def rest_feature(self, speaker: int) -> Tensor:
         """[D_m] the speaker's resting pose, normalised."""
@@ -342,9 +326,7 @@ def _codebook(folder: Path, weights: Weights, config: Config) -> Tensor:
     system, name = system_of(config), part_table()["lexicon"].file
     vectors = weights.read(name, None).get(system.CODEBOOK)
     if vectors is None or tuple(vectors.shape) != system.codebook_shape(config):
-        raise InputError(folder / f"{name}{ENDING}", f"does not fit the settings ({system.CODEBOOK}: "
-                         f"{None if vectors is None else tuple(vectors.shape)} instead of "
-                         f"{system.codebook_shape(config)})", "train it again")
+        raise InputError(folder / f"{name}{ENDING}", f"does not fit the settings ({system.CODEBOOK})", "train it again")
     return vectors
 
 

@@ -63,10 +63,6 @@ class Normaliser:
         """(x - mean) / spread in the type of `values`, [..., D]."""
         return ((values - self.mean) / self.spread).astype(values.dtype)
 
-    def invert(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
-        """The inverse of `apply`."""
-        return (values * self.spread + self.mean).astype(values.dtype)
-
 
 @dataclass(frozen=True)
 class Statistics:

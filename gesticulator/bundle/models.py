@@ -8,7 +8,8 @@ so that loading one part imports only that part. The parts of a bundle on disk a
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections import UserDict
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -132,26 +133,14 @@ JUDGES = ("reward", "reward_judge")
 evaluation adds them to an opened bundle (`with_parts`). Saving a bundle omits them."""
 
 
-class LazyParts(Mapping[str, nn.Module]):
+class LazyParts(UserDict[str, Any]):
     """Models by name; those that are given by a function are loaded when they are first used."""
 
-    def __init__(self, parts: Mapping[str, nn.Module | Callable[[], nn.Module]]) -> None:
-        self._parts = dict(parts)
-
     def __getitem__(self, name: str) -> nn.Module:
-        part = self._parts[name]
+        part = self.data[name]
         if not isinstance(part, nn.Module):
-            part = self._parts[name] = part()
+            part = self.data[name] = part()
         return part
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._parts  # `Mapping` would load it
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._parts)
-
-    def __len__(self) -> int:
-        return len(self._parts)
 
 
 def stored_parts(weights: Weights, sizes: Sizes, device: torch.device) -> LazyParts:

@@ -75,7 +75,6 @@ class PageServer(ThreadingHTTPServer):
         """Answers requests with a plan, one at a time."""
         self.token, self.secret = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
         self.rendering = threading.Lock()
-        self._changing = threading.Lock()
         self._latest: dict[str, int] = {}  # page -> its last request
 
     @property
@@ -90,8 +89,7 @@ class PageServer(ThreadingHTTPServer):
 
     def abandons(self, page: str, number: int) -> Callable[[], bool]:
         """Note the latest request of a page; returns whether a later one has come."""
-        with self._changing:
-            self._latest[page] = max(number, self._latest.get(page, 0))
+        self._latest[page] = max(number, self._latest.get(page, 0))
         return lambda: self._latest[page] > number
 
     def handle_error(self, request: Any, client_address: Any) -> None:
