@@ -63,7 +63,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "plain": (), "speaker": ("--speaker", "story"), "legs": ("--legs",), "seated": ("--seated",),
     "mirror": ("--mirror",), "small": ("--intensity", ".6"), "large": ("--intensity", "1.5"),
     "activity": ("--activity", ".5"), "still": ("--activity", "0"), "calm": ("--energy", "calm"),
-    "lively": ("--energy", "lively"), "left": ("--handedness", "left"), "both": ("--handedness", "both"),
+    "lively": ("--energy", "lively"),
     "hold": ("--hold-still", "3.2-5.0"), "cue_time": ("--cue", "2.5=shrug"), "variation": ("--variation", "1"),
     "cql": ("--interpreter", "cql"), "advantage": ("--interpreter", "advantage"),
     "beta": ("--interpreter", "advantage", "--beta", "2"), "statistical": ("--interpreter", "statistical"),
@@ -288,7 +288,7 @@ def stream(golden: Golden) -> None:
         "full": ({}, False), "low": ({"latency": "low"}, False), "words": ({"text": True}, False),
         "talk_full": ({}, True), "talk_low": ({"latency": "low", "seed": 5, "legs": True}, True),
         "talk_words": ({"text": True, "latency": "low", "interpreter": "cql"}, True),
-        "talk_shaped": ({"intensity": 0.6, "handedness": "left", "variation": 1, "hold_still": ((2.0, 4.0),)}, True),
+        "talk_shaped": ({"intensity": 0.6, "variation": 1, "hold_still": ((2.0, 4.0),)}, True),
         "talk_slow": ({"sample_rate": 22050, "hand_height": "low", "activity": 0.5, "mirror": True}, True),
     }
     for name, (options, talks) in cases.items():
@@ -374,8 +374,6 @@ EDITS: dict[str, Callable[[Plan], object]] = {
     "split": lambda plan: split(plan, 1),
     "intensity": lambda plan: knobs(plan, intensity=0.5),
     "activity": lambda plan: knobs(plan, activity=0.5),
-    "handedness": lambda plan: knobs(plan, handedness="left"),
-    "both_hands": lambda plan: knobs(plan, handedness="both"),
     "hold_still": lambda plan: knobs(plan, hold_still=[[2.0, 3.5], [6.0, 7.0]]),
     "energy": lambda plan: knobs(plan, energy="calm"),
     "mirror": lambda plan: knobs(plan, mirror=True),
@@ -442,7 +440,7 @@ def clips(golden: Golden) -> None:
     """Layouts of a clip, faces, and a folder of recordings."""
     sound, text = golden.sound(PIECE), golden.text()
     for name, options in {"loop": ("--loop",), "keys": ("--keys", "all"), "upper": ("--mask", "upper"),
-                          "still": ("--root", "none"), "name": ("--clip-name", "talk"), "lips": ("--face", "lips"),
+                          "name": ("--clip-name", "talk"), "lips": ("--face", "lips"),
                           "face": ("--face", "full", "--mood", ".4", "--cue", "2.5=smile"),
                           "face_legs": ("--face", "full", "--legs", "--mouth", "1.5")}.items():
         golden.infer(f"clips/{name}", sound, *options, suffixes=(".glb", ".vrma"))

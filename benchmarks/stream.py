@@ -30,10 +30,11 @@ import numpy as np
 import torch
 from realtime import processor
 
+from data_module.motion.skeletons import to_character
 from data_module.speech.audio import SAMPLE_RATE, load_speech
 from data_module.types import Motion, Speech
-from eval.clip.measure import measure
 from eval.crossed import crossed
+from eval.metrics.evaluate import MotionBeats, OnsetTrack, clip_values
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.stream import StreamFrames
 
@@ -70,12 +71,13 @@ def live(system: Gesticulator, speech: Speech, latency: str) -> dict[str, Any]:
 
 
 def quality(system: Gesticulator, speech: Speech, latency: str, seed: int) -> tuple[float, ...]:
-    """PMB, its chance level, how much it is above (percent), and the mean speed of the hands in speech, m/s."""
+    """PMB, its chance level, and how much it is above, percent."""
     stream = system.stream(latency=latency, seed=seed)
     parts = [stream.feed(speech.samples), stream.finish()]
-    clip = measure(Motion(stream.skeleton, np.concatenate([part.rotations for part in parts]),
-                          np.concatenate([part.root_positions for part in parts]), stream.fps), speech)
-    return *clip.rhythm(), clip.speech_speed
+    motion = to_character(Motion(stream.skeleton, np.concatenate([part.rotations for part in parts]),
+                                 np.concatenate([part.root_positions for part in parts]), stream.fps))
+    values = clip_values(motion, motion, MotionBeats.of(motion), OnsetTrack.of(speech), 0).numbers
+    return values["pmb_A"], values["chance_A"], values["above_A"]
 
 
 def main() -> None:
@@ -109,8 +111,7 @@ def main() -> None:
             "busy": round(float(np.average([one["busy"] for one in found], weights=seconds)), 4),
             "first_frame": {"sound": round(max(one["first"][0] for one in found), 3),
                             "computing": round(max(one["first"][1] for one in found), 3)},
-            **dict(zip(("pmb", "pmb_chance", "pmb_above_chance", "hand_speed"), percent.round(2).tolist(),
-                       strict=True)),
+            **dict(zip(("pmb", "pmb_chance", "pmb_above_chance"), percent.round(2).tolist(), strict=True)),
             "pmb_above_chance_by_seed": [round(float(one[2]), 1) for one in made]}
         print(latency, json.dumps(result[latency]), flush=True)
     apart = crossed(above["low"] - above["full"], [speech.duration for speech in recordings])

@@ -6,15 +6,15 @@ compared with the size of the file, only numbers, booleans and text are read, an
 
 from __future__ import annotations
 
-import ast
+import io
 import math
 import os
-import re
 import struct
 import sys
+import tokenize
 import zipfile
 import zlib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import IO, Any
 
 import numpy as np
@@ -26,18 +26,15 @@ from data_module.files import opened
 LARGEST = 1 << 30
 """Bytes (1 GiB) of all arrays of a file together: two hours of SMPL-X at 120 frames a second in double precision."""
 
-_MAGIC = b"\x93NUMPY"
 # Largest header, bytes: that of a plain array has 128.
 _HEADER = 1 << 14
-# Booleans, integers, real numbers and text of fixed length; no objects, records or times.
-_KINDS = re.compile(r"[<>|=]?[biufSU]\d{1,6}|[<>|=]?\?")
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # Greatest compression ratio of deflate (1032 by its format), to detect false sizes.
 _DEFLATED_MOST = 1040
 # Exceptions of zipfile, zlib and the parser of literals for broken files.
 _BROKEN = (ValueError, SyntaxError, TypeError, KeyError, EOFError, OverflowError, RecursionError, MemoryError,
-           NotImplementedError, RuntimeError, UnicodeError, struct.error, zlib.error, zipfile.BadZipFile,
-           zipfile.LargeZipFile)
+           NotImplementedError, RuntimeError, UnicodeError, struct.error, tokenize.TokenError, zlib.error,
+           zipfile.BadZipFile, zipfile.LargeZipFile)
 
 
 def read_npy(path: str | os.PathLike[str], advice: str = "save it again") -> NDArray[Any]:
@@ -61,21 +58,6 @@ def read_npz(path: str | os.PathLike[str], names: Collection[str] | None = None,
             return _members(stream, names)
         except (*_BROKEN, OSError) as error:  # OSError: a place in the file before its beginning
             raise InputError(path, f"is not an .npz of plain arrays ({_reason(error)})", advice) from None
-
-
-def read_numbers(path: str | os.PathLike[str], names: Sequence[str], advice: str = "save it again"
-                 ) -> list[NDArray[np.float64]]:
-    """The arrays `names` of an .npz file in double precision. InputError as of `read_npz`, and for arrays that are
-    missing or not of finite real numbers."""
-    arrays = read_npz(path, names, advice)
-    if lacking := [name for name in names if name not in arrays]:
-        raise InputError(path, f"lacks {', '.join(lacking)}", advice)
-    numbers = []
-    for name in names:
-        if arrays[name].dtype.kind not in "fiu" or not np.isfinite(values := as_floats(arrays[name])).all():
-            raise InputError(path, f"holds something other than finite numbers in {name}", advice)
-        numbers.append(values)
-    return numbers
 
 
 def as_floats(array: NDArray[Any]) -> NDArray[np.float64]:
@@ -120,15 +102,21 @@ def _is_text(array: NDArray[Any]) -> bool:
     return int(codes.max()) <= sys.maxunicode
 
 
-
 def _array(stream: IO[bytes], size: int) -> NDArray[Any]:
     """The array in the `size` bytes of a stream. ValueError for an invalid one, or for a shape of another size."""
-    shape, fortran, kind, behind = _header(stream)
-    count = math.prod(shape)
+    # From its first bytes alone: numpy reads a header of any length before it checks it.
+    head = io.BytesIO(stream.read(_HEADER))
+    version = np.lib.format.read_magic(head)
+    parse = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, fortran, kind = parse(head)
+    if kind.kind not in "biufSU" or any(not 0 <= length <= LARGEST for length in shape):
+        raise ValueError(f"it holds {str(kind)[:40]} shaped {str(shape)[:40]}, not plain numbers")
+    count, behind = math.prod(shape), head.tell()
     if count * kind.itemsize != size - behind:
-        raise ValueError(f"its header claims {count * kind.itemsize} bytes, and {max(size - behind, 0)} follow")
+        raise ValueError(f"its header claims {count * kind.itemsize} bytes, and {size - behind} follow")
     if count * kind.itemsize > LARGEST:
         raise ValueError(f"it claims more than {LARGEST >> 30} GiB")
+    stream.seek(behind)
     data = stream.read(count * kind.itemsize)
     if len(data) != count * kind.itemsize:
         raise ValueError(f"it is cut short: {len(data)} of {count * kind.itemsize} bytes")
@@ -136,28 +124,6 @@ def _array(stream: IO[bytes], size: int) -> NDArray[Any]:
     if not kind.itemsize:  # text of no length
         return np.zeros(shape, kind)
     return np.frombuffer(data, kind).reshape(shape, order="F" if fortran else "C")
-
-
-def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
-    # The format: magic, two bytes of version, the length of the header, the header as a Python literal.
-    start = stream.read(8)
-    if start[:6] != _MAGIC or len(start) < 8:
-        raise ValueError("it has no numpy header")
-    width = 2 if start[6] == 1 else 4
-    length = int.from_bytes(stream.read(width), "little")
-    # The header is parsed as a Python literal, whose cost grows with its length.
-    if length > _HEADER:
-        raise ValueError(f"its header of {length} bytes is too long")
-    header = ast.literal_eval(stream.read(length).decode("utf-8" if start[6] > 2 else "latin-1").strip())
-    if not isinstance(header, dict) or not {"descr", "fortran_order", "shape"} <= set(header):
-        raise ValueError("its header is broken")
-    shape, kind = header["shape"], header["descr"]
-    if not isinstance(shape, tuple) or len(shape) > 32 \
-            or not all(isinstance(length, int) and 0 <= length <= LARGEST for length in shape):
-        raise ValueError("its shape is invalid")
-    if not isinstance(kind, str) or not _KINDS.fullmatch(kind):
-        raise ValueError(f"it holds {str(kind)[:40]}, not plain numbers")
-    return shape, bool(header["fortran_order"]), np.dtype(kind), 8 + width + length
 
 
 def _reason(error: BaseException) -> str:

@@ -21,7 +21,6 @@ from data_module.types import Array, Blocks, Motion, Samples, Speech
 
 __all__ = ["BlockSettings", "cut", "denormalise", "normalise_motion", "smooth", "stretch_speech"]
 
-METHODS = ("wsola", "phase_vocoder")
 SMOOTHING = 0.05
 """Standard deviation of the final Gaussian, seconds (one frame at 20 fps, RG 7.1.2)."""
 
@@ -61,37 +60,37 @@ def samples_per_frame(sample_rate: int, fps: float) -> int:
     return round(sample_rate / fps)
 
 
-def stretch_speech(speech: Speech, blocks: Blocks, method: str = "wsola") -> Samples:
+def stretch_speech(speech: Speech, blocks: Blocks) -> Samples:
     """Each block's sound stretched to one length with its pitch kept, float32 [N, K * samples_per_frame].
 
     Every block is stretched separately, with 32 ms of its neighbours on both sides, so that its ends are exactly at the
     beats and a stream gives the same samples; outside the recording there are zeros. Digital silence stays exactly
-    zero. method: "wsola" or "phase_vocoder" (phases locked), both of pytsmod.
+    zero.
     """
-    if method not in METHODS:
-        raise InputError("method", f"is {method!r}", f"choose from {', '.join(METHODS)}")
     rate = speech.sample_rate
     length = blocks.frames * samples_per_frame(rate, blocks.fps)
     context = round(CONTEXT * rate)
     padded = np.pad(speech.samples, (context, context + 1))
     # Rounding at the last edge must not reach past the end of the samples.
     edges = np.minimum(np.round(blocks.edges * rate).astype(int), len(speech.samples))
-    return np.stack([stretch_piece(padded[start:max(stop, start + 1) + 2 * context], length, rate, method)
+    return np.stack([stretch_piece(padded[start:max(stop, start + 1) + 2 * context], length, rate)
                      for start, stop in itertools.pairwise(edges)])
 
 
-def stretch_piece(piece: Samples, length: int, rate: int, method: str = "wsola") -> Samples:
+def stretch_piece(piece: Samples, length: int, rate: int) -> Samples:
     """One block's sound, with `CONTEXT` seconds on both sides, stretched to [length] samples; see `stretch_speech`."""
     context = round(CONTEXT * rate)
     out, inside = np.zeros(length, np.float32), piece[context:-context]
     if inside.any():
         # WSOLA compares single samples, for which float32 is enough, in little more than half the time.
-        out[:] = _stretched(piece if method == "wsola" else piece.astype(np.float64), context, length, rate, method)
+        out[:] = _stretched(piece, context, length, rate)
         _keep_zeros(inside, out, round(_WINDOW * rate))
     return out
 
 
-def _stretched(piece: Array | Samples, context: int, length: int, rate: int, method: str) -> Array | Samples:
+def _stretched(piece: Array | Samples, context: int, length: int, rate: int) -> Array | Samples:
+    import pytsmod
+
     inside = len(piece) - 2 * context
     if inside == length:  # at rate 1 WSOLA is not quite the identity
         return piece[context:-context]
@@ -100,21 +99,11 @@ def _stretched(piece: Array | Samples, context: int, length: int, rate: int, met
     # pytsmod needs strictly rising integers, from the first sample to the last.
     anchors = np.array([[0, context, context + inside, len(piece) - 1],
                         [0, context, context + step, step + 2 * context - 1]])
-    out = _time_scale(piece, anchors, rate, method)
+    window, hop, tolerance = (round(seconds * rate) for seconds in (_WINDOW, _HOP, _TOLERANCE))
+    out = np.asarray(pytsmod.wsola(piece, anchors, win_size=window, syn_hop_size=hop, tolerance=tolerance), np.float64)
     if step < length:
-        return _stretched(out, context, length, rate, method)
+        return _stretched(out, context, length, rate)
     return out[context:context + length]
-
-
-def _time_scale(piece: Array | Samples, anchors: Array, rate: int, method: str) -> Array:
-    import pytsmod
-
-    window, hop = round(_WINDOW * rate), round(_HOP * rate)
-    if method == "wsola":
-        out = pytsmod.wsola(piece, anchors, win_size=window, syn_hop_size=hop, tolerance=round(_TOLERANCE * rate))
-    else:
-        out = pytsmod.phase_vocoder(piece, anchors, win_size=window, syn_hop_size=window // 4, phase_lock=True)
-    return np.asarray(out, dtype=np.float64)
 
 
 def _keep_zeros(inside: Samples, out: Samples, shortest: int) -> None:

@@ -1,11 +1,11 @@
-"""gesticulator build CORPUS --out STORE (python -m data_module.build): read or make a data set, and write its store.
+"""gesticulator build CORPUS --out STORE: read or make a data set, and write its store.
 
     gesticulator build folder --source DIR --out STORE    # your own NAME.bvh beside NAME.wav
     gesticulator build trinity --source DIR --out STORE   # a published data set; --help lists them all
     gesticulator build folder --help                      # the options of one of them
 
-An interrupted build is resumed; the result does not depend on that, nor on the number of workers. A report (minutes,
-blocks, intervals, units, missing joints, omissions with reasons) is printed and written to STORE/report.json.
+The result does not depend on the number of workers. A report (minutes, blocks, intervals, units, missing joints,
+omissions with reasons) is printed and written to STORE/report.json.
 """
 
 from __future__ import annotations
@@ -13,19 +13,16 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from data_module import build_report as reports
-from data_module.build_report import Outcome, Report
-from data_module.errors import InputError, one_line_errors
+from data_module.errors import InputError
 from data_module.files import lock, remove_unfinished, write_text
 
 if TYPE_CHECKING:
+    from data_module.build_report import Outcome
     from data_module.corpora.base import Item, Options
 
 DATASET = "dataset"
@@ -34,7 +31,8 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 @dataclass
 class Workshop:
-    """The data that a worker needs to make recordings; opened once per process."""
+    """The data that a worker needs to make recordings; the reader is opened once per process. dataset: the folder of
+    the data set beside the store, None for none."""
 
     corpus: str
     source: Path | None
@@ -43,35 +41,12 @@ class Workshop:
     dataset: Path | None
     reader: Any = field(default=None, repr=False)
 
-    def outcome_file(self, item: Item) -> Path:
-        """The file of a recording's outcome until the end of the build."""
-        return Path(self.writer.partial / "recordings" / f"{item.info.name}.report")
-
-    def outcome(self, item: Item) -> Outcome | None:
-        try:
-            return Outcome.from_json(self.outcome_file(item).read_text(encoding="utf-8"))
-        except (OSError, ValueError, TypeError, KeyError):
-            return None
-
-    def made(self, item: Item) -> Outcome | None:
-        """The outcome of a recording that an interrupted build had finished in store, report and data set; else None.
-        """
-        name, outcome = item.info.name, self.outcome(item)
-        whole = outcome is not None and self.writer.has(name) and (
-            self.dataset is None or (self.dataset / f"{name}.json").is_file())
-        return outcome if whole else None
-
-    # A worker writes the recording and its outcome; the parent only counts them.
     def make(self, item: Item) -> Outcome:
-        # The outcome is written after the recording, so one that has an outcome is complete.
-        outcome = self._written(item)
-        write_text(self.outcome_file(item), outcome.as_json())
-        return outcome
-
-    def _written(self, item: Item) -> Outcome:
+        """Write one recording."""
         import warnings
 
         from data_module import intervals
+        from data_module.build_report import Outcome
         from data_module.corpora.base import DroppedError, Imported, load
         from data_module.corpora.folder import write_recording
         from data_module.corpora.table import open_corpus
@@ -98,82 +73,61 @@ class Workshop:
                 if error.subject != "skeleton":
                     raise
                 return Outcome(item.info.name, dropped=str(error))
+        sound = self.writer.add(recording, character)
         if self.dataset is not None:
             write_recording(self.dataset, recording)
+            _share(sound, self.dataset / sound.name)
         blocks, apart = intervals.measure(recording.speech)
         known = "given" if recording.speech.words else ""
         unit, words = (recording.unit, recording.words) if isinstance(recording, Imported) else ("", known)
         # A warning is repeated for every file that a recording has; the report needs it once.
         messages = tuple(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
-        self.writer.add(recording, character)
-        return Outcome(item.info.name, recording.speech.duration, character.absent, blocks, apart.as_json(), unit,
-                       words, warnings=messages)
+        return Outcome(item.info.name, recording.speech.duration, character.absent, blocks, apart, unit, words,
+                       warnings=messages)
 
 
-@dataclass(frozen=True)
-class BuildRequest:
-    """A request to build the store `out` of a corpus, and with `dataset` the data set `out`/dataset."""
+def _share(file: Path, place: Path) -> None:
+    """The same file in two places: a hard link if possible, else a copy."""
+    import shutil
 
-    corpus: str
-    source: Path | None
-    out: Path
-    options: Options
-    dataset: bool = True
+    try:
+        os.link(file, place)
+    except OSError:
+        shutil.copyfile(file, place)
 
 
-def build(request: BuildRequest, workers: int = 1, progress: bool = True) -> Report:
-    """Build a store. An existing store with the same settings is not changed. `InputError` if it has other settings, if
-    nothing is usable, or if another process builds there."""
+def build(workshop: Workshop, workers: int) -> Iterator[str]:
+    """Build the store of a workshop whose reader is open, and return the lines of its report. `InputError` if nothing
+    is usable."""
     from tqdm import tqdm
 
-    from data_module import store
-    from data_module.corpora.table import open_corpus
+    from data_module import build_report as reports
 
-    begun, out = time.monotonic(), request.out
-    with lock(out, "a build", beside=True):
-        reader = open_corpus(request.corpus, request.source, request.options)
-        settings, seed = dict(reader.settings()), request.options.seed
-        there = store.matching(out, request.corpus, settings, seed)
-        if there is not None:
-            if request.dataset and not (out / DATASET).is_dir():
-                raise InputError(out, "was built without its data set", "delete it, or say --no-dataset")
-            return Report(there, reports.report_of(there), time.monotonic() - begun, len(there.recordings))
-        writer = store.StoreWriter(out, request.corpus, settings, seed, reader.licence)
-        folder = writer.partial / DATASET if request.dataset else None
-        if folder is not None:
-            folder.mkdir(exist_ok=True)
-        # Without the reader, which each process opens again.
-        workshop, items = Workshop(request.corpus, request.source, request.options, writer, folder), reader.items()
-        # Finished recordings of an interrupted build are not made again.
-        outcomes = {item.info.name: made for item in items if (made := workshop.made(item)) is not None}
-        reused, todo = len(outcomes), [item for item in items if item.info.name not in outcomes]
+    reader, writer = workshop.reader, workshop.writer
+    if workshop.dataset is not None:
+        workshop.dataset.mkdir()
+    items: Sequence[Item] = reader.items()
+    outcomes: dict[str, Outcome] = {}
+    try:
         # disable=None: no bar if the output is not a terminal.
-        with tqdm(total=len(todo), unit="recording", disable=None if progress else True) as bar:
-            for outcome in _made(workshop, todo, workers):
+        with tqdm(total=len(items), unit="recording", disable=None) as bar:
+            for outcome in _made(workshop, items, workers):
                 outcomes[outcome.name] = outcome
                 bar.update()
-        content, names = _finished(workshop, items, outcomes, reader.notes())
+        infos = [replace(item.info, seconds=outcomes[item.info.name].seconds) for item in items
+                 if not outcomes[item.info.name].dropped]
+        if not infos:
+            reason = next((outcome.dropped for outcome in outcomes.values()), "it is empty")
+            raise InputError(workshop.source or workshop.corpus, f"has no recording that can be used ({reason})",
+                             "see the formats in --help")
+        content = reports.summary(infos, [outcomes[item.info.name] for item in items], reader.notes())
         write_text(writer.partial / reports.FILE, json.dumps(content, indent=1, ensure_ascii=False))
         # Temporary files of workers that were killed.
         remove_unfinished(writer.partial)
-        return Report(writer.finish(names), content, time.monotonic() - begun, reused)
-
-
-def _finished(workshop: Workshop, items: Sequence[Item], outcomes: Mapping[str, Outcome], notes: Sequence[str]
-              ) -> tuple[dict[str, Any], list[str]]:
-    """The content of the report, and the names of the usable recordings; their sound is put into the data set."""
-    usable = [item.info for item in items if not outcomes[item.info.name].dropped]
-    if not usable:
-        reason = next((outcome.dropped for outcome in outcomes.values()), "it is empty")
-        workshop.writer.discard()
-        raise InputError(workshop.source or workshop.corpus, f"has no recording that can be used ({reason})",
-                         "see the formats in --help")
-    if workshop.dataset is not None:
-        for info in usable:
-            _share(workshop.writer.partial / "recordings" / f"{info.name}.flac", workshop.dataset / f"{info.name}.flac")
-    infos = [replace(info, seconds=outcomes[info.name].seconds, absent=outcomes[info.name].absent) for info in usable]
-    return (reports.summary(infos, [outcomes[item.info.name] for item in items], notes),
-            [info.name for info in usable])
+        return reports.report_lines(writer.finish([info.name for info in infos]), content)
+    except BaseException:
+        writer.discard()
+        raise
 
 
 _workshop: Workshop | None = None
@@ -189,7 +143,8 @@ def _made(workshop: Workshop, items: Sequence[Item], workers: int) -> Iterator[O
 
     # Spawned, not forked: the same on every system, and numpy reads the number of threads anew.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(items) or 1), context, _begin, (workshop,)) as pool:
+    # Without the reader, which each process opens again.
+    with ProcessPoolExecutor(min(workers, len(items) or 1), context, _begin, (replace(workshop, reader=None),)) as pool:
         futures = [pool.submit(_work, item) for item in items]
         try:
             for future in as_completed(futures):
@@ -204,10 +159,10 @@ def _begin(workshop: Workshop) -> None:
     for variable in _ONE_THREAD:
         os.environ[variable] = "1"
     _workshop = workshop
-    end_with_parent()
+    _end_with_parent()
 
 
-def end_with_parent() -> None:
+def _end_with_parent() -> None:
     """End a worker when its parent was killed; it would wait for work forever."""
     import multiprocessing
     import threading
@@ -226,18 +181,6 @@ def _work(item: Item) -> Outcome:
     if _workshop is None:
         raise RuntimeError("the worker was not begun")
     return _workshop.make(item)
-
-
-def _share(file: Path, place: Path) -> None:
-    """The same file in two places: a hard link if possible, else a copy."""
-    import shutil
-
-    # An interrupted build may have left a link to a file that was written anew since.
-    place.unlink(missing_ok=True)
-    try:
-        os.link(file, place)
-    except OSError:
-        shutil.copyfile(file, place)
 
 
 def formats() -> str:
@@ -282,13 +225,14 @@ def add_arguments(parser: argparse.ArgumentParser, corpus: str) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Build the request in `arguments`, as of `add_arguments`, and print the report. Returns 0; InputError if the input
-    cannot be used."""
+    """Build the store for `arguments`, as of `add_arguments`, and print the report. Returns 0; InputError if the input
+    cannot be used, if something is at --out, or if another process builds there."""
     # Before numpy is imported, which reads these variables once; processes are parallel already.
     for variable in _ONE_THREAD:
         os.environ.setdefault(variable, "1")
     from data_module.corpora.base import Options
-    from data_module.corpora.table import reader_of
+    from data_module.corpora.table import open_corpus, reader_of
+    from data_module.store import StoreWriter
 
     for name in ("workers", "fps", "unit"):
         value = getattr(arguments, name)
@@ -296,24 +240,11 @@ def run(arguments: argparse.Namespace) -> int:
             raise InputError(f"--{name}", f"is {value:g}", "give a number above 0")
     reader = reader_of(arguments.corpus)
     options = reader.options(arguments) if hasattr(reader, "options") else Options(arguments.fps, arguments.unit)
-    request = BuildRequest(arguments.corpus, arguments.source, arguments.out, options, not arguments.no_dataset)
-    for line in build(request, arguments.workers).lines():
-        print(line)
+    with lock(arguments.out, "a build", beside=True):
+        reader = open_corpus(arguments.corpus, arguments.source, options)
+        writer = StoreWriter(arguments.out, arguments.corpus, reader.settings(), options.seed, reader.licence)
+        dataset = None if arguments.no_dataset else writer.partial / DATASET
+        workshop = Workshop(arguments.corpus, arguments.source, options, writer, dataset, reader)
+        for line in build(workshop, arguments.workers):
+            print(line)
     return 0
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """The command. Returns 0; exits with 2 and one line if the input cannot be used."""
-    parser = argparse.ArgumentParser(
-        prog="python -m data_module.build", formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Read or make a data set, write its store, and report what is in it.")
-    choose_corpus(parser)
-    given = parser.parse_args(argv)
-    with one_line_errors("build"):
-        chosen = argparse.ArgumentParser(f"{parser.prog} {given.corpus}")
-        add_arguments(chosen, given.corpus)
-        return run(chosen.parse_args(given.rest))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

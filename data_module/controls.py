@@ -8,7 +8,6 @@ recording, because normalising a block changes speeds.
 from __future__ import annotations
 
 import math
-import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,13 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from data_module.errors import InputError, shown
-from data_module.files import read_table
+from data_module.errors import InputError
 from data_module.motion import skeletons
 from data_module.motion.kinematics import positions_of
 from data_module.types import Array, Blocks, Motion
 
-__all__ = ["Controls", "Curve", "Levels", "measure", "read_curve"]
+__all__ = ["Controls", "Curve", "Levels", "measure"]
 
 FEATURES = ("height", "speed", "radius")
 """Right hand over the hips (m), mean speed of both hands (m/s), mean horizontal distance of both hands from the
@@ -181,57 +179,26 @@ class Controls:
 
 # ------------------------------------------------------------------------------------------ the command line
 
-def parse(flag: str, text: str, feature: str, levels: Levels) -> float | Curve:
-    """The target of a feature from "low", "mid" or "high", a number in its unit, or the path of a CSV file.
-
-    A file has the columns time (s) and value; the second may be named after the feature. `InputError` names the flag,
-    or the file and its line. A value far from the training data gives a `ControlWarning` and is used.
-    """
+def parse(flag: str, text: str, feature: str, levels: Levels) -> float:
+    """The target of a feature from "low", "mid" or "high", or a number in its unit. `InputError` names the flag. A
+    value far from the training data gives a `ControlWarning` and is used."""
     plain = text.strip()
     if plain.lower() in LEVELS:
         return levels.value(feature, plain.lower())
-    number = _number(plain)
-    if number is not None:
-        _check_limits(f"{flag} {plain}", number, feature)
-        _warn_if_far(f"{flag} {plain}", [number], feature, levels)
-        return number
-    if not plain or not os.path.lexists(plain):
-        raise InputError(f"{flag} {text!r}", f"is neither a level nor a number ({UNITS[feature]}) nor a file",
-                         f"give {', '.join(LEVELS)}, a number such as {levels.value(feature, 'mid'):.2f}, or the path "
-                         "of a CSV file")
-    curve = read_curve(plain, feature)
-    _warn_if_far(plain, curve.values, feature, levels)
-    return curve
-
-
-def read_curve(path: str | os.PathLike[str], feature: str) -> Curve:
-    """The curve of a feature in a CSV file with a header (see `parse`); other columns are ignored."""
-    rows = read_table(path, "give the columns time and value")
-    if not rows:
-        raise InputError(path, "holds no values", "give the columns time and value, and a line for each point in time")
-    names = {name.strip().lower(): name for name in rows[0][1] if name}
-    if "time" not in names or not names.keys() & {feature, "value"}:
-        raise InputError(path, f"names the columns {shown(', '.join(names), 100)}",
-                         f"name them time and {feature}, or time and value")
-    columns = names["time"], names[feature if feature in names else "value"]
-    times: list[float] = []
-    values: list[float] = []
-    for line, row in rows:
-        where = f"{path}, line {line}"
-        time, value = (_cell(where, row[column]) for column in columns)
-        if times and time <= times[-1]:
-            raise InputError(where, f"goes back to {time:g} s", "let times rise from line to line")
-        _check_limits(f"{where}: {value:g}", value, feature)
-        times.append(time)
-        values.append(value)
-    return Curve(tuple(times), tuple(values))
-
-
-def _cell(where: str, cell: str | None) -> float:
-    number = _number(cell or "")
-    if number is None or not math.isfinite(number):
-        raise InputError(where, f"has {(cell or '')[:40]!r} in place of a number",
-                         "give seconds, and metres or metres per second")
+    number, (low, high) = _number(plain), LIMITS[feature]
+    if number is None:
+        raise InputError(f"{flag} {text!r}", f"is neither a level nor a number ({UNITS[feature]})",
+                         f"give {', '.join(LEVELS)} or a number such as {levels.value(feature, 'mid'):.2f}")
+    if not low <= number <= high:  # also NaN
+        raise InputError(f"{flag} {plain}", f"is not a possible {feature} of a hand",
+                         f"give {UNITS[feature]} from {low:g} to {high:g}")
+    index = FEATURES.index(feature)
+    if abs(number - levels.mean[index]) > _FAR * levels.spread[index]:
+        # Attributed to this module, because commands show only the warnings of our packages.
+        warnings.warn(ControlWarning(
+            f"{flag} {plain}: a {feature} of {number:g} {UNITS[feature]} is far from the training data (low "
+            f"{levels.value(feature, 'low'):.2f}, high {levels.value(feature, 'high'):.2f}); expect less"),
+            stacklevel=1)
     return number
 
 
@@ -241,24 +208,3 @@ def _number(text: str) -> float | None:
         return None if "_" in text else float(text)
     except ValueError:
         return None
-
-
-def _check_limits(what: str, value: float, feature: str) -> None:
-    low, high = LIMITS[feature]
-    if not low <= value <= high:  # also NaN
-        raise InputError(what, f"is not a possible {feature} of a hand",
-                         f"give {UNITS[feature]} from {low:g} to {high:g}")
-
-
-def _warn_if_far(what: str, values: ArrayLike, feature: str, levels: Levels) -> None:
-    index = FEATURES.index(feature)
-    mean, spread = float(levels.mean[index]), float(levels.spread[index])
-    numbers = np.asarray(values, dtype=np.float64)
-    # One warning for a curve, with its value that lies farthest out.
-    furthest = float(numbers[np.argmax(np.abs(numbers - mean))])
-    if abs(furthest - mean) > _FAR * spread:
-        # Attributed to this module, because commands show only the warnings of our packages.
-        warnings.warn(ControlWarning(
-            f"{what}: a {feature} of {furthest:g} {UNITS[feature]} is far from the training data (low "
-            f"{levels.value(feature, 'low'):.2f}, high {levels.value(feature, 'high'):.2f}); expect less"),
-            stacklevel=1)

@@ -3,9 +3,9 @@ and d_max for a corpus: most intervals between onsets should lie within them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,8 +28,8 @@ KINDS = ("onsets", "beats")
 class Intervals:
     """Counts of intervals. onsets, beats: bin i holds [i * STEP, (i + 1) * STEP) seconds, the last all from LONGEST."""
 
-    onsets: tuple[int, ...] = (0,) * _BINS
-    beats: tuple[int, ...] = (0,) * _BINS
+    onsets: Sequence[int] = (0,) * _BINS
+    beats: Sequence[int] = (0,) * _BINS
 
     def __add__(self, other: Intervals) -> Intervals:
         return Intervals(tuple(a + b for a, b in zip(self.onsets, other.onsets, strict=True)),
@@ -41,15 +41,6 @@ class Intervals:
         # Bounds are rounded to whole bins, in which the counts are.
         first, last = round(low / STEP), round(high / STEP)
         return sum(self.onsets[first:last]) / max(1, sum(self.onsets))
-
-    def as_json(self) -> dict[str, Any]:
-        return {"step": STEP, "longest": LONGEST, "onsets": list(self.onsets), "beats": list(self.beats)}
-
-    @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> Intervals:
-        if content.get("step") != STEP or any(len(content.get(kind, ())) != _BINS for kind in KINDS):
-            raise ValueError("other bins")
-        return cls(tuple(map(int, content["onsets"])), tuple(map(int, content["beats"])))
 
     def line(self) -> str:
         """One line: the share of the onsets within the default bounds of a block."""

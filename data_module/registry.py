@@ -13,6 +13,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
@@ -50,8 +51,10 @@ class RegistryEntry:
     where: str
     needs: Requirement | None = field(default=None, kw_only=True)
 
-    def load(self) -> Any:
-        """The object. Our modules only; `Registry.load` is for those of other packages."""
+    def load(self, subject: object = "") -> Any:
+        """The object; `InputError` about `subject` for a missing library."""
+        if self.needs is not None:
+            self.needs.check(subject)
         module, _, name = self.where.partition(":")
         return getattr(import_module(module), name) if name else import_module(module)
 
@@ -77,87 +80,43 @@ class Registry(Mapping[str, E], Generic[E]):
 
     def __init__(self, kind: str, what: str, entries: Mapping[str, E], entry: type[E],
                  fits: Callable[[object], bool] = callable) -> None:
-        self.kind, self.what, self.group = kind, what, f"{PROJECT}.{kind}"
+        self.kind, self.what = kind, what
         self._table, self._entry, self._fits = dict(entries), entry, fits
-        self._points: dict[str, EntryPoint] | None = None
+
+    @cached_property
+    def points(self) -> dict[str, EntryPoint]:
+        """The entry points of other packages, without those whose name is taken already."""
+        # By package in reverse, so that the result does not depend on the order of installation and the first one wins.
+        every = sorted(entry_points(group=f"{PROJECT}.{self.kind}"), reverse=True,
+                       key=lambda point: (_owner(point) != PROJECT, _owner(point)))
+        return dict(sorted({point.name: point for point in every if point.name not in self._table}.items()))
 
     def __iter__(self) -> Iterator[str]:
-        yield from self._table
-        yield from self.points()
+        return iter([*self._table, *self.points])
 
     def __len__(self) -> int:
-        return len(self._table) + len(self.points())
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._table or name in self.points()
+        return len(self._table) + len(self.points)
 
     def __getitem__(self, name: str) -> E:
-        """The entry; for a plug-in of another package one that names the package and the object, without importing it
-        (`entry` gives the rest)."""
-        # An entry point's own description would need an import, so only its package is named.
+        """The entry; for a plug-in of another package one that names the package and the object (`entry` gives the
+        rest)."""
         if name in self._table:
             return self._table[name]
-        point = self.points()[name]
+        point = self.points[name]
         return self._entry(f"of the package {_owner(point)}", point.value)
-
-    def points(self) -> Mapping[str, EntryPoint]:
-        """The entry points of this kind, without those whose name is taken already. Read once."""
-        # Reading the files of all installed packages takes tens of milliseconds.
-        if self._points is None:
-            self._points = self._read()
-        return self._points
-
-    def _read(self) -> dict[str, EntryPoint]:
-        # By package in reverse, so that the result does not depend on the order of installation and the first one wins.
-        every = sorted(entry_points(group=self.group), key=lambda point: (_owner(point) != PROJECT, _owner(point)))
-        points = {point.name: point for point in reversed(every) if point.name not in self._table}
-        return dict(sorted(points.items()))
-
-    def unknown(self, name: object) -> InputError:
-        """The error for a name that is in no table: it lists the known ones, and the nearest first."""
-        # A misspelt name is the usual mistake; the list alone would have to be searched by eye.
-        near = difflib.get_close_matches(str(name), list(self), 1)
-        return InputError(name, f"is not {self.what}",
-                          (f"did you mean {near[0]}? " if near else "") + f"take one of {', '.join(self)}")
 
     def entry(self, name: str) -> E:
         """The entry in full; `InputError` for an unknown name, or where another package's cannot be imported."""
-        plugin = self._object(name)
+        plugin = self._table.get(name) or self._outside(name)
         return plugin if isinstance(plugin, self._entry) else self[name]
 
     def load(self, name: str) -> Any:
-        """The object of a name.
-
-        `InputError` in one line for an unknown name, for a missing library, for any exception while another package's
-        module is imported, and for an object that is no such plug-in.
-        """
-        plugin = self._object(name)
-        if not isinstance(plugin, RegistryEntry):
-            return plugin
-        if plugin.needs is not None:
-            plugin.needs.check(name)
-        # Errors in modules of this project are bugs, and keep their traceback.
-        return plugin.load() if name in self._table else self._guarded(name, plugin.load)
-
-    def _object(self, name: str) -> Any:
-        """The entry of the table, or the object of the entry point: an entry or a plug-in."""
-        if name in self._table:
-            return self._table[name]
-        if name not in self.points():
-            raise self.unknown(name)
-        return self._guarded(name, self.points()[name].load)
-
-    def _guarded(self, name: str, load: Callable[[], Any]) -> Any:
-        point = self.points()[name]
-        subject = f"{name} ({point.value} of {_owner(point)})"
-        try:
-            plugin = load()
-        except Exception as error:  # noqa: BLE001 - a module of another package may fail with anything
-            raise InputError(subject, f"cannot be loaded ({type(error).__name__}: {error})",
-                             "repair or remove the package that adds it") from None
-        if not isinstance(plugin, self._entry) and not self._fits(plugin):
-            raise InputError(subject, f"is not {self.what}", "repair or remove the package that adds it")
-        return plugin
+        """The object of a name. `InputError` in one line for an unknown name, for a missing library, for any exception
+        while another package's module is imported, and for an object that is no such plug-in."""
+        if name not in self._table:
+            return self._outside(name, whole=True)
+        # Errors in modules of this project are bugs, and have their traceback.
+        return self._table[name].load(name)
 
     def usable(self) -> dict[str, E]:
         """The entries in full. Of one that cannot be imported only a line is printed, on standard error."""
@@ -168,6 +127,26 @@ class Registry(Mapping[str, E], Generic[E]):
             except InputError as error:
                 complain(f"{PROJECT}: {error}")
         return entries
+
+    def _outside(self, name: str, whole: bool = False) -> Any:
+        """The object of another package's entry point: the plug-in, or unless `whole` its entry."""
+        if name not in self.points:
+            # A misspelt name is the usual mistake; the list alone would have to be searched by eye.
+            near = difflib.get_close_matches(name, list(self), 1)
+            raise InputError(name, f"is not {self.what}",
+                             (f"did you mean {near[0]}? " if near else "") + f"take one of {', '.join(self)}")
+        point = self.points[name]
+        subject = f"{name} ({point.value} of {_owner(point)})"
+        try:
+            plugin = point.load()
+            if whole and isinstance(plugin, RegistryEntry):
+                plugin = plugin.load(name)
+        except Exception as error:  # noqa: BLE001 - a module of another package may fail with anything
+            raise InputError(subject, f"cannot be loaded ({type(error).__name__}: {error})",
+                             "repair or remove the package that adds it") from None
+        if not isinstance(plugin, self._entry) and not self._fits(plugin):
+            raise InputError(subject, f"is not {self.what}", "repair or remove the package that adds it")
+        return plugin
 
 
 def _owner(point: EntryPoint) -> str:

@@ -20,6 +20,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar, cast
 
+import msgspec
+
 from data_module.errors import InputError
 from data_module.files import parse_json
 
@@ -60,8 +62,6 @@ class SettingChoice:
 
 _MOST_STEPS = 10**9
 """Most steps: more than a decade of training."""
-_LONGEST = 2**16
-"""Most values in one setting: the number of lexemes in the largest lexicon."""
 _WIDEST = 2**16
 """Largest width: a square layer has 17 GB of weights."""
 
@@ -84,51 +84,18 @@ def _hints(cls: Any) -> dict[str, Any]:
     return typing.get_type_hints(cls, include_extras=True)
 
 
-def limits_of(hint: Any) -> SettingRange | SettingChoice | None:
-    marks = getattr(hint, "__metadata__", ())
-    return next((mark for mark in marks if isinstance(mark, SettingRange | SettingChoice)), None)
-
-
 def check(settings: Any, path: str = "") -> None:
-    """InputError for the first setting that is of another type than its field, or outside its range. settings: a
-    dataclass; path: its own place in the tree, such as "generator"."""
+    """InputError for the first setting outside its range. settings: a dataclass; path: its own place in the tree, such
+    as "generator"."""
     hints = _hints(cast(Any, type(settings)))
     for field in dataclasses.fields(settings):
-        value, hint = getattr(settings, field.name), hints[field.name]
-        place = f"{path}.{field.name}" if path else field.name
+        value, place = getattr(settings, field.name), f"{path}.{field.name}" if path else field.name
         if dataclasses.is_dataclass(value):
             check(value, place)
             continue
-        _check_type(value, hint, place)
-        limits = limits_of(hint)
-        if limits is not None:
-            for number in value if isinstance(value, tuple) else (value,):
-                if number not in limits:
-                    raise InputError(place, f"is {value!r}", f"give {limits}")
-
-
-def _check_type(value: Any, hint: Any, place: str) -> None:
-    plain = typing.get_args(hint)[0] if hasattr(hint, "__metadata__") else hint
-    kind = typing.get_origin(plain) or plain
-    fits = _is(value, kind)
-    if fits and kind is tuple:
-        inner = typing.get_args(plain)
-        fits = len(value) <= _LONGEST and all(_is(item, inner[0]) for item in value)
-        fits = fits and (inner[-1] is Ellipsis or len(value) == len(inner))
-    if not fits:
-        raise InputError(place, f"is {_shown(value)}", f"give a value of the kind {getattr(kind, '__name__', kind)}")
-
-
-def _is(value: Any, kind: Any) -> bool:
-    # To Python a bool is an int, but `true` for a width is an error.
-    if isinstance(value, bool) or kind is bool:
-        return isinstance(value, bool) and kind is bool
-    return isinstance(value, (int, float) if kind is float else kind)
-
-
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 40 else f"{text[:40]}..."
+        for limits in getattr(hints[field.name], "__metadata__", ()):
+            if not all(number in limits for number in (value if isinstance(value, tuple) else (value,))):
+                raise InputError(place, f"is {value!r}", f"give {limits}")
 
 
 def to_dict(settings: Any) -> dict[str, Any]:
@@ -138,30 +105,24 @@ def to_dict(settings: Any) -> dict[str, Any]:
 
 
 def from_dict(cls: type[T], data: Mapping[str, Any]) -> T:
-    """The inverse of `to_dict`, without `check`; InputError names an unknown or missing setting."""
-    if not dataclasses.is_dataclass(cls):
-        raise TypeError(f"{cls} is not a dataclass")
-    hints: dict[str, Any] = _hints(cast(Any, cls))
-    unknown = sorted(set(map(str, data)) - {field.name for field in dataclasses.fields(cls)})
-    if unknown:
-        raise InputError("settings", f"unknown: {', '.join(unknown)[:200]}", "use a matching version of gesticulator")
-    values: dict[str, Any] = {}
-    for name, value in data.items():
-        if dataclasses.is_dataclass(hints[name]):
-            if not isinstance(value, Mapping):
-                raise InputError("settings", f"{name} is {_shown(value)}, and a group of settings is wanted",
-                                 "use a matching version of gesticulator")
-            value = from_dict(cast(type, hints[name]), value)
-        elif isinstance(value, list):
-            # JSON has no tuples; settings have no lists.
-            value = tuple(value)
-        values[name] = value
+    """The inverse of `to_dict`, without `check`; InputError names an unknown or missing setting, or one of another
+    type."""
+    _check_names(cls, data, "")
     try:
-        return cls(**values)
-    except TypeError as error:
-        raise InputError("settings", str(error), "use a matching version of gesticulator") from None
-    except (ValueError, OverflowError) as error:
-        raise InputError("settings", str(error), "change them") from None
+        return msgspec.convert(data, cls)
+    except msgspec.ValidationError as error:
+        wrong, _, place = str(error).partition(" - at `$.")
+        raise InputError(place.rstrip("`") or "settings", f"cannot be used ({wrong[:200]})",
+                         "change it, or use a matching version of gesticulator") from None
+
+
+def _check_names(cls: Any, data: Mapping[str, Any], path: str) -> None:
+    hints = _hints(cls)
+    for name, value in data.items():
+        if name not in hints:
+            raise InputError(f"{path}{name}"[:100], "is not a setting", f"known here: {', '.join(sorted(hints))}")
+        if dataclasses.is_dataclass(hints[name]) and isinstance(value, Mapping):
+            _check_names(hints[name], value, f"{path}{name}.")
 
 
 def with_settings(config: T, settings: Sequence[str]) -> T:
@@ -177,37 +138,19 @@ def with_settings(config: T, settings: Sequence[str]) -> T:
             value = parse_json(text, setting, "write path=value")
         except InputError:
             value = text
-        _put(tree, config, path.split("."), value, setting)
-    # All at once, because shares that must sum to 1 cannot be changed one by one.
-    return from_dict(type(config), tree) if settings else config
-
-
-def _put(tree: dict[str, Any], node: Any, path: list[str], value: Any, setting: str) -> None:
-    # The known names of this group are the help that a misspelt path needs.
-    names = {f.name for f in dataclasses.fields(node)}
-    if path[0] not in names:
-        raise InputError(setting, f"there is no setting '{path[0]}'", f"known here: {', '.join(sorted(names))}")
-    old = getattr(node, path[0])
-    if isinstance(old, Mapping):  # an open group, which the settings check when they are made
-        _put_open(tree.setdefault(path[0], {}), path[1:], value, setting)
-        return
-    if len(path) > 1:
-        if not dataclasses.is_dataclass(old):
-            raise InputError(setting, f"'{path[0]}' holds no further settings", "shorten the path")
-        _put(tree[path[0]], old, path[1:], value, setting)
-        return
-    if isinstance(old, tuple) and isinstance(value, list):
-        value = tuple(value)
-    # `=1` for a float setting is meant as 1.0.
-    if isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
-        try:
-            value = float(value)
-        except OverflowError:
-            value = math.inf
-    # Exactly the type: True would pass for 1, and 1 for True.
-    if dataclasses.is_dataclass(old) or type(old) is not type(value):
-        raise InputError(setting, f"expects a value like {old!r}", "write path=value")
-    tree[path[0]] = value
+        *groups, name = path.split(".")
+        group: Any = tree
+        for part in groups:
+            group = group.setdefault(part, {})
+            if not isinstance(group, dict):
+                raise InputError(setting, f"'{part}' holds no further settings", "shorten the path")
+        group[name] = value
+    try:
+        # All at once, because shares that must sum to 1 cannot be changed one by one.
+        return from_dict(type(config), tree) if settings else config
+    except InputError as error:
+        typed = next((setting for setting in settings if setting.startswith(error.subject)), error.subject)
+        raise InputError(typed, error.wrong, error.advice) from None
 
 
 def whole_number(text: str, most: int) -> int | None:
@@ -216,17 +159,6 @@ def whole_number(text: str, most: int) -> int | None:
         return None
     number = int(text)
     return number if number <= most else None
-
-
-def _put_open(tree: dict[str, Any], path: list[str], value: Any, setting: str) -> None:
-    """Put a value into an open group: group.NAME={...}, or group.NAME.setting=value."""
-    if not path or (len(path) == 1 and not isinstance(value, dict)):
-        raise InputError(setting, "names no setting of this group", "write group.name={} or group.name.setting=value")
-    for name in path[:-1]:
-        tree = tree.setdefault(name, {})
-        if not isinstance(tree, dict):
-            raise InputError(setting, f"'{name}' holds no further settings", "shorten the path")
-    tree[path[-1]] = value
 
 
 def digest(*parts: Any) -> str:

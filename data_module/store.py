@@ -2,8 +2,7 @@
 
 A store is a folder. `store.json` lists its content, `recordings/NAME.flac` is the sound and `recordings/NAME.npz` the
 motion on the character (with fingers and legs) at the original frame rate, the words and, for a scripted performance,
-the truth. It is written to `OUT.partial`, where finished recordings remain if the work is interrupted, and renamed at
-the end.
+the truth.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +28,7 @@ from data_module.files import is_free, read_json, rename, write_bytes, write_tex
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, JOINTS, resized
 from data_module.speech.audio import load_speech, write_flac
-from data_module.truth import TABLES, PlayedStroke, Truth, record
+from data_module.truth import TABLES, PlayedStroke, Truth
 from data_module.types import Motion, Speech, Word
 
 __all__ = ["SPLITS", "Recording", "RecordingInfo", "Store", "StoreWriter"]
@@ -36,7 +36,7 @@ __all__ = ["SPLITS", "Recording", "RecordingInfo", "Store", "StoreWriter"]
 FORMAT = 3
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
-_LISTING, _FOLDER, _BEGUN = "store.json", "recordings", "begun.json"
+_LISTING, _FOLDER = "store.json", "recordings"
 _LARGEST_LISTING = 1 << 28
 """Bytes (256 MiB) of a listing: half a kilobyte a recording, so half a million recordings."""
 
@@ -67,6 +67,8 @@ class RecordingInfo:
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
             raise InputError(self.name, f"has the split '{self.split}'", f"use one of {', '.join(SPLITS)}")
+        if not all(0 <= number < np.inf for number in (self.seconds, self.frames, self.fps)):
+            raise ValueError("a length that is not a number")
         # Unprintable are control characters and invalid bytes.
         if not self.name or any(mark in self.name for mark in "/\\:") or self.name.startswith(".") \
                 or not self.name.isprintable():
@@ -85,29 +87,39 @@ class Recording:
     stands: bool = False
 
 
+@dataclass(frozen=True)
+class _Listing:
+    """The entries of `store.json`."""
+
+    corpus: str
+    settings: dict[str, Any]
+    seed: int
+    licence: str
+    fingerprint: str
+    recordings: tuple[RecordingInfo, ...]
+
+
 class Store:
     """A finished store, opened for reading."""
 
     def __init__(self, path: Path, listing: Mapping[str, Any]) -> None:
+        checked = msgspec.convert(listing, _Listing)
         self.path = path
-        self.corpus: str = _typed(listing["corpus"], str)
-        self.settings: dict[str, Any] = _typed(listing["settings"], dict)
-        self.seed: int = _typed(listing["seed"], int)
-        self.licence: str = _typed(listing["licence"], str)
-        self.fingerprint: str = _typed(listing["fingerprint"], str)
-        self.recordings: tuple[RecordingInfo, ...] = tuple(_info(entry) for entry in listing["recordings"])
-        self._hashes = {e["name"]: (_typed(e["sha256"]["flac"], str), _typed(e["sha256"]["npz"], str))
-                        for e in listing["recordings"]}
+        self.corpus, self.settings, self.seed = checked.corpus, checked.settings, checked.seed
+        self.licence, self.fingerprint, self.recordings = checked.licence, checked.fingerprint, checked.recordings
+        self._hashes = {entry["name"]: (str(entry["sha256"]["flac"]), str(entry["sha256"]["npz"]))
+                        for entry in listing["recordings"]}
         if len(self._hashes) != len(self.recordings):
             raise ValueError("two recordings share a name")
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Store:
-        """Open the store at `path`; `InputError` if it is missing, not a store, of another format or unfinished."""
+        """Open the store at `path`; `InputError` if it is missing, not a store, or of another format."""
         folder = Path(path)
         listing = folder / _LISTING
         if not listing.is_file():
-            raise InputError(folder, *_why_not_a_store(folder))
+            raise InputError(folder, "is not a store (no store.json)" if folder.exists() else "does not exist",
+                             "give a folder made by gesticulator build")
         try:
             content = read_json(listing, "build it again", _LARGEST_LISTING)
             number = content["format"]
@@ -157,54 +169,22 @@ class Store:
 
 
 class StoreWriter:
-    """Writes a store, recording by recording, in any order and from several processes at once. Interrupted work is
-    resumed: finished recordings in `OUT.partial` are used if corpus, settings and seed are the same; else
-    `InputError`."""
+    """Writes a store, recording by recording, in any order and from several processes at once, to `OUT.partial`, which
+    is renamed at the end. `InputError` if something is at `path`."""
 
     def __init__(self, path: str | os.PathLike[str], corpus: str, settings: Mapping[str, Any], seed: int,
                  licence: str) -> None:
         self.path = Path(path)
         self.partial = self.path.with_name(self.path.name + ".partial")
-        self._head = {"format": FORMAT, "corpus": corpus, "settings": json.loads(json.dumps(settings)), "seed": seed,
-                      "licence": licence}
+        self._head = {"format": FORMAT, "corpus": corpus, "settings": settings, "seed": seed, "licence": licence}
         if not is_free(self.path):
             raise InputError(self.path, "is already there", "delete it or choose another folder")
-        begun = self.partial / _BEGUN
-        # Checked first: another process may be creating the same store, first this folder, then that file.
-        strange = [entry for entry in (self.partial.iterdir() if self.partial.exists() else ())
-                   if entry.name[0] != "." and (entry.name != _FOLDER or any(entry.iterdir()))]
-        if begun.is_file():
-            try:
-                before = _typed(read_json(begun, f"delete {self.partial} and build again"), dict)
-            except (InputError, ValueError, TypeError):
-                raise InputError(begun, "is damaged", f"delete {self.partial} and build again") from None
-            if before != self._head:
-                raise InputError(self.partial, f"was begun with {_difference(before, self._head)}",
-                                 "delete it, or use what it was begun with")
-        elif strange:
-            raise InputError(self.partial, "stands in the way", "delete it or choose another folder")
-        # Folder first: another process that looks in between finds an empty folder, which blocks nothing.
-        (self.partial / _FOLDER).mkdir(parents=True, exist_ok=True)
-        if not begun.is_file():
-            write_text(begun, json.dumps(self._head, indent=1))
+        self.discard()
+        (self.partial / _FOLDER).mkdir(parents=True)
 
-    @property
-    def head(self) -> Mapping[str, Any]:
-        return self._head
-
-    def has(self, name: str) -> bool:
-        """Whether the recording is finished and its files are complete."""
-        try:
-            entry = read_json(self._entry(name), "build it again")
-            # Hashed, not only looked for: a crash may leave a file of the right size with wrong content.
-            hashes = [_sha256(file) for file in _files(self.partial, name)]
-            return bool([entry["sha256"]["flac"], entry["sha256"]["npz"]] == hashes)
-        except (InputError, OSError, ValueError, TypeError, KeyError):
-            return False
-
-    def add(self, recording: Recording, character: Motion | None = None) -> None:
-        """Write one recording with its motion, or `character` in its place, on the character in any of its sizes. The
-        motion must last as long as the speech, to a frame."""
+    def add(self, recording: Recording, character: Motion | None = None) -> Path:
+        """Write one recording with its motion, or `character` in its place, on the character in any of its sizes; its
+        sound file. The motion must last as long as the speech, to a frame."""
         recording = recording if character is None else replace(recording, motion=character)
         motion, info = recording.motion, recording.info
         if not any(motion.skeleton.same_joints(character) for character in CHARACTERS.values()):
@@ -219,21 +199,17 @@ class StoreWriter:
                                 "fps": motion.fps, "absent": list(motion.absent), "filled": list(motion.filled),
                                 "sources": list(info.sources),
                                 "sha256": {"flac": _sha256(sound), "npz": _sha256(arrays)}}
-        # Last: a recording with an entry is complete, one that was interrupted has none (`has`).
         write_text(self._entry(info.name), json.dumps(entry))
+        return sound
 
     def finish(self, names: Sequence[str]) -> Store:
         """Write the list of the recordings in the order of `names`, which must all exist, and rename the store."""
         entries = [read_json(self._entry(name), "build it again") for name in names]
-        # Entries and dropped recordings are deleted, so that equal stores have equal files.
-        listed = {file for name in names for file in _files(self.partial, name)}
-        for file in sorted((self.partial / _FOLDER).iterdir()):
-            if file not in listed:
-                file.unlink()
+        # So that equal stores have equal files.
+        for name in names:
+            self._entry(name).unlink()
         listing = self._head | {"fingerprint": _fingerprint(entries), "recordings": entries}
         write_text(self.partial / _LISTING, json.dumps(listing, indent=1))
-        # After the listing: an interruption in between leaves a folder that is still known as half-written.
-        (self.partial / _BEGUN).unlink()
         if self.path.exists():
             self.path.rmdir()
         rename(self.partial, self.path)
@@ -244,67 +220,6 @@ class StoreWriter:
 
     def _entry(self, name: str) -> Path:
         return self.partial / _FOLDER / f"{name}.json"
-
-
-def matching(path: str | os.PathLike[str], corpus: str, settings: Mapping[str, Any], seed: int) -> Store | None:
-    """The store at `path` if it was built with exactly these settings, None if there is nothing yet. `InputError` if
-    something else is there, or a store of other settings."""
-    folder = Path(path)
-    if not (folder / _LISTING).is_file():
-        return None
-    store = Store.open(folder)
-    # By way of JSON, in which tuples are lists, as they come back from the file.
-    wanted = {"corpus": corpus, "settings": json.loads(json.dumps(settings)), "seed": seed}
-    stored = {"corpus": store.corpus, "settings": store.settings, "seed": store.seed}
-    if wanted != stored:
-        raise InputError(folder, f"was built with {_difference(stored, wanted)}", "delete it or choose another folder")
-    return store
-
-
-def _why_not_a_store(folder: Path) -> tuple[str, str]:
-    """Problem and remedy for the message about a folder without a listing."""
-    if not folder.exists():
-        if folder.with_name(folder.name + ".partial").is_dir():
-            return "is half-written", "run the same build again to finish it"
-        return "does not exist", "build it with gesticulator build"
-    if (folder / _BEGUN).is_file():
-        return "is half-written", "run the same build again to finish it"
-    return "is not a store (no store.json)", "give a folder made by gesticulator build"
-
-
-def _difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """The settings that differ, each with both values, for a message."""
-    old, new = _flat(before), _flat(now)
-    changed = [key for key in {**old, **new} if old.get(key) != new.get(key)]
-    return ", ".join(f"{key} {old.get(key, 'unset')} (now {new.get(key, 'unset')})" for key in changed)
-
-
-def _flat(tree: Mapping[str, Any]) -> dict[str, Any]:
-    out: dict[str, Any] = {}
-    # Only the innermost names are shown: paths would make the message longer, not clearer.
-    for key, value in tree.items():
-        out.update(_flat(value) if isinstance(value, Mapping) else {key: value})
-    return out
-
-
-def _info(entry: Mapping[str, Any]) -> RecordingInfo:
-    """An entry of the listing; ValueError, TypeError or KeyError for an invalid one."""
-    # Each value is checked below, because a listing may have been edited by hand.
-    known = {field.name: entry[field.name] for field in fields(RecordingInfo)}
-    for name in ("name", "split", "speaker", "voice", "language", "group", "part"):
-        _typed(known[name], str)
-    if not all(0 <= float(_typed(known[name], int | float)) < np.inf for name in ("seconds", "frames", "fps")):
-        raise ValueError("an invalid number")
-    lists = {key: tuple(_typed(name, str) for name in _typed(known[key], list))
-             for key in ("absent", "sources", "filled")}
-    return RecordingInfo(**known | lists)
-
-
-def _typed(value: Any, kind: Any) -> Any:
-    # True is an int to Python, but no number in a listing.
-    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-        raise TypeError(f"{type(value).__name__} is no {kind}")
-    return value
 
 
 def _files(folder: Path, name: str) -> tuple[Path, Path]:
@@ -331,7 +246,7 @@ def _columns(prefix: str, rows: Sequence[Any], names: Sequence[str]) -> dict[str
 def _rows(arrays: Mapping[str, NDArray[Any]], prefix: str, kind: type, names: Sequence[str]) -> tuple[Any, ...]:
     columns = [arrays[f"{prefix}_{name}"].tolist() for name in names]
     rows = (dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True))
-    return tuple(record(kind, row) for row in rows)
+    return tuple(msgspec.convert(row, kind) for row in rows)
 
 
 def _arrays(recording: Recording) -> dict[str, NDArray[Any]]:
@@ -361,8 +276,7 @@ def _read(info: RecordingInfo, sound: Path, file: Path) -> Recording:
             raise ValueError("other joints")
         motion = Motion(skeleton, rotation.normalise(as_floats(arrays["rotations"])),
                         as_floats(arrays["root_positions"]), float(arrays["fps"].item()),
-                        *(tuple(_typed(name, str) for name in arrays[which].tolist())
-                          for which in ("absent", "filled")))
+                        *(tuple(map(str, arrays[which].tolist())) for which in ("absent", "filled")))
         words = _rows(arrays, "word", Word, _WORDS) if "word_text" in arrays else None
         # The first column of strokes marks a scripted performance; other tables may be empty.
         truth = None

@@ -3,13 +3,7 @@ so that a store can keep them as columns."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import MISSING, asdict, dataclass, fields
-from typing import Any, TypeVar
-
-_Record = TypeVar("_Record")
-_LARGEST = 1e9
-"""Largest plausible number of seconds, decibels, semitones or shares."""
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
@@ -118,33 +112,7 @@ class Truth:
     style: tuple[StyleKnot, ...] = ()
     phases: tuple[PhaseSpan, ...] = ()
 
-    def to_json(self) -> dict[str, Any]:
-        return {name: [asdict(row) for row in getattr(self, name)] for name in TABLES}
-
-    @classmethod
-    def from_json(cls, tables: Mapping[str, Any]) -> Truth:
-        return cls(**{name: tuple(record(kind, row) for row in tables[name]) for name, kind in TABLES.items()})
-
 
 TABLES: dict[str, type] = {"strokes": PlayedStroke, "syllables": Syllable, "phrases": Phrase, "marks": Mark,
                            "style": StyleKnot, "phases": PhaseSpan}
 """Field of `Truth` -> type of its records."""
-
-
-def record(kind: type[_Record], row: Mapping[str, Any]) -> _Record:
-    """A flat dataclass from its fields; one with a default may be missing. ValueError for another type of value,
-    TypeError for other fields, KeyError for a missing one."""
-    # Stores may have been written before a field with a default was added.
-    for field in fields(kind):  # type: ignore[arg-type]
-        if field.default is not MISSING and field.name not in row:
-            continue
-        name, wanted, value = field.name, str(field.type), row[field.name]
-        if wanted == "float":
-            # Compared, not converted, because JSON's integers are unbounded.
-            good = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _LARGEST
-        else:
-            # By name and exactly, because a bool is an int to `isinstance`.
-            good = type(value).__name__ == wanted
-        if not good:
-            raise ValueError(f"{name} is not a {wanted}")
-    return kind(**row)

@@ -1,1 +1,1 @@
-"""Floor 3: the judges; metrics, the suite, ablations and the report."""
+"""Floor 3: the judges; metrics, the suite and ablations."""

@@ -51,8 +51,6 @@ ACCEPTANCE = verb("judge the motion of a bundle by the table of bounds", "eval.a
                   "acceptance --data STORE --out motion.json", "acceptance --data STORE --only rest effort --limit 4")
 QUALITY = verb("measure the models of a bundle on the test split, beside baselines", "eval.quality",
                "quality --data STORE --out docs/results/quality.json")
-REPORT = verb("collect all stored results on one page", "eval.report",
-              "report", "report --results docs/results --out docs/report")
 STUDY = verb("make a user study, or analyse its ratings", "eval.study.command",
              "study make --systems ours=DIR truth=DIR --out FOLDER",
              "study analyse --key FOLDER/key.json ratings-*.json --out study.json")

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import torch
@@ -73,9 +73,7 @@ class EvalContext:
         parser.add_argument("--data", required=True, metavar="STORE", help="a store built by `gesticulator build`")
         parser.add_argument("--bundle", metavar="NAME|DIR",
                             help="bundle: default, paper, or a folder (default: default)")
-        parser.add_argument("--work", metavar="DIR",
-                            help="work folder: cached blocks and networks, and the reward models of the bundle's "
-                            "training (default: STORE.work)")
+        parser.add_argument("--work", metavar="DIR", help="work folder for cached blocks (default: STORE.work)")
         parser.add_argument("--limit", type=int, metavar="N", help="use only the first N recordings of a split")
         parser.add_argument("--quiet", action="store_true", help="print no progress bars")
 
@@ -85,14 +83,13 @@ class EvalContext:
         if arguments.limit is not None and arguments.limit < 1:
             raise InputError(f"--limit {arguments.limit}", "leaves no recording", "choose 1 or more")
         store, work = opened(arguments.data, arguments.work)
-        bundle = with_judges(bundles.load(bundle_folder(arguments.bundle)), work)
+        bundle = bundles.load(bundle_folder(arguments.bundle))
         return cls.over(store, bundle, work, arguments.limit, not arguments.quiet)
 
     @property
     def run(self) -> Run:
-        """The data with its settings; InputError where no store was given."""
-        if self.data is None:
-            raise InputError("--data", "is missing", "give a store built by `gesticulator build`")
+        """The data with its settings."""
+        assert self.data is not None
         return self.data
 
     @property
@@ -147,21 +144,12 @@ class EvalContext:
 
     def numbers(self, split: str = "test", with_text: bool = False) -> list[int]:
         """Recordings of a split by their number in the corpus, `limit` at most; with_text: those that have words."""
+        # The first ones, so that a limited run is a part of the whole one.
         return self.corpus.recordings(split, with_text)[:self.limit]
 
     def loaded(self, number: int) -> Recording:
         """A recording with its sound and motion."""
         return self.store.load(self.corpus.names[number], self.run.config.motion.joints)
-
-    def recordings(self, split: str = "test") -> list[Recording]:
-        """Those of a split, `limit` at most."""
-        return [self.loaded(number) for number in self.numbers(split)]
-
-    def described(self) -> dict[str, Any]:
-        """The data, for the facts of a table."""
-        return {"store": {"name": self.store.corpus, "fingerprint": self.store.fingerprint,
-                          "test_recordings": len(self.numbers())}}
-
 
 def opened(data: str, work: str | None) -> tuple[Store, Path]:
     """A store with a test split, and its work folder (default: STORE.work), made where it is not there."""

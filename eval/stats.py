@@ -130,17 +130,12 @@ def crossed_means(values: Array, seed: int = 0, draws: int = DRAWS) -> Array:
     Systems are averaged over the same draw, so their differences are paired.
     """
     # Counts instead of indices: a draw of raters and clips is then a product of three arrays.
-    times = _crossed_draws(values.shape[:2], seed, draws)
+    rng = np.random.default_rng(seed)
+    times = [rng.multinomial(n, np.full(n, 1 / n), size=draws).astype(np.float64) for n in values.shape[:2]]
     there = np.isfinite(values)
     total, count = (np.einsum("dr,rck,dc->dk", times[0], part, times[1], optimize=True)
                     for part in (np.where(there, values, 0.0), there.astype(np.float64)))
     return np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
-
-
-def _crossed_draws(shape: tuple[int, ...], seed: int, draws: int) -> list[Array]:
-    """[draws, n] for each axis: how often each of its members was drawn."""
-    rng = np.random.default_rng(seed)
-    return [rng.multinomial(n, np.full(n, 1 / n), size=draws).astype(np.float64) for n in shape]
 
 
 # ----------------------------------------------------------------------------------------------------- figures of sets

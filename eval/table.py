@@ -1,4 +1,4 @@
-"""The table: every judge gives its figures as one, and it is shown as Markdown, on the terminal, and kept as JSON.
+"""The table: every judge gives its figures as one, and it is shown as Markdown and kept as JSON.
 
 A cell is an interval, a number, a text, or None for nothing. What is undefined is NaN in numbers and null in JSON,
 which has no NaN. A file of results is FILE.json with {"about": ..., "tables": [...]} for programs, and beside it the
@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from data_module.errors import InputError
-from data_module.files import parse_json, read_object, write_text
+from data_module.files import read_object, write_text
 from eval.stats import Interval
 
 __all__ = ["Column", "Provenance", "Table", "load", "markdown", "publish", "save"]
@@ -48,6 +48,7 @@ class Provenance:
     machine: str
 
     def __post_init__(self) -> None:
+        # A figure without its command and commit cannot be made again.
         empty = [entry.name for entry in fields(self) if not getattr(self, entry.name).strip()]
         if empty:
             raise ValueError(f"a table needs its {', '.join(empty)}")
@@ -118,33 +119,19 @@ class Table:
     notes: Sequence[str] = ()
     facts: Mapping[str, Any] = field(default_factory=dict)
 
-    def cells(self, keys: Sequence[str] | None = None) -> list[list[str]]:
-        """The text of some columns (all): headings first, then the rows."""
-        columns = {key: self.columns[key] for key in (self.columns if keys is None else keys)}
-        shown = [[self.head, *(column.heading for column in columns.values())]]
-        return shown + [[name, *(shown_cell(row.get(key), column.digits) for key, column in columns.items())]
-                        for name, row in self.rows.items()]
-
     def markdown(self) -> str:
         """Title, table, notes; a table of more than `MOST_COLUMNS` columns in parts of the same rows."""
         lines = [f"### {self.title}", ""] if self.title else []
         keys = list(self.columns)
         # Parts of nearly one width: eight columns and a last part of one would be hard to read.
         parts = math.ceil(len(keys) / (MOST_COLUMNS - 1))
-        for keys_of_part in np.array_split(np.array(keys, dtype=object), parts) if parts else ():
-            first, *rest = self.cells(list(keys_of_part))
-            lines += [_line(first), "|---" * len(first) + "|", *map(_line, rest), ""]
+        for part in np.array_split(np.array(keys, dtype=object), parts) if parts else ():
+            columns = {key: self.columns[key] for key in part}
+            lines += [_line([self.head, *(column.heading for column in columns.values())]),
+                      "|---" * (len(columns) + 1) + "|",
+                      *(_line([name, *(shown_cell(row.get(key), column.digits) for key, column in columns.items())])
+                        for name, row in self.rows.items()), ""]
         return "\n".join([*lines, *(f"{note}\n" for note in self.notes)]).rstrip() + "\n"
-
-    def terminal(self) -> str:
-        """The same with columns of one width."""
-        lines = [self.title] if self.title else []
-        if self.columns:
-            rows = self.cells()
-            widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-            lines += ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
-                      for row in rows]
-        return "\n".join([*lines, *self.notes]) + "\n"
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -159,7 +146,7 @@ class Table:
             raise ValueError(f"digits are not 0 to {MOST_DIGITS}")
         return cls(held["title"], {key: Column(**column) for key, column in held["columns"].items()},
                    {name: {key: _unpacked(cell) for key, cell in row.items()} for name, row in held["rows"].items()},
-                   held["head"], held["notes"], _undefined(held["facts"]))
+                   held["head"], held["notes"], undefined(held["facts"]))
 
 
 def shown_cell(cell: Cell, digits: int) -> str:
@@ -170,6 +157,7 @@ def shown_cell(cell: Cell, digits: int) -> str:
         return cell.text(digits)
     if isinstance(cell, float):
         return f"{cell:.{digits}f}" if math.isfinite(cell) else "-"
+    # Whole numbers are counts, which have no digits behind the point.
     return "-" if cell is None else str(cell)
 
 
@@ -213,19 +201,12 @@ def dumps(value: Any, indent: int | None = None) -> str:
     return json.dumps(plain(value), indent=indent, allow_nan=False) + "\n"
 
 
-def loads(text: str) -> Any:
-    """The inverse of `dumps`, with NaN for null. ValueError for text that is no JSON."""
-    try:
-        return _undefined(parse_json(text, "a result", ""))
-    except InputError as error:
-        raise ValueError(str(error)) from None
-
-
-def _undefined(value: Any) -> Any:
+def undefined(value: Any) -> Any:
+    """JSON that was read, with NaN for null, however deep it lies."""
     if isinstance(value, dict):
-        return {key: _undefined(inner) for key, inner in value.items()}
+        return {key: undefined(inner) for key, inner in value.items()}
     if isinstance(value, list):
-        return [_undefined(inner) for inner in value]
+        return [undefined(inner) for inner in value]
     return math.nan if value is None else value
 
 
@@ -265,4 +246,4 @@ def publish(tables: Sequence[Table], out: str | Path | None, about: Provenance) 
     """`save` where a file is wanted, and the tables on the screen."""
     if out:
         save(tables, out, about)
-    print("\n".join(table.terminal() for table in tables), end="")
+    print(markdown(tables), end="")

@@ -3,7 +3,7 @@
     python examples/score.py recordings/ their_output/ score.json
 
 recordings/ holds NAME.bvh and NAME.wav of people who speak; their_output/ holds what the other system made for the same
-sounds, as NAME.bvh, or SMPL-X or joint positions as NAME.npz. The rigs need not be alike.
+sounds, as NAME.bvh, or SMPL-X as NAME.npz. The rigs need not be alike.
 """
 
 from __future__ import annotations

@@ -17,7 +17,8 @@ def main(sound: str, first: str, second: str, output: str) -> None:
     gesticulator = Gesticulator.from_pretrained()
     takes = {name: gesticulator(sound, interpreter=name) for name in (first, second)}
     same = (takes[first].lexemes == takes[second].lexemes).mean()
-    print(f"{write_comparison(Path(output), takes)}: {same:.0%} of the blocks have the same lexeme in both")
+    page = write_comparison(Path(output), {name: take.scene() for name, take in takes.items()})
+    print(f"{page}: {same:.0%} of the blocks have the same lexeme in both")
 
 
 if __name__ == "__main__":

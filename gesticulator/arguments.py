@@ -14,7 +14,7 @@ from data_module.errors import InputError
 from data_module.settings import field_docs, whole_number
 from gesticulator.cli import PROGRAM
 from gesticulator.export.clip import NAME, ClipLayout, check_clip_outputs, parse_keys
-from gesticulator.export.writers import UNITS, WRITERS, check_output, suffix_of
+from gesticulator.export.writers import WRITERS, check_output, suffix_of
 from gesticulator.jobs import CharacterRequest, Job, RunSettings, is_folder, jobs_for
 from gesticulator.options import RANGES, InferenceOptions, OptionFlag
 from gesticulator.version import __version__
@@ -68,7 +68,7 @@ _PARSERS: Mapping[str, Callable[[str], object]] = {"hold_still": _seconds, "cues
 """Field -> parser of its value, for values that are neither numbers nor words."""
 _GROUPS = {
     "audio and transcript": "",
-    "motion": "VALUE is low, mid or high, a number, or a CSV file with the columns time and value.",
+    "motion": "VALUE is low, mid or high, or a number.",
 }
 """Title of a group of options -> its description."""
 
@@ -91,7 +91,7 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
                                 "elsewhere; see gesticulator character --help.")
     body.add_argument("--character", metavar="FILE",
                       help="animate this character: .bvh, .glb, .gltf, .vrm, or .fbx if Blender is installed "
-                      "(FILE#NAME: one of several in the file); it stands unless it is seated in the file or --seated "
+                      "(FILE#NAME: one of several in the file); it stands unless --seated "
                       "is given")
     body.add_argument("--mapping", metavar="FILE.json",
                       help="which nodes are which joints, if they are not identified automatically")
@@ -153,7 +153,6 @@ def infer_arguments(p: argparse.ArgumentParser) -> None:
     out.add_argument("-o", "--output", metavar="FILE", action="append", help="motion, in the format given by the "
                      "suffix: " + ", ".join(sorted(set(WRITERS) - {".html", ".json"})) + "; can be repeated")
     out.add_argument("--format", metavar="SUFFIX", help=f"format of -o if it is a folder (default {FORMAT})")
-    out.add_argument("--unit", choices=tuple(UNITS), default="cm", help="unit of length in .bvh files (default cm)")
     out.add_argument("--preview", metavar="FILE.html", help="a page that plays the motion in a browser")
     out.add_argument("--plan-out", "--explain", metavar="FILE.json",
                      help="the gesture plan: every decision, to read, edit and render again with --plan")
@@ -179,9 +178,6 @@ def _clip_arguments(p: argparse.ArgumentParser) -> None:
                       "tracks")
     clip.add_argument("--layer", choices=("additive",), help="additive: the upper body relative to its resting pose, "
                       "to be added to an idle clip of the file")
-    clip.add_argument("--root", choices=("hips", "none"), default="hips", help="none: the hips stay in place (default "
-                      "hips: they travel a few centimetres as the weight shifts)")
-    clip.add_argument("--sound", action="store_true", help="write the speech as WAV beside the motion")
 
 
 def run_settings_of(args: argparse.Namespace) -> RunSettings:
@@ -214,9 +210,8 @@ def settings_of(args: argparse.Namespace, upper: bool = False) -> Job:
 def _character_of(args: argparse.Namespace, upper: bool) -> CharacterRequest | None:
     if args.character is None:
         return None
-    # None leaves it to the character's own pose (`retargeter_for`).
-    legs = False if args.seated or upper else True if args.legs else None
-    return CharacterRequest(args.character, args.mapping, args.save_mapping, not args.no_contacts, legs)
+    return CharacterRequest(args.character, args.mapping, args.save_mapping, not args.no_contacts,
+                            not (args.seated or upper))
 
 
 def jobs_of(args: argparse.Namespace) -> list[Job]:
@@ -226,31 +221,26 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
     outputs = _output_files(args)
     clip = _clip_of(args)
     if clip is not None:
-        check_clip_outputs(clip, list(outputs))
+        check_clip_outputs(clip, outputs)
     jobs = jobs_for(args.speech, outputs, args.text)
-    faces = [target for job in jobs for target in job.targets if suffix_of(target).startswith(".face.")]
-    if faces and args.face == "off":
-        raise InputError(faces[0], "needs a face", "add --face lips or --face full")
+    if ".glb" in outputs and (args.character or "").lower().endswith(".fbx"):
+        raise InputError("-o *.glb", "cannot hold a character from FBX", "write .fbx, or convert the character to GLB")
     if args.plan is not None:
         if len(jobs) > 1:
             raise InputError("--plan", f"is for one recording, and {len(jobs)} are given", "give one")
         if args.text is not None and not args.retime:
             raise InputError("--text", "is already in the plan", "leave it out")
     like = settings_of(args, clip is not None and clip.bare)
-    return [replace(job, options=like.options, clip=clip, character=like.character, unit=args.unit) for job in jobs]
+    return [replace(job, options=like.options, clip=clip, character=like.character) for job in jobs]
 
 
 def _clip_of(args: argparse.Namespace) -> ClipLayout | None:
-    """The layout of clips; None if no option of clips is given. `InputError` for options that exclude each other."""
+    """The layout of clips; None if no option of clips is given."""
     # Without any of these options files are laid out as they always were, byte for byte.
-    given = (args.clip_name, args.loop, args.mask, args.layer, args.sound, args.keys is not None, args.root != "hips")
-    if not any(given):
+    if not any((args.clip_name, args.loop, args.mask, args.layer, args.keys is not None)):
         return None
-    if args.layer == "additive" and not args.loop and args.root == "none":
-        raise InputError("--root", "has no effect on an additive clip", "leave it out: it moves the upper body alone")
     keys = ClipLayout().keys if args.keys is None else args.keys
-    return ClipLayout(args.clip_name or NAME, keys, args.loop, args.mask == "upper", args.layer == "additive",
-                      args.root != "none", args.sound)
+    return ClipLayout(args.clip_name or NAME, keys, args.loop, args.mask == "upper", args.layer == "additive")
 
 
 def _output_files(args: argparse.Namespace) -> dict[str, str]:
@@ -263,9 +253,6 @@ def _output_files(args: argparse.Namespace) -> dict[str, str]:
             raise InputError(name, f"is a second {suffix} beside {outputs[suffix]}", "name one of them")
         check_output(Path(name) / f"gesture{suffix}" if is_folder(name) else name)
         outputs[suffix] = name
-    # BVH names no unit; all other formats do, or are defined in metres.
-    if args.unit != "cm" and ".bvh" not in outputs:
-        raise InputError("--unit", "is only for .bvh", "leave it out: other formats have their own")
     return outputs
 
 

@@ -20,9 +20,9 @@ from gesticulator.sampling.loop import GeneratedMotion, Setup
 from gesticulator.setup import origin_of
 
 if TYPE_CHECKING:
-    from gesticulator.directing.knobs import Shaping
     from gesticulator.directing.lexeme_names import LexemeName
     from gesticulator.directing.record import Origin
+    from gesticulator.directing.shaping import Shaping
     from gesticulator.face.motion import FaceMotion
     from gesticulator.plan.plan import GesturePlan, PlanMeaning
 
@@ -71,8 +71,8 @@ class Assembler:
         # Without shaping poses go through untouched, which keeps the bytes of a plain performance.
         if not self.options.shaped and not self.meanings:
             return None
-        from gesticulator.directing.knobs import Shaping
         from gesticulator.directing.meanings import played_meanings
+        from gesticulator.directing.shaping import Shaping
 
         played = played_meanings(self.meanings)
         return Shaping(self.bundle, self.options, self.setup.speaker, self.speech.words or (), edges,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -179,8 +180,8 @@ class Gesticulator:
             blocks.append(block)
             if self.keeps_generations:
                 states.append(state)
-        generated = GeneratedMotion(encoded.blocks, blocks, loop.motion_of(self.bundle, setup, blocks))
-        performance = Assembler(self.bundle, speech, options, setup).performance(generated, self.lexeme_names)
+        generated = GeneratedMotion(encoded.blocks, blocks, self.bundle.system.motion_of(self.bundle, setup, blocks))
+        performance = self.assemble(Assembler(self.bundle, speech, options, setup), generated)
         if not self.keeps_generations:
             return performance
         from gesticulator.editing.render import Generation
@@ -197,10 +198,14 @@ class Gesticulator:
             return [Request(block, control) for block, control in parts]
         from gesticulator.directing.directions import Director
 
-        # Directions are resolved to block times once: cues, stillness and handedness.
+        # Directions are resolved to block times once: cues and stillness.
         director = Director(self.bundle, options, speech.words or (), float(encoded.blocks.edges[-1]))
         return [director.request(block, knots, control)
                 for (block, control), knots in zip(parts, times, strict=True)]
+
+    def assemble(self, assembler: Assembler, generated: GeneratedMotion) -> Performance:
+        """The performance of generated blocks."""
+        return assembler.performance(generated, self.lexeme_names)
 
     # ------------------------------------------------------------------------------------------------------ plans
 
@@ -209,18 +214,20 @@ class Gesticulator:
         from gesticulator.directing import directions as directing
 
         assert options.plan is not None
-        report, notes = None, tuple[str, ...]()
+        retiming = None
         if options.retime:
-            from gesticulator.directing.cues import warn_of_losses
+            from gesticulator.directing.cues import OptionWarning
 
             moved = self.retimed(options.plan, speech, text=text)
-            report, notes = moved.report, moved.report.lines()[:1]
-            warn_of_losses(report.losses)
+            retiming = str(moved)
+            for line in moved.losses:
+                warnings.warn(OptionWarning(line), stacklevel=4)
             options = replace(options, plan=moved.plan, retime=False)
         options = directing.planned(options)
         assert options.plan is not None
         performance = self.render(directing.with_planned_words(_prepared(speech, options), options.plan), options)
-        return replace(performance, retiming=report).labelled("", notes or performance.decided.notes)
+        return replace(performance, retiming=retiming).labelled(
+            "", (retiming,) if retiming else performance.decided.notes)
 
     def render(self, speech: Speech, options: InferenceOptions, renderer: PlanRenderer | None = None
                ) -> Performance:
@@ -233,8 +240,7 @@ class Gesticulator:
         assert options.plan is not None
         check_plan_of(self.bundle, options.plan, sound_hash(speech))
         renderer = renderer or self.plan_renderer(speech, options)
-        generated = renderer.render(options.plan)
-        performance = self.assembler(speech, options).performance(generated, self.lexeme_names)
+        performance = self.assemble(self.assembler(speech, options), renderer.render(options.plan))
         return replace(performance, generation=renderer.generation()) if self.keeps_generations else performance
 
     def plan_renderer(self, speech: Speech, options: InferenceOptions, generation: Generation | None = None
@@ -248,10 +254,6 @@ class Gesticulator:
 
         plan = options.plan
         assert plan is not None
-        # A curve may pass through values that a bundle without a gate cannot follow.
-        for curve in plan.manner.curves:
-            for time in curve.times:
-                self.resolver.check_activity(plan.manner.share_at(time))
         return PlanRenderer(self.bundle, self._setup(speech, options), speech.samples,
                             partial(self.encode_speech, speech), plan, generation)
 
@@ -273,7 +275,7 @@ class Gesticulator:
         recording = replace(recording, words=None)
         words = None if text is None else words_of(self._with_words(recording, text, None)[0])
         if words is None and sound_hash(recording) == plan.sound.sha256:
-            return retiming.unchanged(plan)
+            return retiming.Retimed(plan, len(plan.blocks))
         draft = retiming.drafted(plan, recording, self.encode_speech(recording), words)
         # Blocks whose beats found no counterpart are decided anew by the models.
         if None not in draft.plan.drawn.lexemes:
@@ -317,8 +319,10 @@ class Gesticulator:
     def _stream(self, sample_rate: float, latency: str, text: bool, checked: InferenceOptions) -> Stream:
         from gesticulator.stream import Stream
 
-        cutter = partial(BlockCutter, self.bundle.config, self._front_end, self.word_encoder if text else None, latency)
-        return Stream(self.bundle, self.resolver.setup(checked, text), checked, cutter, sample_rate)
+        cutter = partial(BlockCutter, self.bundle.config, self._front_end, self.word_encoder if text else None)
+        stream = Stream(self.bundle, self.resolver.setup(checked, text), checked, cutter, sample_rate)
+        stream.latency = latency
+        return stream
 
 
 def _prepared(speech: Speech, options: InferenceOptions) -> Speech:

@@ -12,7 +12,7 @@ import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,14 +41,14 @@ class CharacterRequest:
 
     file: its path, or FILE#NAME for one of several in a file. mapping: a file that says which nodes are which joints;
     save_mapping: where to write it. contacts: whether the hands are kept outside the trunk. legs: whether its legs
-    move; None: unless it is seated in its file.
+    move.
     """
 
     file: str
     mapping: str | None = None
     save_mapping: str | None = None
     contacts: bool = True
-    legs: bool | None = None
+    legs: bool = True
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Job:
 
     source: its file; None is standard input. targets: the output files. text: its transcript, if any. options: of the
     performance. clip: how files for animation tools are laid out; None: by default. character: None for the default
-    skeleton. unit: of length in BVH files. fault: why it cannot be processed, if that is already known.
+    skeleton. fault: why it cannot be processed, if that is already known.
     """
 
     source: Path | None
@@ -66,7 +66,6 @@ class Job:
     options: InferenceOptions = field(default_factory=InferenceOptions)
     clip: ClipLayout | None = None
     character: CharacterRequest | None = None
-    unit: str = "cm"
     fault: InputError | None = None
 
     @property
@@ -255,9 +254,6 @@ def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> R
     retargeter = Retargeter(rig, mapping, contacts=character.contacts, legs=character.legs)
     remarks = [note] if note else []
     remarks += [f"{doubt}; look at the result" for doubt in retargeter.doubts]
-    # A chair cannot be seen in a skeleton, so legs of a seated character are not moved by default.
-    if character.legs is None and not retargeter.legs:
-        remarks.append("is seated, so hips and legs stay as they are; --legs makes it stand")
     for remark in () if quiet else remarks:
         complain(f"{PROGRAM}: {character.file}: {remark}")
     return retargeter
@@ -279,17 +275,13 @@ class Worker:
         begin = time.perf_counter()
         performance = self._laid_out(job, self.performed(job, speech))
         factor = (time.perf_counter() - begin) / speech.duration
-        written = [performance.save(target, unit=job.unit if target.suffix.lower() == ".bvh" else "cm")
-                   for target in job.targets]
-        notes = list(performance.decided.notes)
-        if performance.retiming is not None:
-            notes += performance.retiming.lines()[1:]
+        written = [performance.save(target) for target in job.targets]
         pages = [f"open {page} in a browser to watch it" for page in written if page.suffix.lower() == ".html"]
         lexemes = performance.lexemes.tolist()
         line = (f"{job.name}: {speech.duration:.1f} s, {len(lexemes) - 1} beats, {len(set(lexemes))} of "
                 f"{len(self.gesticulator.bundle.vectors)} lexemes, real-time factor {factor:.3f} -> "
                 f"{printable(', '.join(map(str, written)))}")
-        return speech.duration, "\n  ".join([line, *notes, *pages])
+        return speech.duration, "\n  ".join([line, *performance.decided.notes, *pages])
 
     def performed(self, job: Job, speech: Speech) -> Performance:
         """The performance of a recording, on the default skeleton; with legs, too, where the character stands."""
@@ -302,10 +294,7 @@ class Worker:
     def _laid_out(self, job: Job, performance: Performance) -> Performance:
         """The performance as the clip of the job, on the character."""
         if job.clip is not None:
-            # The sound beside an output must not replace the recording itself.
-            beside = job.source is not None and any(target.with_suffix(".wav").resolve() == job.source.resolve()
-                                                    for target in job.targets)
-            performance = performance.as_clip(replace(job.clip, sound=job.clip.sound and not beside))
+            performance = performance.as_clip(job.clip)
         return performance if self.retargeter is None else performance.moved_by(self.retargeter)
 
 

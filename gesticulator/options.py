@@ -12,16 +12,16 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from data_module.errors import InputError, shown
-from gesticulator.plan.plan import ENERGIES, HANDS, PlanKnobs, shapes, shows_meanings
+from gesticulator.plan.plan import ENERGIES, PlanKnobs, shapes, shows_meanings
 
 if TYPE_CHECKING:
     from data_module.controls import Controls, Curve
-    from gesticulator.plan.plan import Energy, GestureCue, GesturePlan, Hand
+    from gesticulator.plan.plan import Energy, GestureCue, GesturePlan
     from interpreters.base import LexemeInterpreter
 
 __all__ = ["FPS", "RANGES", "HandControl", "InferenceOptions", "Range"]
 
-HandControl: TypeAlias = "float | str | os.PathLike[str] | Curve | None"
+HandControl: TypeAlias = "float | str | Curve | None"
 
 MEANING_LEVELS = ("off", "few", "normal", "rich")
 """How many of the gestures that the words call for are shown."""
@@ -106,8 +106,8 @@ class InferenceOptions:
     """All options of a performance. The command line is generated from these fields. None means the bundle's default.
     `InputError` for a value out of range.
 
-    A hand control is "low", "mid" or "high" (quantiles of the training data), a number in its unit, a `Curve` over
-    time, or the path of a CSV file with the columns time and value (RG 7.2.1).
+    A hand control is "low", "mid" or "high" (quantiles of the training data), a number in its unit, or a `Curve`
+    over time (RG 7.2.1).
     """
 
     speaker: str | None = _option(None, "NAME")
@@ -150,8 +150,6 @@ class InferenceOptions:
     """Exchange left and right."""
     energy: Energy = _option("neutral", "NAME", choices=tuple(ENERGIES))
     """On top of intensity and activity: calm multiplies both by .6, lively multiplies intensity by 1.5 (`ENERGIES`)."""
-    handedness: Hand | None = _option(None, "HAND", choices=HANDS)
-    """Preferred hand: left, right, or both, where each hand joins in the strokes of the other."""
     hold_still: tuple[tuple[float, float], ...] = _option((), "FROM-TO", many=True)
     """Ranges of seconds in which the hands rest, such as 3.2-5.0."""
     cues: tuple[GestureCue, ...] = _option((), "WORD=GESTURE", many=True, name="cue")
@@ -203,7 +201,7 @@ class InferenceOptions:
     def knobs(self) -> PlanKnobs:
         """The knobs as a plan stores them; the bundle's default activity is stored as 1."""
         return PlanKnobs(float(self.intensity), self.mirror, self.energy,
-                         1.0 if self.activity is None else float(self.activity), self.handedness,
+                         1.0 if self.activity is None else float(self.activity),
                          tuple((float(begin), float(stop)) for begin, stop in self.hold_still))
 
     @property
@@ -219,14 +217,14 @@ class InferenceOptions:
     def directed(self) -> bool:
         """Whether options influence the generation of blocks."""
         # Size and mirroring are left out: they are applied to poses after generation.
-        return bool(self.hold_still or self._moves or self.handedness)
+        return bool(self.hold_still or self._moves)
 
     @property
     def shaped(self) -> bool:
         """Whether options change the generated poses."""
         # Energy changes the size as well as how often somebody gestures.
         resized = self.intensity != 1.0 or ENERGIES[self.energy][0] != 1.0
-        return bool(self._moves or self.handedness or resized
+        return bool(self._moves or resized
                     or (self.plan is not None and (shapes(self.plan) or shows_meanings(self.plan))))
 
     @property

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from gesticulator.characters.retarget import Retargeter
     from gesticulator.characters.rig import Character, CharacterMotion
     from gesticulator.editing.render import Generation
-    from gesticulator.editing.retiming import RetimingReport
     from gesticulator.export.clip import ClipLayout
     from gesticulator.export.writers import Scene
     from gesticulator.face.motion import FaceMotion
@@ -51,7 +50,7 @@ class Performance:
     """The options of the performance, with the bundle's defaults filled in."""
     names: Callable[[], tuple[LexemeName, ...]] | None = None
     """Returns the names of the lexemes."""
-    retiming: RetimingReport | None = None
+    retiming: str | None = None
     """What became of a plan that was moved onto this sound (`InferenceOptions.retime`)."""
     generation: Generation | None = field(default=None, compare=False)
     """The first generation, from which edits start (`Gesticulator.keeps_generations`)."""
@@ -104,21 +103,16 @@ class Performance:
 
         return positions_of(standing(self.motion))
 
-    def save(self, path: str | os.PathLike[str], *, unit: str = "cm") -> Path:
+    def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the performance atomically, in the format of the suffix (`WRITERS`): .bvh, .glb, .fbx and so on for the
         motion, .html for a page that plays it, .json for its plan.
 
-        unit: "cm" or "m", the unit of length of a BVH file; all other formats are in metres or state their unit.
         Missing folders are created. `InputError` for an unknown suffix or a missing dependency of its writer; OSError
         where writing fails.
         """
-        check_output(path, unit)  # before a folder is made
+        check_output(path)  # before a folder is made
         Path(path).parent.mkdir(parents=True, exist_ok=True)
-        if self.clip is not None and self.clip.sound:
-            from gesticulator.export.sound import write_sound
-
-            write_sound(Path(path), self.speech)
-        return write(path, self.scene(), unit=unit)
+        return write(path, self.scene())
 
     def scene(self) -> Scene:
         """The input of writers: motion, sound, plan, character and layout."""
@@ -133,15 +127,15 @@ class Performance:
                      None if self.face is None else self.face.fitted(len(motion)))
 
     def as_clip(self, clip: ClipLayout) -> Performance:
-        """The performance laid out as a clip for animation tools: looped, of the upper body alone, in place. Do it
-        before `on`; ValueError after. `InputError` if the motion is too short for a loop."""
+        """The performance laid out as a clip for animation tools: looped, of the upper body alone. Do it before `on`;
+        ValueError after. `InputError` if the motion is too short for a loop."""
         if self.character is not None and clip.changes_motion:
             raise ValueError("make the clip first, then transfer it to a character")
         motion = self.motion
         if clip.changes_motion:
-            from gesticulator.body.clips import in_place, upper_alone
+            from gesticulator.body.clips import upper_alone
 
-            motion = upper_alone(motion) if clip.bare else motion if clip.root else in_place(motion)
+            motion = upper_alone(motion) if clip.bare else motion
             if clip.loop:
                 from gesticulator.body.clips import looped
 
@@ -173,7 +167,7 @@ class Performance:
         rig = character if isinstance(character, Character) else read_character(character)
         joints = mapping if mapping is None or isinstance(mapping, RigMapping) else load_mapping(mapping, rig)
         # A clip of the upper body must not key the legs, or it could not be laid over a walk.
-        legs = False if self.clip is not None and self.clip.bare else None
+        legs = self.clip is None or not self.clip.bare
         return self.moved_by(Retargeter(rig, joints, contacts=contacts, legs=legs))
 
     def moved_by(self, retargeter: Retargeter) -> Performance:

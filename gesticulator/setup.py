@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import os
 from dataclasses import replace
 from typing import Any
 
@@ -44,7 +43,9 @@ class SetupResolver:
         follow."""
         bundle, defaults = self._bundle, self._bundle.config.selection
         activity = (defaults.activity if options.activity is None else options.activity) * ENERGIES[options.energy][1]
-        self.check_activity(activity)
+        # With rest by phrases (silence.rest=life) activity works without a gate, which would only rank the phrases.
+        if 0 < activity < 1 and "gate" not in bundle.parts and not bundle.config.rests_by_phrase:
+            raise InputError(f"activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")
         if options.variation and not bundle.system.VARIES:
             raise InputError(f"variation {options.variation}", "needs a generator that samples, and this bundle's is "
                              "deterministic", "leave it out, or choose another seed")
@@ -61,11 +62,6 @@ class SetupResolver:
         return Setup(interpreter, self.speaker(options.speaker), temperature, int(options.seed), activity,
                      hand_controls(bundle, options), int(options.variation), interpreter.beta, text)
 
-    def check_activity(self, activity: float) -> None:
-        """`InputError` for a share of gestures between none and all that the bundle cannot decide."""
-        # With rest by phrases (silence.rest=life) activity works without a gate, which would only rank the phrases.
-        if 0 < activity < 1 and "gate" not in self._bundle.parts and not self._bundle.config.rests_by_phrase:
-            raise InputError(f"activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")
 
 
 def hand_controls(bundle: Bundle, options: InferenceOptions) -> Controls:
@@ -84,8 +80,8 @@ def hand_controls(bundle: Bundle, options: InferenceOptions) -> Controls:
     def number(feature: str, value: HandControl) -> float | Curve | None:
         if value is None or isinstance(value, Curve):
             return value
-        # The same parser as on the command line, so a level, a number and a file mean the same.
-        text = os.fspath(value) if isinstance(value, str | os.PathLike) else repr(float(value))
+        # The same parser as on the command line, so a level and a number mean the same.
+        text = value if isinstance(value, str) else repr(float(value))
         return parse(f"--hand-{feature}", text, feature, levels)
 
     return Controls(**{name: number(name, hand) for name, hand in zip(FEATURES, options.hands, strict=True)})

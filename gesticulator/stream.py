@@ -33,7 +33,7 @@ from gesticulator.bundle.features import SpeechBlock, representation_of
 from gesticulator.options import InferenceOptions
 from gesticulator.plan.plan import Block
 from gesticulator.sampling import loop
-from gesticulator.sampling.cutter import LATENCIES, TICK, BlockCutter
+from gesticulator.sampling.cutter import TICK, BlockCutter
 from gesticulator.sampling.loop import Request, Setup, controls_at
 
 if TYPE_CHECKING:
@@ -135,17 +135,18 @@ class Stream:
             self._meanings = track_of(options)
         if options.shaped or options.directed or self._meanings is not None:
             from gesticulator.directing.directions import Director
-            from gesticulator.directing.knobs import Shaping
+            from gesticulator.directing.shaping import Shaping
 
             self._director = Director(bundle, options, (), math.inf)
             shaping = Shaping(bundle, options, setup.speaker, (), np.array([0.0, math.inf]), self._meant)
         if self._text:
-            from gesticulator.directing.knobs import gestures_over
             from gesticulator.directing.marks import StreamMarks
+            from gesticulator.directing.shaping import with_gestures
 
             self._marks = StreamMarks(named)
-            shaping = shaping or gestures_over(self._meant, options.seed or 0)
-        self._path = MotionPath(bundle, setup.speaker, options, self._cutter.latency == "low", shaping)
+            shaping = shaping or (lambda poses, times: with_gestures(
+                poses, times, self._meant(float(times[-1])), options.seed or 0) if len(times) else poses)
+        self._path = MotionPath(bundle, setup.speaker, options, shaping=shaping)
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
         self._turns = HeadTurns(int(options.seed), joints)
         self._face = _face_of(options)
@@ -224,11 +225,11 @@ class Stream:
 
     @latency.setter
     def latency(self, latency: str) -> None:
-        if latency not in LATENCIES:
-            raise InputError(f"latency {latency!r}", "is unknown", f"choose among {', '.join(LATENCIES)}")
-        if self._cutter is not None:
-            self._cutter.latency = latency
+        if latency not in ("full", "low"):
+            raise InputError(f"latency {latency!r}", "is unknown", "choose full or low")
         self._path.prompt = latency == "low"
+        if self._cutter is not None:
+            self._cutter.low = self._path.prompt
 
     # ------------------------------------------------------------------------------------------------------- input
 
@@ -352,7 +353,7 @@ class Stream:
         """The cutter of the current utterance. Its blocks begin after the last knot that was generated."""
         if self._cutter is None:
             self._cutter = self._new_cutter(start=max(self._committed - self._begun, 0.0))
-            self._cutter.latency = self.latency
+            self._cutter.low = self._path.prompt
         return self._cutter
 
     def _begin(self, time: float) -> None:

@@ -20,13 +20,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from data_module.layers import masked_mean
 from interpreters.base import (
     BlockFeatures,
-    Explanation,
     InterpreterDefaults,
     InterpreterParts,
     InterpreterSizes,
@@ -187,13 +185,10 @@ def _each(lexemes: Tensor, values: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class AdvantageState:
-    """The states of prior and critics; for the last block log pi_b [S] and A in standard deviations [S], which beta
-    scales."""
+    """The states of prior and critics."""
 
     prior: Any
     critics: QState
-    log_prior: NDArray[np.float64] | None = None
-    advantage: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
@@ -222,11 +217,6 @@ class AdvantageInterpreter(InterpreterDefaults):
     def start(self, speaker: int, first_lexeme: int) -> AdvantageState:
         return AdvantageState(self.prior.start(speaker, first_lexeme), self.critics.trunk.start(speaker, first_lexeme))
 
-    def explain(self, state: AdvantageState) -> Explanation | None:
-        if state.log_prior is None or state.advantage is None:
-            return None
-        return Explanation(state.log_prior, state.advantage)
-
     def step(self, state: AdvantageState, features: BlockFeatures, previous_lexeme: int
              ) -> tuple[Scores, AdvantageState]:
         """Scores [S] such that softmax(scores / T) is the policy (for T = 0 those of T = 1); with beta 0 exactly those
@@ -235,7 +225,7 @@ class AdvantageInterpreter(InterpreterDefaults):
         values, critics = self.critics.step(state.critics, features, previous_lexeme)
         prior_scores = torch.as_tensor(log_prior, dtype=torch.float32)
         advantage = (self.critics.advantage(values, prior_scores) / self.critics.spread).double().cpu().numpy()
-        after = AdvantageState(prior, critics, log_prior, advantage)
+        after = AdvantageState(prior, critics)
         if self.beta == 0:
             return log_prior, after
         # `select` divides by T: times T here, beta scales the advantage at any temperature as in the equation above.

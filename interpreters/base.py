@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BlockFeatures",
-    "Explanation",
     "Interpreter",
     "InterpreterByEar",
     "InterpreterDefaults",
@@ -77,15 +76,6 @@ class LexemeInterpreter(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Explanation:
-    """Explanation of the scores of the last block. log_prior: [S] log-probability of each lexeme under the behaviour
-    policy; advantage: [S] expected reward of each less the mean, in standard deviations."""
-
-    log_prior: NDArray[np.float64]
-    advantage: NDArray[np.float64]
-
-
 @runtime_checkable
 class Interpreter(LexemeInterpreter, Protocol):
     """The full interface of an interpreter; `InterpreterDefaults` has a default for everything but start and step."""
@@ -122,13 +112,9 @@ class Interpreter(LexemeInterpreter, Protocol):
         """The same with scores s + guidance (s - s without audio); itself if it was not trained without audio."""
         ...
 
-    def explain(self, state: Any) -> Explanation | None:
-        """Explanation of the scores of the block before `state`; None if there is none beyond the scores."""
-        ...
-
 
 class InterpreterDefaults:
-    """Defaults of `Interpreter`: log-probabilities, no beta, no guidance, no explanation."""
+    """Defaults of `Interpreter`: log-probabilities, no beta, no guidance."""
 
     name: str = ""
     gives_values: bool = False
@@ -151,9 +137,6 @@ class InterpreterDefaults:
 
     def guided(self, guidance: float) -> Any:
         return self
-
-    def explain(self, state: Any) -> Explanation | None:
-        return None
 
     @classmethod
     def open(cls, parts: InterpreterParts) -> Any:

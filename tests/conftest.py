@@ -156,10 +156,10 @@ def toy_corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def tiny_store(toy_corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store of the toy corpus, three minutes, built once for all tests by the real command."""
-    from data_module.build import main
+    from gesticulator.cli import main
 
     return made_once(tmp_path_factory, "store", lambda folder: main(
-        ["folder", "--source", str(toy_corpus), "--out", str(folder), "--workers", "1"]))
+        ["build", "folder", "--source", str(toy_corpus), "--out", str(folder), "--workers", "1"]))
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ from performances import perform, turned
 from data_module.motion.skeletons import CHARACTER
 from data_module.speech.audio import load_speech
 from data_module.types import Motion, Samples, Speech
-from gesticulator.face.motion import FaceMotion, at_rest
+from gesticulator.face.motion import FaceMotion
 from gesticulator.face.track import face_of
 from gesticulator.face.visemes import VISEMES
 from gesticulator.options import InferenceOptions
@@ -41,6 +41,12 @@ class VisemeSpan:
 def still(seconds: float, fps: float = FPS) -> Motion:
     """The character at rest."""
     return turned(CHARACTER, round(seconds * fps), fps)
+
+
+def at_rest(count: int, fps: float) -> FaceMotion:
+    """A face that does nothing, with a shut mouth."""
+    none, visemes = np.zeros(count), np.tile(np.eye(1, len(VISEMES)), (count, 1))
+    return FaceMotion(visemes, none.copy(), none.copy(), none.copy(), np.zeros((count, 2)), fps)
 
 
 def posed(**parts: float) -> FaceMotion:

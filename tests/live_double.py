@@ -11,13 +11,13 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+from face_samples import at_rest
 
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Word
 from gesticulator.body.motion_path import HISTORY
-from gesticulator.face.motion import at_rest
 from gesticulator.face.visemes import VISEMES
 from gesticulator.live.limits import ServerLimits
 from gesticulator.live.protocol import StreamRequest

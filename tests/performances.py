@@ -79,6 +79,6 @@ def _block(cut: Blocks, i: int, best: list[int], scores: list[float]) -> Block:
                  alternatives=tuple(LexemeChoice(n, "", score) for n, score in zip(best, scores, strict=True)))
 
 
-def write(path: Path, performance: Performance, *, unit: str = "cm") -> Path:
+def write(path: Path, performance: Performance) -> Path:
     """Write the scene of a performance into a folder that is there."""
-    return writers.write(path, performance.scene(), unit=unit)
+    return writers.write(path, performance.scene())

@@ -9,7 +9,7 @@ import pytest
 import soundfile
 import ted_values
 
-from data_module.motion.bvh import bvh_text
+from data_module.motion.bvh import write_bvh
 from data_module.motion.skeletons import CHARACTER
 from data_module.motion.smplx import SKELETON
 from data_module.types import Motion
@@ -33,7 +33,7 @@ def still_motion(seconds: float, fps: float) -> Motion:
 
 def write_beat(folder: Path, name: str, seconds: float = 4.0, sound: float = 4.0, text: bool = True) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{name}.bvh").write_text(bvh_text(still_motion(seconds, 120.0)))
+    write_bvh(folder / f"{name}.bvh", still_motion(seconds, 120.0))
     ramp = np.linspace(0.1, 0.9, round(sound * 16000))
     soundfile.write(folder / f"{name}.wav", ramp, 16000)
     if text:

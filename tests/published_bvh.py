@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 from typing import Any
@@ -122,23 +121,14 @@ def trinity(root: Path, train: tuple[int, ...] = (1, 8), test: tuple[int, ...] =
     return release
 
 
-def zeroeggs(root: Path, numbers: tuple[int, ...] = (1, 5, 10, 67), *, listed: bool = True) -> Path:
+def zeroeggs(root: Path, numbers: tuple[int, ...] = (1, 5, 10, 67)) -> Path:
     """ZeroEGGS's folder data, with some of its recordings."""
     data = root / "data"
     styles = {1: "Neutral_0", 2: "Neutral_1", 5: "Neutral_4", 10: "Sad_4", 67: "Speech_2"}
-    rows = []
     for number in numbers:
         name = f"{number:03d}_{styles[number]}"
         clean = data / "clean" / f"{name}_x_1_0"
         write_take(clean.with_suffix(".bvh"), clean.with_suffix(".wav"), seed=number, order="ZYX", positions=True)
-        held = "TRUE" if number in (5, 10, 67) else "FALSE"
-        rows += [{"audio_filename": f"{name}.wav", "style": styles[number].split("_")[0], "validation": held,
-                  "anim_bvh": f"{name}{mirror}.bvh"} for mirror in ("", "_mirror")]
-    if listed:
-        with (data / "info.csv").open("w", newline="") as file:
-            table = csv.DictWriter(file, list(rows[0]))
-            table.writeheader()
-            table.writerows(rows)
     return data
 
 

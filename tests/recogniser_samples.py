@@ -213,20 +213,16 @@ def mfa(words: Words) -> Any:
         "phones": {"type": "interval", "entries": [[0.0, 0.1, "spn"]]}}}
 
 
-JSON: dict[str, tuple[str, Callable[[Words], Any]]] = {
-    "openai": ("whisper", openai_words), "whisper": ("whisper", whisper), "faster-whisper": ("list", faster_whisper),
-    "whisperx": ("whisper", whisperx), "whisper.cpp": ("whisper.cpp", whisper_cpp),
-    "whisper.cpp -ml 1": ("whisper.cpp", whisper_cpp_words), "vosk": ("vosk", vosk),
-    "vosk, results": ("vosk", vosk_results), "vosk, alternatives": ("vosk", vosk_alternatives),
-    "transformers": ("transformers", transformers), "deepgram": ("Deepgram", deepgram),
-    "assemblyai": ("AssemblyAI", assemblyai), "assemblyai, words": ("whisper", assemblyai_words),
-    "google": ("Google", google), "google, version 2": ("Google", google_2),
-    "google, speakers": ("Google", google_speakers), "google, protobuf": ("Google", google_protobuf),
-    "azure": ("Azure", azure), "azure, batch": ("Azure", azure_batch), "azure, fast": ("Azure", azure_fast),
-    "gentle": ("whisper", gentle), "mfa": ("MFA", mfa), "list": ("list", lambda words: _plain(words, "text")),
-    "text": ("text", lambda words: {"text": _text(words)}),
+JSON: dict[str, Callable[[Words], Any]] = {
+    "openai": openai_words, "whisper": whisper, "faster-whisper": faster_whisper, "whisperx": whisperx,
+    "whisper.cpp": whisper_cpp, "whisper.cpp -ml 1": whisper_cpp_words, "vosk": vosk, "vosk, results": vosk_results,
+    "vosk, alternatives": vosk_alternatives, "transformers": transformers, "deepgram": deepgram,
+    "assemblyai": assemblyai, "assemblyai, words": assemblyai_words, "google": google, "google, version 2": google_2,
+    "google, speakers": google_speakers, "google, protobuf": google_protobuf, "azure": azure,
+    "azure, batch": azure_batch, "azure, fast": azure_fast, "gentle": gentle, "mfa": mfa,
+    "list": lambda words: _plain(words, "text"), "text": lambda words: {"text": _text(words)},
 }
-"""Sample -> the reader of `RECOGNISERS` that is meant, and what writes it; all but "text" have the times of words."""
+"""Sample -> what writes it; all but "text" have the times of words."""
 
 
 # ---------------------------------------------------------------------------------------------------- subtitles
@@ -290,7 +286,7 @@ def tsv(words: Words) -> str:
 
 
 FILES: dict[str, tuple[str, Callable[[Words], str]]] = {
-    **{name: (".json", lambda words, write=write: json.dumps(write(words))) for name, (_, write) in JSON.items()},
+    **{name: (".json", lambda words, write=write: json.dumps(write(words))) for name, write in JSON.items()},
     "srt, highlighted": (".srt", srt_highlighted), "srt, coloured": (".srt", srt_coloured),
     "vtt, highlighted": (".vtt", vtt_highlighted), "vtt, rolling": (".vtt", vtt_rolling),
     "srt": (".srt", srt), "vtt": (".vtt", vtt), "tsv": (".tsv", tsv),

@@ -135,30 +135,8 @@ def _rigify(key: str) -> str:
     return STYLES["blender"](key)
 
 
-_LANGUAGES = {
-    "german": _named("Becken Kopf Wirbelsäule{} Hals{} Schlüsselbein Oberarm Unterarm Hand Oberschenkel Unterschenkel "
-                     "Fuß Zehen Daumen Zeigefinger Mittelfinger Ringfinger KleinerFinger", "{part}_{side}",
-                     "{finger}{place}_{side}", ("links", "rechts")),
-    "french": _named("Bassin Tête Colonne{} Cou{} Clavicule Bras Avant-Bras Main Cuisse Jambe Pied Orteils Pouce Index "
-                     "Majeur Annulaire Auriculaire", "{part}_{side}", "{finger}{place}_{side}", ("gauche", "droite")),
-    "french g": _named("Bassin Tête Colonne{} Cou{} Épaule Bras Avant-Bras Main Cuisse Jambe Pied Orteils Pouce Index "
-                       "Majeur Annulaire Auriculaire", "{part}.{side}", "{finger}{place}.{side}", ("G", "D")),
-    "spanish": _named("Cadera Cabeza Columna{} Cuello{} Clavícula Brazo Antebrazo Mano Muslo Pantorrilla Pie DedosPie "
-                      "Pulgar Índice Medio Anular Meñique", "{part}_{side}", "{finger}{place}_{side}",
-                      ("izquierda", "derecha")),
-    "italian": _named("Bacino Testa Colonna{} Collo{} Clavicola Braccio Avambraccio Mano Coscia Gamba Piede DitaPiede "
-                      "Pollice Indice Medio Anulare Mignolo", "{part}_{side}", "{finger}{place}_{side}", ("sx", "dx")),
-    "portuguese": _named("Quadril Cabeça Coluna{} Pescoço{} Clavícula Braço Antebraço Mão Coxa Canela Pé DedosPé "
-                         "Polegar Indicador Médio Anelar Mindinho", "{part}_{side}", "{finger}{place}_{side}",
-                         ("esquerda", "direita")),
-    "russian": _named("Таз Голова Позвоночник{} Шея{} Ключица Плечо Предплечье Кисть Бедро Голень Стопа Носок Большой "
-                      "Указательный Средний Безымянный Мизинец", "{part}_{side}", "{finger}{place}_{side}",
-                      ("Левая", "Правая")),
-    "japanese": _named("センター 頭 上半身{} 首{} 肩 腕 ひじ 手首 足 ひざ 足首 つま先 親指 人指 中指 薬指 小指",
-                       "{side}{part}", "{side}{finger}{place}", "左右"),
-    "chinese": _named("骨盆 头 脊柱{} 脖子{} 锁骨 上臂 前臂 手 大腿 小腿 脚 脚趾 拇指 食指 中指 无名指 小指",
-                      "{side}{part}", "{side}{finger}{place}", "左右"),
-}
+_JAPANESE = _named("センター 頭 上半身{} 首{} 肩 腕 ひじ 手首 足 ひざ 足首 つま先 親指 人指 中指 薬指 小指",
+                   "{side}{part}", "{side}{finger}{place}", "左右")
 _TOOLS = {
     "rigify": _rigify,
     "auto-rig": _named("root.x head.x spine_{:02d}.x neck_{:02d}.x shoulder arm_stretch forearm_stretch hand "
@@ -205,7 +183,7 @@ STYLES: dict[str, Callable[[str], str]] = {
     "blender": _named("hips head spine.{:03d} neck.{:03d} shoulder upper_arm forearm hand thigh shin foot toe thumb "
                       "index middle ring pinky", "DEF-{part}.{side}", "DEF-f_{finger}.0{place}.{side}", "LR"),
     "unknown": lambda key: "",
-    **_TOOLS, **_LANGUAGES,
+    **_TOOLS, "japanese": _JAPANESE,
 }
 """Tool -> name of each of our joints there."""
 _VRM_BONES = {"Shoulder": "Shoulder", "Arm": "UpperArm", "ForeArm": "LowerArm", "Hand": "Hand", "UpLeg": "UpperLeg",

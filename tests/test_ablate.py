@@ -24,7 +24,7 @@ from eval.baselines.interpreters import RandomStyle
 from eval.commands import ABLATE
 from eval.context import EvalContext
 from eval.metrics.gesture_features import RawFeatures
-from eval.table import NO_BUNDLE, NOT_RECORDED, Provenance, load, loads
+from eval.table import NO_BUNDLE, NOT_RECORDED, Provenance, load
 from gesticulator.bundle import config as configs
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages import LABELS, Run
@@ -76,8 +76,8 @@ def test_random_codes_are_normal_and_repeat() -> None:
 
 def test_rows_and_figures_of_the_paper(ablation: Ablation, tmp_path: Path) -> None:
     names = ["ours", "no-lexemes", "random-style", "style-editing"]
-    drawn = {"figure-2": "svg", "figure-6": "png", "figure-9-ours": "png", "figure-9-performer": "png",
-             "figure-10": "png", "figure-11": "svg", "figure-14": "svg", "figure-17": "png"}
+    drawn = {"figure-6": "png", "figure-9-ours": "png", "figure-9-performer": "png", "figure-11": "svg",
+             "figure-14": "svg", "figure-17": "png"}
     here = into(ablation, tmp_path / "ablation")
     facts = ablate(here, *names, *drawn, "figure-16")
     assert set(names) <= set(facts["rows"]) and "performer" in facts["rows"]
@@ -90,23 +90,20 @@ def test_rows_and_figures_of_the_paper(ablation: Ablation, tmp_path: Path) -> No
 
 
 def check_figure(here: Ablation, name: str, kind: str) -> None:
-    figure = loads((here.cells.out / "figures.json").read_text())[name]
-    assert figure["figure"].startswith("RG Fig.") and figure["caption"]
     assert (here.cells.out / f"{name}.{kind}").stat().st_size > 1000
 
 
 def test_the_command_goes_on_where_it_was_stopped(ablation: Ablation, work: Path, tmp_path: Path,
                                                   monkeypatch: pytest.MonkeyPatch) -> None:
-    here, anew = into(ablation, tmp_path / "ablation"), not list(work.glob("generator-*"))
+    here = into(ablation, tmp_path / "ablation")
     facts = ablate(here, "ours", "random-style", "figure-9-ours", "figure-16")
     assert {"ours", "random-style", "performer"} <= set(facts["rows"])
     check_figure(here, "figure-9-ours", "png")
     cells = here.cells.read()
-    one, random = cells["ours"][1], cells["random-style"][1]
+    one = cells["ours"][1]
     assert set(COLUMNS) - set(one["clips"][0]) == {"return", "judge_return", "lexeme_diversity", "longest_run"}
     assert 0 <= one["clips"][0]["accuracy"] <= 100 and one["clips"][0]["fgd"] > 0
-    assert (one["stages"]["generator"] > 0) is anew, "a test before this one may have trained the same"
-    assert set(random["stages"].values()) == {0.0}, "the same weights, played anew"
+    assert len(list(work.glob("generator-*/weights.safetensors"))) == len(list(work.glob("generator-*")))
     assert read_bvh(here.rg.folder("ours") / f"{here.rg.names('test')[0]}.bvh").fps > 10
     performer = cells["performer"][0]["clips"][0]
     assert performer["maje"] == pytest.approx(0, abs=1e-9) and performer["fgd"] == pytest.approx(0, abs=1e-9)
@@ -154,7 +151,7 @@ def test_the_row_without_hint_and_mask_plays_other_lexemes_in_silence(ablation: 
         assert len(silent) >= 5
         silent_share[name] = float(np.isin(silent, bundle.silent).mean())
     assert silent_share[OURS] == 1.0 > silent_share["no-hint"]
-    hinted = [ablation.rg.runs(name, 1)[1].get(LABELS).hinted for name in (OURS, "no-hint")]
+    hinted = [ablation.rg.run(name, 1).get(LABELS).hinted for name in (OURS, "no-hint")]
     assert not np.array_equal(hinted[0], hinted[1])
 
 

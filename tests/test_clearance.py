@@ -20,7 +20,7 @@ from data_module.types import Array, Motion
 from eval.metrics.eye.body import CommonBody, chest_left, common_body, unit
 from gesticulator import Gesticulator
 from gesticulator.body.clips import mirrored_motion
-from gesticulator.contacts.columns import TRUNK, Column
+from gesticulator.contacts.columns import TRUNK
 from gesticulator.contacts.default_body import HEM, STEEPEST, cleared, front_at, shirt_at
 from gesticulator.contacts.limbs import pose_of
 
@@ -183,7 +183,7 @@ def test_no_elbow_jumps_in_the_example(seed: int, system: Gesticulator) -> None:
 # ------------------------------------------------------------------------------------------------------------ distances
 
 WIDTH, DEPTH, HEIGHT = 0.2, 0.1, 0.5
-COLUMN = Column(np.array([0.0, 1.0]), np.full(2, WIDTH), np.full(2, DEPTH))
+COLUMN = replace(TRUNK, width=np.full(2, WIDTH), depth=np.full(2, DEPTH))
 COUNT = 2000
 
 

@@ -16,7 +16,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_module import registry
 from gesticulator import __version__, cli
 from gesticulator.infer import COMMAND
 from gesticulator.options import RANGES
@@ -47,9 +46,8 @@ def verbs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None
     monkeypatch.syspath_prepend(str(tmp_path))
 
     def install(**values: str) -> None:
-        points = [EntryPoint(name, value, cli.VERBS.group) for name, value in values.items()]
-        monkeypatch.setattr(registry, "entry_points", lambda group: points)
-        monkeypatch.setattr(cli.VERBS, "_points", None)
+        points = {name: EntryPoint(name, value, "gesticulator.commands") for name, value in values.items()}
+        monkeypatch.setitem(vars(cli.VERBS), "points", points)
 
     yield install
     for name in ("others_verbs", "broken_verb", "raising_verb"):

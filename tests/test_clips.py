@@ -1,19 +1,17 @@
-"""Clips for animation tools: reduced keys, loops, masks, layers, names, several in one file."""
+"""Clips for animation tools: reduced keys, loops, masks, layers, names."""
 
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import soundfile
 from gltf_reader import GlbFile as GlbData
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from performances import perform, write, write_example
+from performances import perform, write
 from scipy.spatial.transform import Rotation, Slerp
 from small_characters import write_character
 
@@ -23,9 +21,8 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import FINGERED, LEG_JOINTS, WHOLE_BODY
 from data_module.motion.standing_legs import with_standing_legs
 from data_module.types import Array, Motion
-from gesticulator import infer
 from gesticulator.arguments import infer_arguments, jobs_of
-from gesticulator.body.clips import added_to_rest, in_place, looped, upper_alone
+from gesticulator.body.clips import added_to_rest, looped, upper_alone
 from gesticulator.export.clip import ClipLayout, parse_keys
 from gesticulator.export.key_reduction import METRES_PER_DEGREE, SPAN, STEADY_SHARE, kept_frames, rotation_errors
 from gesticulator.jobs import Job
@@ -152,14 +149,6 @@ def test_too_little_for_a_loop_is_refused() -> None:
         looped(standing_motion(0.1))
 
 
-def test_hips_in_place_leave_the_feet_where_they_are() -> None:
-    motion = standing_motion(3.0)
-    still = in_place(motion)
-    assert np.ptp(motion.root_positions, axis=0).max() > 0.005 and np.ptp(still.root_positions, axis=0).max() == 0.0
-    feet = [WHOLE_BODY.index(side + "Foot") for side in ("Left", "Right")]
-    np.testing.assert_allclose(positions_of(still)[:, feet], positions_of(motion)[:, feet], atol=4e-3)
-
-
 def test_the_upper_body_alone_keeps_its_pose() -> None:
     motion = standing_motion(2.0)
     upper = upper_alone(motion)
@@ -203,21 +192,16 @@ def test_a_clip_is_made_before_it_is_moved_to_a_character(tmp_path: Path) -> Non
 # ---------------------------------------------------------------------------------------------------- files
 
 def test_the_name_is_in_every_file_that_has_one(tmp_path: Path) -> None:
-    made = perform(0.5).as_clip(ClipLayout("wave 2", sound=True))
+    made = perform(0.5).as_clip(ClipLayout("wave 2"))
     for suffix in (".glb", ".vrma"):
         document = GlbData.parse(write(tmp_path / f"a{suffix}", made).read_bytes()).document
         assert [animation["name"] for animation in document["animations"]] == ["wave 2"]
     pytest.importorskip("pxr")
-    from pxr import Usd, UsdMedia, UsdSkel
+    from pxr import Usd, UsdSkel
 
     stage = Usd.Stage.Open(str(made.save(tmp_path / "a.usda")))
     (animation,) = [prim.GetName() for prim in stage.Traverse() if prim.IsA(UsdSkel.Animation)]
     assert animation == "wave_2"
-    (sound,) = [UsdMedia.SpatialAudio(prim) for prim in stage.Traverse() if prim.IsA(UsdMedia.SpatialAudio)]
-    beside = tmp_path / sound.GetFilePathAttr().Get().path
-    samples, rate = soundfile.read(beside, dtype="float32")
-    assert rate == made.speech.sample_rate
-    np.testing.assert_allclose(samples, made.speech.samples, atol=1e-4)
 
 
 def jobs(words: str) -> list[Job]:
@@ -227,27 +211,10 @@ def jobs(words: str) -> list[Job]:
     return jobs_of(parser.parse_args(["a.wav", *words.split()]))
 
 
-@pytest.mark.parametrize(("words", "message"), [
-    ("-o a.smplx.npz --layer additive", "--layer additive: makes no sense in .npz"),
-    ("-o a.html --sound", "--sound"),
-    ("-o a.glb --layer additive --root none", "--root"),
-])
-def test_options_that_make_no_sense_are_refused(words: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        jobs(words)
-    (job,) = jobs("-o a.glb -o a.html --loop --mask upper --sound")
-    assert job.clip == ClipLayout(loop=True, upper=True, sound=True)
+def test_options_make_the_layout_or_are_refused() -> None:
+    with pytest.raises(InputError, match=r"--layer additive: makes no sense in \.npz"):
+        jobs("-o a.smplx.npz --layer additive")
+    (job,) = jobs("-o a.glb -o a.html --loop --mask upper")
+    assert job.clip == ClipLayout(loop=True, upper=True)
     (plain,) = jobs("-o a.glb")
     assert plain.clip is None
-
-
-def test_the_recording_beside_a_clip_stays(tmp_path: Path) -> None:
-    write_example(tmp_path / "hello.wav", 1.25)
-    before = (tmp_path / "hello.wav").read_bytes()
-    shared = [str(tmp_path / "hello.wav"), "--sound", "--quiet"]
-    assert infer.main([*shared, "-o", str(tmp_path / "hello.glb"), "--clip-name", "hi"]) == 0
-    assert (tmp_path / "hello.wav").read_bytes() == before
-    assert infer.main([*shared, "-o", str(tmp_path / "b.glb"), "--loop"]) == 0
-    assert soundfile.info(tmp_path / "b.wav").frames == pytest.approx(20_000, abs=2)
-    text = json.dumps(GlbData.parse((tmp_path / "hello.glb").read_bytes()).document["animations"][0]["name"])
-    assert text == '"hi"'

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +19,6 @@ from data_module.controls import (
     measure,
     parse,
     per_frame,
-    read_curve,
 )
 from data_module.errors import InputError
 from data_module.motion.skeletons import CHARACTER
@@ -186,30 +184,3 @@ def test_what_training_never_saw_is_said_and_used() -> None:
         assert parse("--hand-height", "0.5", "height", levels()) == 0.5
 
 
-@pytest.mark.parametrize("text", [
-    "time,value\n0,0.1\n1.5,0.25\n4,0.3", "Time,Radius\r\n0,0.1\r\n1.5,0.25\r\n4,0.3\r\n",
-    "\ufeffradius,speed,time\n0.1,9,0\n0.25,9,1.5\n0.3,,4\n", '"time","value"\n"0","0.1"\n"1.5","0.25"\n"4","0.3"\n',
-])
-def test_a_curve_is_read_from_a_csv_file(tmp_path: Path, text: str) -> None:
-    file = tmp_path / "curve.csv"
-    file.write_bytes(text.encode())
-    assert parse("--hand-radius", str(file), "radius", levels()) == Curve((0.0, 1.5, 4.0), (0.1, 0.25, 0.3))
-
-
-@pytest.mark.parametrize(("text", "told"), [
-    ("", "no values"), ("time,value\n", "no values"),
-    ("time,value\n0,0.1\n1,abc\n", "line 3: has 'abc' in place of a number"),
-    ("time,value\n0,0.1\n1,nan\n", "line 3: has 'nan' in place of a number"),
-    ("time,value\ninf,0.1\n", "line 2: has 'inf' in place of a number"),
-    ("time,value\n0,0.1\n1\n", "line 3: has '' in place of a number"),
-    ("time,value\n0,0.1\n1,0.2\n1,0.3\n", "line 4: goes back to 1 s"),
-    ("when,what\n0,0.1\n", "names the columns when, what"), ("time,height\n0,0.1\n", "names the columns time, height"),
-    ("time,value\n1,45\n", "line 2: 45: is not a possible radius"),
-    ("time,value\n1,-0.1\n", r"line 2: -0\.1: is not a possible radius"),
-    ("time,value\n0," + "1" * 200_000, "is not a row of a table"),
-])
-def test_a_bad_csv_names_its_line(tmp_path: Path, text: str, told: str) -> None:
-    file = tmp_path / "bad.csv"
-    file.write_text(text)
-    with pytest.raises(InputError, match=rf"bad\.csv.*{told}"):
-        read_curve(file, "radius")

@@ -19,8 +19,8 @@ from performances import example
 from data_module.errors import InputError
 from data_module.types import Speech
 from gesticulator import Gesticulator
-from gesticulator.directing.knobs import LONGEST_GESTURE
 from gesticulator.directing.named_gestures import span_of_gesture
+from gesticulator.directing.shaping import LONGEST_GESTURE
 from gesticulator.export.html import describe
 from gesticulator.page.server import AbandonedError
 from gesticulator.page.session import EditSession
@@ -138,7 +138,7 @@ BLOCK = {
 }
 BEATS = {"halve": _halved, "join": _joined, "move": _moved}
 KNOBS = {"intensity": (0.4, 1.0, 1.5), "activity": (0.5, 1.0), "energy": ("calm", "neutral", "lively"),
-         "handedness": (None, "left", "both"), "mirror": (True, False), "hold_still": ([], [[2.0, 3.5]])}
+         "mirror": (True, False), "hold_still": ([], [[2.0, 3.5]])}
 
 
 def edited(plan: Plain, what: str, at: int, value: int) -> Plain:
@@ -153,10 +153,6 @@ def edited(plan: Plain, what: str, at: int, value: int) -> Plain:
         begin = blocks[at]["start"]
         plan["curves"] = [{"knob": "intensity", "times": [begin, begin + 1.0, begin + 2.0],
                            "values": [1.0, (0.2, 1.8)[value % 2], 1.0]}][:value % 3]
-    elif what == "course":
-        begin, knob = blocks[at]["start"], ("activity", "energy")[value % 2]
-        plan["curves"] = [{"knob": knob, "times": [begin, begin + 1.5],
-                           "values": [(1.0, 2.0, 0.0)[value % 3] / (2.0 - value % 2), 0.2]}][:value % 5]
     elif what == "cue":
         plan["cues"] = [*plan.get("cues", ()), {"gesture": ("wave", "shrug", "nod")[value % 3],
                                                "time": blocks[at]["start"]}]
@@ -183,7 +179,7 @@ def edited(plan: Plain, what: str, at: int, value: int) -> Plain:
 
 WHOLE = ("speaker", "variation", "hands", "legs")
 EDITS = st.lists(st.tuples(st.sampled_from(
-    ["undo", "cue", "curve", "course", "pin", "pin", *BLOCK, *BLOCK, *BEATS, *KNOBS, *WHOLE]), st.integers(0, 30),
+    ["undo", "cue", "curve", "pin", "pin", *BLOCK, *BLOCK, *BEATS, *KNOBS, *WHOLE]), st.integers(0, 30),
     st.integers(0, 10_000), st.integers(0, 40)), min_size=3, max_size=7)
 """What is edited, where, how, and after how many looks it is abandoned for the same again; 20 and more: never."""
 
@@ -273,56 +269,6 @@ def test_an_edit_sends_its_stretch_and_undo_draws_nothing(system: Gesticulator, 
     assert drawn[0] <= whole + 1, "with other knobs too, an edit costs its block"
     page.edit(edited(page.plan, "join", 3, 0))
     assert drawn[0] <= whole + 3
-
-
-def _curved(plan: Plain, knob: str, *points: tuple[float, float]) -> Plain:
-    times, values = zip(*points, strict=True)
-    return {**copy.deepcopy(plan), "curves": [{"knob": knob, "times": list(times), "values": list(values)}]}
-
-
-@pytest.mark.parametrize(("knob", "values", "options"), [
-    ("activity", (0.3, 0.3), {"activity": 0.3}), ("energy", (0.0, 0.0), {"energy": "calm"}),
-    ("energy", (2.0, 2.0), {"energy": "lively"}), ("energy", (1.0, 1.0), {}), ("activity", (1.0, 1.0), {})])
-def test_a_constant_curve_is_the_knob(system: Gesticulator, first: Performance, knob: str, values: tuple[float, float],
-                                      options: dict[str, Any]) -> None:
-    page = Page(system, first)
-    plan = edited(edited(page.plan, "size", 5, 1), "lock", 7, 0)
-    page.edit({**plan, "knobs": {**plan["knobs"], **options}})
-    wanted = page.frames.copy()
-    page.edit(_curved(plan, knob, (1.0, values[0]), (4.0, values[1])))
-    np.testing.assert_array_equal(page.frames, wanted)
-
-
-def test_activity_falls_where_its_curve_does(system: Gesticulator, speech: Speech, first: Performance,
-                                             monkeypatch: pytest.MonkeyPatch) -> None:
-    page = Page(system, first)
-    original, before = page.plan, page.frames.copy()
-    at = next(block["start"] for block in original["blocks"] if block["start"] > 3.0)
-    falls = _curved(original, "activity", (at - 0.01, 1.0), (at, 0.0))
-    page.edit(falls)
-    same = slice(int(at * 60) - 8)  # frames lie between the poses of blocks
-    np.testing.assert_array_equal(page.frames[same], before[same])
-    hand, late = first.joints.index("RightArm"), slice(int((at + 1.5) * 60), None)
-    moves = [np.abs(np.diff(frames[late, hand].astype(int), axis=0)).mean() for frames in (page.frames, before)]
-    assert moves[0] < 0.4 * moves[1], "the arms hang, and breathe"
-    made = Gesticulator(system.bundle)(speech, plan=parse_plan(json.dumps(page.plan)))
-    np.testing.assert_array_equal(page.frames, frames_of_take(made))
-    # A curve that changes later keeps what comes before.
-    drawn = _counted(monkeypatch)
-    rises = _curved(original, "activity", (at - 0.01, 1.0), (at, 0.0), (at + 1.2, 0.0), (at + 1.3, 1.0))
-    page.session.perform(parse_plan(json.dumps(rises)))
-    assert 0 < drawn[0] <= sum(block["start"] >= at + 1.2 for block in original["blocks"])
-    for block in falls["blocks"]:
-        block["locked"] = True
-    page.edit(falls)
-    np.testing.assert_array_equal(page.frames, before)
-
-
-@pytest.mark.parametrize(("knob", "value", "most"), [("activity", 1.2, "1"), ("energy", 2.5, "2")])
-def test_a_curve_beyond_its_knob_is_refused(first: Performance, knob: str, value: float, most: str) -> None:
-    plan = _curved(first.plan().to_dict(), knob, (0.0, value))
-    with pytest.raises(InputError, match=f"hold {value:g}.*give 0 to {most}"):
-        parse_plan(json.dumps(plan))
 
 
 def test_a_whole_take_reports_its_progress_and_goes_on_where_it_was_abandoned(

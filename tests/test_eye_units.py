@@ -185,10 +185,18 @@ def test_a_hand_that_starts_before_the_voice_is_early_and_one_that_follows_is_no
     assert len(pooled.seconds) == 2 * len(first.seconds) and pooled.before == first.before
 
 
+def frozen_in_pauses(clip: Motion, quiet: NDArray[np.bool_]) -> Motion:
+    """A clip with its pose held through every silence, [F] at 100 Hz: a person prepares the next phrase there."""
+    # A clip may be a frame longer than its sound.
+    at = np.minimum((np.arange(len(clip)) / clip.fps * 100).astype(int), len(quiet) - 1)
+    last = np.maximum.accumulate(np.where(quiet[at], 0, np.arange(len(clip))))
+    return replace(clip, rotations=clip.rotations[last], root_positions=clip.root_positions[last])
+
+
 def test_motion_that_is_frozen_in_pauses_is_seen() -> None:
     motion, voice = wandering(60.0), voice_of(np.arange(6000) / 100 % 3.0 >= 2.0)
     free = units.figures(common_body(motion), voice)
-    frozen = units.figures(common_body(controls.frozen_in_pauses([motion], [voice.silent])[0]), voice)
+    frozen = units.figures(common_body(frozen_in_pauses(motion, voice.silent)), voice)
     assert free["eye_pause_moving"] > 60 > 15 > frozen["eye_pause_moving"]
     assert free["eye_pause_speed"] > 0.7 and frozen["eye_pause_speed"] < 0.3
 

@@ -1,8 +1,7 @@
-"""A face in files, read back from GLB, VRM, VRMA, CSV and SMPL-X, and in a page on a GLB that is no VRM."""
+"""A face in files, read back from GLB, VRM and VRMA, and in a page on a GLB that is no VRM."""
 
 from __future__ import annotations
 
-import csv
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import OpenedPage
+from face_samples import at_rest
 from gltf_reader import GlbFile
 from performances import perform, write
 from small_characters import write_character
@@ -19,9 +19,9 @@ from gesticulator.characters.gltf_file import read_gltf
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.rig import CharacterMotion
-from gesticulator.export.face import LIVE_LINK, FaceWarning, timecode
+from gesticulator.export.face import FaceWarning
 from gesticulator.export.gltf import GltfDocument, open_gltf
-from gesticulator.face.motion import FaceMotion, at_rest
+from gesticulator.face.motion import FaceMotion
 from gesticulator.face.page import NUMBERS, curve_constants, page_face
 from gesticulator.face.rig import find_face
 from gesticulator.face.shapes import ARKIT, arkit, curves, jaw_angles, vrm
@@ -179,27 +179,6 @@ def test_a_vrm_animation_has_expressions_and_a_gaze(tmp_path: Path) -> None:
     assert np.degrees(2 * np.arctan2(x, w)) == pytest.approx(-5.0, abs=0.2)  # up
     plain = perform(1.0).save(tmp_path / "plain.vrma")
     assert "expressions" not in GlbFile.parse(plain.read_bytes()).document["extensions"]["VRMC_vrm_animation"]
-
-
-def test_live_links_table_is_read_back(tmp_path: Path) -> None:
-    made = with_face(perform(1.0))
-    with made.save(tmp_path / "talk.face.csv").open(newline="") as stream:
-        head, *rows = list(csv.reader(stream))
-    assert head == list(LIVE_LINK) and len(head) == 63 and {row[1] for row in rows} == {"61"}
-    assert made.face is not None and len(rows) == len(made.face)
-    column = head.index("JawOpen")
-    np.testing.assert_allclose([float(row[column]) for row in rows], arkit(made.face)["jawOpen"], atol=1e-6)
-    assert float(rows[0][head.index("LeftEyeYaw")]) == pytest.approx(np.radians(10), abs=1e-6)
-    assert rows[0][0] == "00:00:00:00.000" and timecode(3661.5, 60.0) == "01:01:01:30.000"
-
-
-def test_smplx_has_the_jaw_and_the_eyes(tmp_path: Path) -> None:
-    plain, shown = (np.load(one.save(tmp_path / f"{name}.npz"))["poses"].reshape(-1, 55, 3)
-                    for name, one in (("plain", perform(1.0)), ("face", with_face(perform(1.0)))))
-    rest = [joint for joint in range(55) if joint not in (22, 23, 24)]
-    assert np.array_equal(plain[:, rest], shown[:, rest]) and not plain[:, 22:25].any()
-    assert shown[:, 22, 0].max() == pytest.approx(np.radians(16), abs=1e-6) and shown[0, 22, 0] == 0.0
-    assert shown[3, 23, 1] == pytest.approx(np.radians(10), abs=0.01)
 
 
 def test_a_packet_of_the_server_holds_the_face() -> None:

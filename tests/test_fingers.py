@@ -24,7 +24,6 @@ from data_module.motion.skeletons import (
     from_vector,
     resized,
     to_character,
-    to_vector,
 )
 from data_module.motion.smplx import read_smplx
 from data_module.types import Array, Motion, Skeleton
@@ -114,7 +113,7 @@ def test_vectors_of_any_size_come_back(seed: int, joints: int) -> None:
     vectors = told.vectors(motion, np.arange(len(motion)) / motion.fps)
     assert vectors.shape == (60, told.width) == (60, 3 * joints)
     assert angles(told.motion(vectors, 30.0), faced).max() < 1e-4
-    assert np.allclose(vectors, to_vector(motion)) and angles(from_vector(vectors, 30.0), faced).max() < 1e-4
+    assert angles(from_vector(vectors, 30.0), faced).max() < 1e-4
     # The first 48 numbers are the papers', whatever follows.
     assert np.allclose(vectors[:, :48], Rotations().vectors(motion, np.arange(60) / 30.0))
 

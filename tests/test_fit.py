@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -16,7 +15,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from gesticulator.training.fit import Batch, FitOptions, FitSettings, Task, fit, late_gain, rate_factor
+from gesticulator.training.fit import Batch, FitOptions, FitSettings, Task, fit, rate_factor
 
 
 class Model(nn.Module):
@@ -177,14 +176,3 @@ def test_stopping_early_is_the_same_when_it_was_resumed(tmp_path: Path, stops: t
     assert again == figures
     check_same(whole, broken)
     assert (tmp_path / "a/stage.jsonl").read_text() == (tmp_path / "b/stage.jsonl").read_text()
-
-
-@pytest.mark.parametrize(("figures", "gain"), [
-    ([4.0, 2.0, 2.0, 1.0], 0.5), ([4.0, 2.0, 2.0, 3.0], 0.0), ([4.0, 2.0, 2.5, 1.98], 0.01)])
-def test_what_the_last_quarter_gained_is_read_from_the_log(tmp_path: Path, figures: list[float], gain: float) -> None:
-    rows = [{"step": 10 * n + k, "loss": 1.0, **({"val_nll": figure, "val_other": 9.0} if k == 9 else {})}
-            for n, figure in enumerate(figures) for k in range(10)]
-    (tmp_path / "a.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
-    assert late_gain(tmp_path / "a.jsonl") == pytest.approx(gain)
-    (tmp_path / "b.jsonl").write_text(json.dumps(rows[0]) + "\n" + json.dumps({**rows[9], "step": 1}) + "\n")
-    assert math.isnan(late_gain(tmp_path / "b.jsonl"))

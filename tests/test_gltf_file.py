@@ -55,10 +55,8 @@ def test_sparse_values_stand_in_their_places(with_view: bool, tmp_path: Path) ->
     expected = (base if with_view else np.zeros((4, 3))).astype(np.float64)
     expected[[1, 3]] = values
     assert np.array_equal(file.array(0), expected)
-    for first in range(4):
-        for step in (1, 2, 3):
-            for most in (None, 0, 1, 2):
-                assert np.array_equal(file.array(0, first, step, most), expected[first::step][:most])
+    for rows in (slice(2), slice(1, None, 2), slice(3, None, 3)):
+        assert np.array_equal(file.array(0, rows), expected[rows])
 
 
 @pytest.mark.parametrize(("kind", "code", "value", "share"), [
@@ -91,27 +89,27 @@ def _row(name: str, **change: Any) -> Change:
 @pytest.mark.parametrize(("change", "wrong"), [
     (_accessor(count=32_000_000_000), "accessors[0] asks for"), (_accessor(count=-1), "accessors[0].count is -1"),
     (_accessor(count=True), "count is True"), (_accessor(count=1e9), "count is 1000000000.0"),
-    (_accessor(bufferView=99), "accessors[0].bufferView is 99"), (_accessor(componentType=[1]), "of kind [1]"),
-    (_accessor(type="MAT9"), "and MAT9"), (_accessor(byteOffset=1 << 50), "byteOffset is 1125899906842624"),
+    (_accessor(bufferView=99), "accessors[0].bufferView is 99"), (_accessor(componentType=[1]), "componentType is [1]"),
+    (_accessor(type="MAT9"), "type is 'MAT9'"), (_accessor(byteOffset=1 << 50), "byteOffset is 1125899906842624"),
     (_accessor(sparse=7), "sparse is 7"),
-    (_accessor(sparse={"count": 10**6, "indices": {}, "values": {}}), "sparse has 1000000 of"),
+    (_accessor(sparse={"count": 10**6, "indices": {}, "values": {}}), "sparse.count is 1000000"),
     (_row("bufferViews", byteLength=1 << 35), "bufferViews[0] lies beyond its buffer"),
-    (_row("bufferViews", buffer=3), "bufferViews[0].buffer is 3, and there are 1"),
+    (_row("bufferViews", buffer=3), "bufferViews[0].buffer is 3"),
     (_row("bufferViews", byteStride=-4), "byteStride is -4"),
     (_row("buffers", byteLength=1 << 30), "buffers[0] has"), (_row("buffers", byteLength=None), "byteLength is None"),
     (_row("buffers", uri="a\0b"), "lacks a"), (_row("buffers", uri="../../etc/passwd"), "a file elsewhere"),
     (_row("buffers", uri="data:;base64,=="), "is not base64"), (_row("buffers", uri="x" * 5000), "lacks x"),
-    (_row("nodes", children=[12345]), "nodes[0].children names what is not there"),
+    (_row("nodes", children=[12345]), "nodes[0].children is [12345]"),
     (_row("nodes", skin="0"), "nodes[0].skin"), (_row("nodes", rotation=[0, 0, 1]), "nodes[0].rotation"),
     (_row("nodes", translation=[1e300, 0, 0]), "translation is [1e+300"), (_row("nodes", scale=["1", 1, 1]), "scale"),
-    (_row("skins", joints=[0, 99999]), "skins[0].joints names"), (_row("skins", joints=None), "skins[0].joints"),
-    (_row("skins", inverseBindMatrices=1), "inverseBindMatrices are not matrices"),
-    (_row("meshes", primitives=[3]), "meshes[0].primitives is not a list"),
-    (_row("meshes", primitives=[{"attributes": {"POSITION": 400}}]), "attributes names what is not there"),
-    (lambda document: document.update(images=[7]), "images is not a list of objects"),
+    (_row("skins", joints=[0, 99999]), "joints is [0, 99999]"), (_row("skins", joints=None), "skins[0].joints"),
+    (_row("skins", inverseBindMatrices=1), "skins[0].inverseBindMatrices is {"),
+    (_row("meshes", primitives=[3]), "meshes[0].primitives is [3]"),
+    (_row("meshes", primitives=[{"attributes": {"POSITION": 400}}]), "meshes[0].attributes is [400]"),
+    (lambda document: document.update(images=[7]), "images is [7]"),
     (lambda document: document.update(images=[{"uri": 7}]), "images[0].uri is 7"),
     (lambda document: document.update(images=[{"bufferView": -1}]), "images[0].bufferView is -1"),
-    (lambda document: document.update(animations={}), "animations is not a list"),
+    (lambda document: document.update(animations={}), "animations is {}"),
     (lambda document: document.update(nodes=[{}] * 20_000), "are read at most"),
     (lambda document: document.update(extensionsRequired=["KHR_texture_transform", "EXT_no_such"]),
      "needs EXT_no_such; export it without"),

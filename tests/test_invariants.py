@@ -14,7 +14,7 @@ from untrained import PLAIN, untrained
 
 from data_module.layers import freeze
 from data_module.motion import rotation
-from data_module.speech.beats import BeatSettings, place_beats
+from data_module.speech.beats import BeatSettings, BeatTracker
 from data_module.types import Array, Speech
 from generator.model import Generator, GeneratorConfig, GeneratorWidths
 from gesticulator.gesticulator import Gesticulator
@@ -44,8 +44,8 @@ def voice(seconds: float, seed: int = 0) -> np.ndarray:
 
 @given(onsets=st.lists(st.floats(0, 0.2), max_size=6), duration=st.floats(0.01, 0.199))
 def test_a_recording_shorter_than_the_shortest_interval_is_one_block(onsets: list[float], duration: float) -> None:
-    beats = place_beats(np.unique(onsets), np.zeros(0), duration, BeatSettings(0.2, 0.5))
-    assert beats.times.tolist() == [0.0, duration]
+    beats = BeatTracker(BeatSettings(0.2, 0.5)).finish([(onset, 1.0) for onset in sorted(set(onsets))], [], duration)
+    assert [time for time, _ in beats] == [duration]
 
 
 # ---- rotations

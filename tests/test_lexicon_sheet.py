@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,10 @@ import pytest
 from performances import perform
 
 from data_module.blocks import cut
+from data_module.motion.skeletons import CHARACTER, from_vector
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter
-from eval.clip.excerpts import evenly
+from data_module.types import Speech, Word
+from eval.clip.excerpts import evenly, excerpt
 from eval.commands import PLOT
 from eval.metrics.encode import encode_motion, normalised_blocks
 from eval.pictures import embedding, lexicon_sheet
@@ -78,3 +81,24 @@ def test_an_unknown_performer_is_centred_on_their_own_pose(store: Path) -> None:
 def test_recordings_are_chosen_evenly(store: Path) -> None:
     assert [info.name for info in evenly(Store.open(store), "all")] == ["train", "test"]
     assert [info.name for info in evenly(Store.open(store), "all", 1)] == ["train"]
+
+
+def test_an_excerpt_is_the_middle_with_sound_words_and_motion_together() -> None:
+    def recording(seconds: float) -> Recording:
+        words = tuple(Word(str(n), n + 0.1, n + 0.9) for n in range(int(seconds)))
+        samples = np.linspace(0, 0.5, round(seconds * 16000)).astype(np.float32)
+        motion = from_vector(np.zeros((round(20 * seconds), 3 * len(CHARACTER))), 20.0)
+        place = np.outer(np.arange(len(motion)) / 20, [1.0, 0.0, 0.0])
+        return Recording(RecordingInfo("one", "test", "brad", "awb", "en"), Speech(samples, 16000, words),
+                         dataclasses.replace(motion, root_positions=place))
+
+    cut = excerpt(recording(20.0), 10.0)
+    assert cut.speech.duration == pytest.approx(10) and cut.motion.duration == pytest.approx(10)
+    assert cut.speech.samples[0] == pytest.approx(0.5 * 5 / 20, abs=1e-5)
+    assert cut.motion.root_positions[0, 0] == pytest.approx(5)
+    assert cut.speech.words is not None and [w.text for w in cut.speech.words] == [str(n) for n in range(5, 15)]
+    assert cut.speech.words[0].start == pytest.approx(0.1)
+    narrow = excerpt(recording(20.0), 9.0)
+    assert narrow.speech.words is not None and narrow.speech.words[0].text == "6", "a word that is cut is left out"
+    whole = excerpt(recording(6.0), 10.0)
+    assert whole.speech.duration == pytest.approx(6) and len(whole.motion) == 120

@@ -14,7 +14,7 @@ from performances import example
 from data_module.errors import InputError
 from data_module.text.language import language_of
 from data_module.types import Speech, Word
-from gesticulator.directing.cues import stroke_of_word
+from gesticulator.directing.cues import TimedCue, stroke_of_word
 from gesticulator.directing.meaning_cues import CalledGesture, cue_pattern, meaning_cues, spoken_text
 from gesticulator.directing.meanings import AGAIN, LEVELS, Called, Level, MeaningTrack, chosen
 from gesticulator.directing.named_gestures import span_of_gesture
@@ -22,6 +22,7 @@ from gesticulator.gesticulator import Gesticulator
 from gesticulator.options import MEANING_LEVELS, InferenceOptions
 from gesticulator.performance import Performance
 from gesticulator.plan.gestures import ALIASES, GESTURES, REPERTOIRE
+from gesticulator.plan.plan import GestureCue
 from gesticulator.plan.plan_file import parse_plan
 
 
@@ -46,8 +47,8 @@ def labels(text: str, language: str = "en", score: float = 0.7) -> dict[str, str
 ])
 def test_a_pattern_marks_the_word_that_carries_the_stroke(pattern: str, text: str, stroke: str) -> None:
     spoken = spoken_text(text.split())
-    starts = [at for _, _, at in cue_pattern(pattern).matches(spoken)]
-    assert [spoken.text[at:spoken.text.index(" ", at)] for at in starts[-1:]] == [stroke]
+    *_, last = cue_pattern(pattern).regex.finditer(spoken.text)
+    assert last["stroke"].split()[0] == stroke
 
 
 @pytest.mark.parametrize(("pattern", "text"), [
@@ -55,14 +56,14 @@ def test_a_pattern_marks_the_word_that_carries_the_stroke(pattern: str, text: st
     ("*right ?", "right, he said"),
 ])
 def test_a_pattern_does_not_match_across_other_words(pattern: str, text: str) -> None:
-    assert not list(cue_pattern(pattern).matches(spoken_text(text.split())))
+    assert not cue_pattern(pattern).regex.search(spoken_text(text.split()).text)
 
 
 def test_a_pause_is_a_boundary_where_there_are_no_marks() -> None:
     words = ["so", "we", "stop", "then", "go"]
     pattern = cue_pattern("*stop $")
-    assert not list(pattern.matches(spoken_text(words)))
-    assert list(pattern.matches(spoken_text(words, [0.0, 0.0, 0.6, 0.0, 0.0])))
+    assert not pattern.regex.search(spoken_text(words).text)
+    assert pattern.regex.search(spoken_text(words, [0.0, 0.0, 0.6, 0.0, 0.0]).text)
 
 
 def test_a_pattern_without_a_word_is_refused() -> None:
@@ -137,7 +138,8 @@ def test_every_meaning_has_a_gesture_that_offends_nobody() -> None:
 # --------------------------------------------------------------------------------------------------------- budget
 
 def call(at: float, score: float = 0.75, label: str = "nod") -> Called:
-    return Called(CalledGesture(0, 0, 0, label, "nod", score), Word("yes", at, at + 0.3), at)
+    return Called(CalledGesture(0, 0, 0, label, "nod", score), Word("yes", at, at + 0.3),
+                  TimedCue(GestureCue("nod", time=at), at))
 
 
 calls = st.lists(st.builds(call, st.floats(0.0, 120.0), st.sampled_from([0.6, 0.7, 0.8, 0.9]),
@@ -147,16 +149,17 @@ calls = st.lists(st.builds(call, st.floats(0.0, 120.0), st.sampled_from([0.6, 0.
 @given(calls, st.lists(st.floats(0.0, 120.0), max_size=4), st.sampled_from([LEVELS["few"], LEVELS["normal"]]))
 def test_the_budget_keeps_its_distances(found: list[Called], taken: list[float], level: Level) -> None:
     out = chosen(found, level, taken=taken, begin=1.0)
-    assert all(b.time - a.time >= level.apart for a, b in zip(out, out[1:], strict=False))
+    assert all(b.cue.time - a.cue.time >= level.apart for a, b in zip(out, out[1:], strict=False))
     for n, one in enumerate(out):
-        assert one.gesture.score >= level.score and one.span[0] >= 1.0
-        assert all(abs(one.time - other) >= level.apart for other in taken)
-        assert not any(other.gesture.label == one.gesture.label and one.time - other.time < AGAIN for other in out[:n])
+        assert one.gesture.score >= level.score and one.cue.span[0] >= 1.0
+        assert all(abs(one.cue.time - other) >= level.apart for other in taken)
+        assert not any(other.gesture.label == one.gesture.label and one.cue.time - other.cue.time < AGAIN
+                       for other in out[:n])
 
 
 def test_a_better_one_near_wins_and_a_worse_one_does_not() -> None:
-    assert [one.time for one in chosen([call(5.0, 0.7), call(6.0, 0.9, "shrug")], LEVELS["normal"])] == [6.0]
-    assert [one.time for one in chosen([call(5.0, 0.9), call(6.0, 0.7, "shrug")], LEVELS["normal"])] == [5.0]
+    assert [one.cue.time for one in chosen([call(5.0, 0.7), call(6.0, 0.9, "shrug")], LEVELS["normal"])] == [6.0]
+    assert [one.cue.time for one in chosen([call(5.0, 0.9), call(6.0, 0.7, "shrug")], LEVELS["normal"])] == [5.0]
 
 
 @pytest.mark.parametrize(("language", "called", "label", "guarded"), [

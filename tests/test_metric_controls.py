@@ -14,15 +14,7 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, facing
 from data_module.types import Motion
 from eval.baselines import controls
-from eval.baselines.controls import (
-    CONTROLS,
-    donors,
-    jittered,
-    reversed_in_time,
-    shuffled,
-    split_halves,
-    to_common_length,
-)
+from eval.baselines.controls import CONTROLS, donors, jittered, reversed_in_time, shuffled, split_halves
 
 
 def clip(frames: int, seed: int, fps: float = 20.0) -> Motion:
@@ -39,7 +31,7 @@ CLIPS = [clip(frames, seed) for seed, frames in enumerate((30, 50, 41, 36, 60, 2
 @pytest.mark.parametrize("name", sorted(CONTROLS))
 def test_the_seed_decides_and_the_clips_stay_as_they_were(name: str) -> None:
     before = [own.rotations.copy() for own in CLIPS]
-    first, second = CONTROLS[name](CLIPS, 4), CONTROLS[name](CLIPS, 4)
+    first, second = CONTROLS[name](CLIPS, NAMES, 4), CONTROLS[name](CLIPS, NAMES, 4)
     assert len(first) == len(CLIPS)
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a.rotations, b.rotations)
@@ -49,57 +41,46 @@ def test_the_seed_decides_and_the_clips_stay_as_they_were(name: str) -> None:
         np.testing.assert_array_equal(own.rotations, kept)
 
 
+NAMES = [str(number) for number in range(len(CLIPS))]
+
+
 def test_halves_are_all_clips_once_and_about_as_long() -> None:
-    first, second = split_halves(CLIPS, 0)
-    assert sorted(len(own) for own in first + second) == sorted(len(own) for own in CLIPS)
-    assert {id(own) for own in first} & {id(own) for own in second} == set()
-    seconds = [sum(own.duration for own in half) for half in (first, second)]
+    first, second = split_halves(CLIPS, NAMES, 0)
+    assert sorted(first + second) == list(range(len(CLIPS)))
+    seconds = [sum(CLIPS[k].duration for k in half) for half in (first, second)]
     assert abs(seconds[0] - seconds[1]) <= max(own.duration for own in CLIPS)
-    assert any([id(a) for a in split_halves(CLIPS, seed)[0]] != [id(a) for a in first] for seed in range(1, 6))
+    assert any(split_halves(CLIPS, NAMES, seed)[0] != first for seed in range(1, 6))
 
 
 def test_a_group_is_never_split() -> None:
     groups = ["a", "a", "b", "c", "b", "c"]
-    name = {id(own): group for own, group in zip(CLIPS, groups, strict=True)}
     for seed in range(10):
-        first, second = split_halves(CLIPS, seed, groups)
-        assert first and second
-        assert {name[id(own)] for own in first} & {name[id(own)] for own in second} == set()
+        first, second = split_halves(CLIPS, groups, seed)
+        assert first and second and not {groups[k] for k in first} & {groups[k] for k in second}
     with pytest.raises(ValueError):
-        split_halves(CLIPS, 0, ["a"] * 6)
-    with pytest.raises(ValueError):
-        split_halves(CLIPS, 0, ["a"] * 5)
-    with pytest.raises(ValueError):
-        split_halves(CLIPS[:1], 0)
+        split_halves(CLIPS, ["a"] * 6, 0)
 
 
 @given(sizes=st.lists(st.integers(1, 4), min_size=2, max_size=6), seed=st.integers(0, 99))
 def test_every_speech_gets_the_motion_of_another_group_and_every_motion_is_given_once(sizes: list[int], seed: int
                                                                                       ) -> None:
     groups = [str(k) for k, size in enumerate(sizes) for _ in range(size)]
-    clips = [CLIPS[0]] * len(groups)
     if 2 * max(sizes) > len(groups):
         with pytest.raises(ValueError):
-            donors(clips, seed, groups)
+            donors(groups, seed)
         return
-    giver = donors(clips, seed, groups)
+    giver = donors(groups, seed)
     assert sorted(giver) == list(range(len(groups)))
     assert all(groups[k] != groups[giver[k]] for k in range(len(groups)))
 
 
 def test_shuffled_clips_are_cut_to_the_speech() -> None:
-    giver = donors(CLIPS, 0)
-    for k, own in enumerate(shuffled(CLIPS, 0)):
+    giver = donors(NAMES, 0)
+    for k, own in enumerate(shuffled(CLIPS, NAMES, 0)):
         assert giver[k] != k and len(own) == min(len(CLIPS[k]), len(CLIPS[giver[k]]))
         np.testing.assert_array_equal(own.rotations, CLIPS[giver[k]].rotations[:len(own)])
-    first, second = to_common_length(shuffled(CLIPS, 0), CLIPS)
-    assert [len(a) for a in first] == [len(b) for b in second]
     with pytest.raises(ValueError):
-        shuffled([clip(20, 0), clip(20, 1, fps=30.0)], 0)
-    with pytest.raises(ValueError):
-        shuffled(CLIPS[:1], 0)
-    with pytest.raises(ValueError):
-        shuffled([], 0)
+        shuffled(CLIPS[:1], ["a"], 0)
 
 
 def test_reversed_twice_is_the_clip() -> None:

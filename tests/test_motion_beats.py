@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from bursts import turned
 
-from data_module.errors import InputError
 from data_module.motion.motion_beats import acting_speed, motion_beats
 from data_module.types import Array, Motion, Skeleton
 
@@ -75,8 +74,3 @@ def test_acting_speed_is_the_sum_of_speeds_in_metres_per_second() -> None:
     positions = np.stack([np.outer(time, [3, 4, 0]), np.outer(time, [0, 0, -2])], axis=1)
     assert np.allclose(acting_speed(positions, 60.0), 7.0)
     assert acting_speed(positions[:1], 60.0).tolist() == [0.0]
-
-
-def test_an_unknown_mode_is_refused() -> None:
-    with pytest.raises(InputError, match="A, B"):
-        motion_beats(arm_motion(np.zeros(10), 60.0), "C")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Callable
 
 import numpy as np
@@ -274,17 +273,10 @@ def test_inverse_kinematics_is_undone_by_forward_kinematics() -> None:
 # ---------------------------------------------------------------------------------------------------------- verb
 
 def test_the_verb_lists_all_gestures(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["gestures", "--json"]) == 0
-    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
-    assert list(rows) == NAMES
-    for name, row in rows.items():
-        before, after = span_of_gesture(name)
-        assert row["preparation"] + row["stroke"] == pytest.approx(before, abs=2e-3)
-        assert row["hold"] + row["retraction"] == pytest.approx(after, abs=2e-3)
-        assert {name, *row["also"]} <= set(GESTURES)
-    assert rows["shrug"]["mark"] == "[shrug]" and rows["number three"]["mark"] == "[count:3]"
-    assert rows["big spread"]["mark"] == "[size:big]" and mark_of("point left") == "[point:left]"
-    assert main(["gestures"]) == 0 and len(capsys.readouterr().out.splitlines()) == len(REPERTOIRE)
+    assert main(["gestures"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.partition(":")[0].partition(" (or")[0] for line in lines] == NAMES
+    assert mark_of("count 3") == "[count:3]" and mark_of("shrug") == "[shrug]"
 
 
 # ------------------------------------------------------------------------------------------- head and speed

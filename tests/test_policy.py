@@ -13,7 +13,7 @@ import torch
 
 from data_module.layers import freeze
 from eval.ablate import policy
-from eval.ablate.policy import Decisions, PolicyJudge
+from eval.ablate.policy import Decisions, lexeme_values
 from eval.baselines.interpreters import ReplayInterpreter
 from interpreters.episodes import Demonstration
 from interpreters.reward import RewardConfig, RewardModel
@@ -97,13 +97,13 @@ def reward_of(own: Decisions, window: int = 3) -> RewardTable:
 def test_values_of_a_take_by_hand() -> None:
     one = decisions([0, 1, 0, 2], silent=[3])
     free, reward = np.array([0, 1, 1, 2]), reward_of(one)
-    values = PolicyJudge(one, {"": reward, "judge_": reward}).lexeme_values(one.takes[0], free)
+    values = lexeme_values(one.takes[0], free, SIZE, {"": reward, "judge_": reward})
     assert values["accuracy"] == pytest.approx(200 / 3) and values["longest_run"] == 2
     assert values["lexeme_diversity"] == pytest.approx(-(2 / 3 * math.log(2 / 3) + 1 / 3 * math.log(1 / 3)))
     assert math.isnan(values["return"]), "three decisions are no episode"
     long = decisions([0, 1] * 8)
     each = reward_of(long).sequence_every(torch.as_tensor(long.takes[0].lexemes), torch.arange(16))[1:].numpy()
-    values = PolicyJudge(long, {"": reward_of(long)}).lexeme_values(long.takes[0], long.takes[0].lexemes)
+    values = lexeme_values(long.takes[0], long.takes[0].lexemes, SIZE, {"": reward_of(long)})
     assert values["return"] == pytest.approx(each[np.arange(15), [1, 0] * 7 + [1]].sum()) and values["accuracy"] == 100
 
 

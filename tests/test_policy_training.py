@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,6 @@ import torch
 from torch import Tensor
 from untrained import with_policies
 
-from data_module.errors import InputError
 from data_module.store import Store
 from eval.ablate import racer as training
 from eval.ablate.actor_critic import ActorCritic
@@ -95,7 +95,7 @@ def test_each_kind_learns_from_its_own(context: RacerRows) -> None:
 
 
 def test_the_actor_begins_as_the_supervised_network(context: RacerRows) -> None:
-    supervised, _ = training.trained(context, "racer-supervised", 1)
+    supervised = training.trained(context, "racer-supervised", 1)
     model, _ = training.actor_critic(context, context.config("racer-actor-critic"),
                                      context.untrained("racer-cql", 1), 1)
     assert isinstance(model, ActorCritic) and isinstance(supervised, QNetwork)
@@ -103,18 +103,9 @@ def test_the_actor_begins_as_the_supervised_network(context: RacerRows) -> None:
 
 
 @pytest.mark.parametrize("name", ["racer-cql", "racer-dqn", "racer-actor-critic"])
-def test_training_repeats_and_is_kept(context: RacerRows, name: str) -> None:
-    file = context.context.work / f"{name}-{context.key(name, 1)}" / "weights.safetensors"
-    first = weights(training.trained(context, name, 1)[0])
-    stored = file.read_bytes()
-    assert torch.equal(first, weights(training.trained(context, name, 1)[0])), "as it was read"
-    file.unlink()
-    assert torch.equal(first, weights(training.trained(context, name, 1)[0])), "as it was trained again"
-    assert file.read_bytes() == stored
-    assert not torch.equal(first, weights(training.trained(context, name, 2)[0]))
-
-
-def test_a_bundle_without_a_judge_is_refused(context: RacerRows, tiny_store: Path, tmp_path: Path) -> None:
-    without = EvalContext.over(Store.open(tiny_store), context.bundle.with_parts(reward_judge=None), tmp_path)
-    with pytest.raises(InputError, match="reward models"):
-        RacerRows.of(without, context.rg, PRESET)
+def test_training_repeats(context: RacerRows, name: str) -> None:
+    first = training.trained(context, name, 1)
+    assert training.trained(context, name, 1) is first, "once"
+    again = training.trained(dataclasses.replace(context), name, 1)
+    assert again is not first and torch.equal(weights(first), weights(again))
+    assert not torch.equal(weights(first), weights(training.trained(context, name, 2)))

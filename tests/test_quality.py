@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 from data_module.store import Store
-from eval import quality
 from eval.baselines.interpreters import Bigram
 from eval.commands import QUALITY
 from eval.context import EvalContext
-from eval.stats import Interval
 from eval.table import load
 from gesticulator.bundle import bundle as bundles
 
@@ -35,22 +33,6 @@ def test_the_command_writes_every_table(tiny_store: Path, tiny_bundle: Path, tmp
     lexicon, accuracy = load(out)
     systems = {"lstm", "lstm with text", "statistical", "majority"}
     assert set(accuracy.rows) == {"previous lexeme and speaker", *systems}
-    linear, quantised = (lexicon.rows[name]["error"] for name in ("PCA", "quantised"))
-    assert isinstance(linear, Interval) and isinstance(quantised, Interval) and linear.mean < quantised.mean
+    assert set(lexicon.rows) == {"quantised", "unquantised", "variance"} and "Lexemes used" in lexicon.notes[0]
     assert accuracy.rows["majority"]["teacher_forced"] == accuracy.rows["majority"]["free_running"]
-    assert lexicon.facts["store"]["test_recordings"] == 2 and "majority" in capsys.readouterr().out
-
-
-def test_blocks_know_whether_their_stroke_was_shown_in_training(tiny_store: Path) -> None:
-    store = Store.open(tiny_store)
-    for info in store.recordings:
-        recording = store.load(info.name)
-        assert recording.truth is not None
-        strokes = recording.truth.strokes
-        edges = np.arange(0, recording.speech.duration, 0.1)
-        kinds = quality.stroke_kinds(recording, edges)
-        unseen = sum(s.end - s.start for s in strokes if s.held_out)
-        assert (kinds == 1).sum() * 0.1 <= unseen + 0.2 * len(strokes)
-        assert (kinds == 1).any() == any(s.held_out for s in strokes)
-        if info.split == "train":
-            assert not (kinds == 1).any()
+    assert "majority" in capsys.readouterr().out

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from recogniser_samples import FILES, JSON, WITHOUT_TIMES, Words, assemblyai, srt_highlighted, whisper, whisperx
 
 from data_module.errors import InputError
-from data_module.text.recognisers import RECOGNISERS
 from data_module.text.transcript import Transcript, read_transcript, with_transcript
 from data_module.types import Speech, Word
 
@@ -45,11 +44,6 @@ def _same(found: Transcript, words: Words, ends: bool = True) -> None:
         np.testing.assert_allclose([word.end for word in found.words], [end for _, _, end in words], atol=1e-9)
 
 
-@pytest.mark.parametrize("name", TIMED)
-def test_words_and_times_of_each_recogniser(name: str, tmp_path: Path) -> None:
-    _same(_sample(tmp_path, name, SPOKEN), SPOKEN, name not in UNENDING)
-
-
 WORD = st.from_regex(r"[A-Za-z]{1,9}[a-z]", fullmatch=True)
 
 
@@ -64,13 +58,6 @@ def test_any_words_read_the_same_from_every_recogniser(tmp_path_factory: pytest.
     folder = tmp_path_factory.mktemp("words")
     for name in TIMED:
         _same(_sample(folder, name, words), words, name not in UNENDING)
-
-
-@pytest.mark.parametrize("name", JSON)
-def test_a_file_is_found_by_its_shape(name: str) -> None:
-    meant, write = JSON[name]
-    content = json.loads(json.dumps(write(SPOKEN)))
-    assert next(reader.name for reader in RECOGNISERS if reader.shape(content)) == meant
 
 
 @pytest.mark.parametrize("name", sorted(WITHOUT_TIMES - {"text"}))
@@ -89,7 +76,7 @@ def _without_words(content: Any) -> Any:
 @pytest.mark.parametrize("name", ["whisper", "whisperx", "faster-whisper", "google", "azure", "azure, batch",
                                   "azure, fast", "deepgram"])
 def test_a_file_without_word_times_gives_its_lines_or_its_text(name: str, tmp_path: Path) -> None:
-    content = _without_words(JSON[name][1](SPOKEN))
+    content = _without_words(JSON[name](SPOKEN))
     found = _read(tmp_path, ".json", json.dumps(content))
     assert found.timing == ("none" if name == "deepgram" else "cues")
     assert found.text == "And so, my fellow Americans, ask not"
@@ -126,7 +113,7 @@ def test_emphasis_in_a_line_is_no_time(tmp_path: Path) -> None:
 def test_words_that_were_not_aligned_lie_between(tmp_path: Path) -> None:
     """whisperX leaves out the times of numbers, gentle those of words that it does not hear."""
     for name in ("whisperx", "gentle"):
-        content = JSON[name][1](SPOKEN)
+        content = JSON[name](SPOKEN)
         item = (content["segments"][0] if name == "whisperx" else content)["words"][2]
         del item["start"], item["end"]
         item["case"] = "not-found-in-audio"
@@ -144,7 +131,7 @@ def test_phrases_of_transformers_are_cues_and_the_last_may_be_open(tmp_path: Pat
 
 
 def test_what_was_not_recognised_is_passed_over(tmp_path: Path) -> None:
-    content = [JSON["azure"][1](SPOKEN), {"RecognitionStatus": "InitialSilenceTimeout", "Offset": 4 * 10**7,
+    content = [JSON["azure"](SPOKEN), {"RecognitionStatus": "InitialSilenceTimeout", "Offset": 4 * 10**7,
                                           "Duration": 10**7}]
     _same(_read(tmp_path, ".json", json.dumps(content)), SPOKEN)
 
@@ -157,8 +144,9 @@ def test_what_was_not_recognised_is_passed_over(tmp_path: Path) -> None:
      "the words of 2 channels"),
     ({"results": {"channels": [{"alternatives": [{"words": [{"word": "a", "start": "x", "end": 1}]}]}]}},
      "results.channels[0].alternatives[0].words[0].start: 'x' is not a time"),
-    ({"transcription": [{"text": " a"}]}, "transcription[0]: has no text with offsets"),
-    ({"chunks": [{"text": "a", "timestamp": 3}]}, "chunks[0]: has no timestamp"),
+    ({"transcription": [{"text": "a", "offsets": {"from": 0, "to": 9}}, {"text": " b c"}]},
+     "transcription[1]: has no times"),
+    ({"chunks": [{"text": "a", "timestamp": [0, 1]}, {"text": "b c", "timestamp": 3}]}, "chunks[1]: has no times"),
     ({"results": [{"alternatives": [{"words": [{"word": "a", "endTime": "1.5"}]}]}]}, "'1.5' is not a time"),
     ({"chapters": []}, "neither words nor segments"),
 ])

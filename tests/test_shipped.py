@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import performances
 import pytest
 
-from eval.clip.measure import measure
+from eval.acceptance.rest import Rested
 from eval.table import load_with_provenance, markdown
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.files import CARD, read_index
@@ -34,13 +33,12 @@ def test_the_bundle_is_small_and_says_what_it_was_trained_on() -> None:
 
 
 def test_the_example_is_gestured_in_speech_and_rests_in_its_pause(example: Performance) -> None:
-    clip = measure(example.motion, example.speech)
-    speech = clip.speech_speed
-    # The long pause, between coming to rest, two seconds, and getting ready for the next phrase, two thirds of one.
-    frames = np.flatnonzero(clip.silent)
-    pause = max(np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1), key=len)
-    rest = float(clip.hand_speed[pause[60:-20]].mean())
-    assert len(pause) > 120, "the example has a pause of several seconds"
+    rested = Rested.of(example.motion, example.speech)
+    start, stop = max(rested.pauses, key=lambda pause: pause[1] - pause[0])
+    assert stop - start > 3.0, "the example has a pause of several seconds"
+    speech = rested.in_speech()
+    # Between coming to rest, two seconds, and getting ready for the next phrase, two thirds of one.
+    rest = float(rested.between(start + 2.0, stop - 2 / 3).mean())
     assert speech > 0.15, "m/s"
     assert rest < 0.1, "m/s"
     assert rest < 0.4 * speech

@@ -146,7 +146,6 @@ def test_a_band_of_shifts_finds_what_all_shifts_find(monkeypatch: pytest.MonkeyP
     one = rng.integers(6, 16, (900, 12), dtype=np.uint8)
     other = np.concatenate([one[:300], one[360:600], rng.integers(6, 16, (40, 12), dtype=np.uint8), one[600:]])
     whole = _matches(one, other)
-    monkeypatch.setattr("data_module.speech.sound_map._MOST_CELLS", 0)
     monkeypatch.setattr("data_module.speech.sound_map.REACH", 100)
     np.testing.assert_array_equal(_matches(one, other), whole)
 

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from learning import learn
 from scipy.special import erf, logsumexp
 from torch import Tensor, nn
@@ -26,6 +28,7 @@ from data_module.speech.speech_encoder import (
     load_fairseq,
 )
 from data_module.types import Array
+from gesticulator.training.stages.speech import crops_of
 
 PUBLISHED = [(10, 5), (8, 4), (4, 2), (4, 2), (4, 2), (1, 1), (1, 1), (1, 1)]
 FRAMES, PER_FRAME = 4, 400
@@ -222,3 +225,11 @@ def test_training_draws_level_8_to_the_words() -> None:
     assert float(model.losses(batch)["contrast"].detach()) < 0.8 * first
     best = model.similarities(batch)[batch["word"] >= 0].flatten(1).argmax(1) // FRAMES
     assert float((best == LEVELS - 1).float().mean()) > 0.9
+
+
+@given(st.lists(st.integers(3, 40), min_size=1, max_size=6), st.integers(0, 2**31))
+def test_a_crop_never_runs_over_two_recordings(sizes: list[int], seed: int) -> None:
+    sounds = (np.full(size, number + 1.0, np.float32) for number, size in enumerate(sizes))
+    drawn = crops_of(sounds, 3)(np.random.default_rng(seed), 200)
+    assert drawn.shape == (200, 3) and drawn.dtype == np.float32
+    assert (drawn == drawn[:, :1]).all() and set(drawn[:, 0]) <= set(range(1, len(sizes) + 1))

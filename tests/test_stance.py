@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import FINGERED, HIP_HEIGHT, LEG_JOINTS, WHOLE_BODY, has_legs, resized, standing
-from data_module.types import Array, Motion, Skeleton
+from data_module.types import Array, Motion
 from gesticulator.body.legs import CROSSES, SIDES, Stance, seated, with_legs
 from gesticulator.body.life import noise, weight_shifts
 from tests.performances import perform
@@ -255,21 +255,6 @@ def test_a_stream_stands_like_a_file() -> None:
     np.testing.assert_allclose(np.concatenate([part.root_positions for part in parts]), whole.root_positions,
                                atol=1e-12)
     assert not np.allclose(with_legs(motion, 4).root_positions, whole.root_positions, atol=1e-3), "seeds differ"
-
-
-def smaller(share: float) -> Skeleton:
-    return replace(WHOLE_BODY, offsets=share * WHOLE_BODY.offsets,
-                   end_sites={joint: share * tip for joint, tip in WHOLE_BODY.end_sites.items()})
-
-
-def test_a_child_stands_as_its_legs_are_long() -> None:
-    motion = drawn(2, seconds=40.0)
-    large, small = with_legs(motion, 2), with_legs(motion, 2, smaller(0.6))
-    np.testing.assert_allclose(kinematics.positions_of(small), 0.6 * kinematics.positions_of(large), atol=1e-9)
-    sits, sits_small = seated(motion), seated(motion, smaller(0.6))
-    np.testing.assert_allclose(kinematics.positions_of(sits_small), 0.6 * kinematics.positions_of(sits), atol=1e-9)
-    with pytest.raises(ValueError, match="46 joints"):
-        Stance(0, 60.0, FINGERED)
 
 
 def test_who_sits_sits_still() -> None:

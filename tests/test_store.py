@@ -1,4 +1,4 @@
-"""Stores: the round trip, resuming, and every way a store can be wrong."""
+"""Stores: the round trip, and every way a store can be wrong."""
 
 from __future__ import annotations
 
@@ -97,14 +97,6 @@ def test_bytes_and_fingerprint_depend_on_the_content_alone(tmp_path: Path) -> No
             assert file.read_bytes() == (tmp_path / "two" / file.relative_to(tmp_path / "one")).read_bytes()
     other = _store(tmp_path / "three", _recording("a", seed=1), _recording("b", seed=4))
     assert one.fingerprint == two.fingerprint != other.fingerprint
-
-
-@pytest.mark.parametrize("change", [{"hours": 2.0}, {"seed": 4}, {"corpus": "other"}])
-def test_work_begun_with_other_settings_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
-    StoreWriter(tmp_path / "s", "test", SETTINGS, 3, "none").add(_recording("a"))
-    corpus, seed = str(change.pop("corpus", "test")), int(str(change.pop("seed", 3)))
-    with pytest.raises(InputError, match="was begun with"):
-        StoreWriter(tmp_path / "s", corpus, SETTINGS | change, seed, "none")
 
 
 def test_a_finished_store_and_a_foreign_folder_are_not_overwritten(tmp_path: Path) -> None:

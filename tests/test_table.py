@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data_module.errors import InputError
+from eval.context import without_work
 from eval.stats import Interval
 from eval.table import (
     MOST_COLUMNS,
@@ -28,13 +29,17 @@ from eval.table import (
     dumps,
     load,
     load_with_provenance,
-    loads,
+    markdown,
     publish,
     save,
+    undefined,
 )
 
 VALUES = st.recursive(st.floats() | st.integers() | st.booleans() | st.text(),
                       lambda own: st.lists(own, max_size=3) | st.dictionaries(st.text(), own, max_size=3), max_leaves=8)
+RESULTS = Path(__file__).parent.parent / "docs" / "results"
+STORED = [file for file in sorted(RESULTS.rglob("*.json")) if file.with_suffix(".md").is_file()]
+"""Files of tables."""
 ROW: dict[str, Cell] = {"a": Interval(1.25, 1.0, 1.5, 3), "b": Marked(2, "(!)", "too good"), "c": "x | y"}
 TABLE = Table("Speed", {"a": Column("hands", "m/s", 1, "near"), "b": Column("n", digits=0), "c": Column("text")},
               {"ours": ROW, "theirs": {"a": None, "b": math.nan}}, head="system", notes=["One note."],
@@ -48,7 +53,7 @@ def test_what_is_finite_comes_back_and_what_is_not_is_undefined(result: dict[str
 
     text = dumps(result)
     json.loads(text, parse_constant=strict)
-    same(result, loads(text))
+    same(result, undefined(json.loads(text)))
 
 
 def same(given: object, back: object) -> None:
@@ -67,7 +72,7 @@ def same(given: object, back: object) -> None:
 
 
 def test_numbers_of_numpy_are_numbers() -> None:
-    assert loads(dumps({"n": np.int64(3), "yes": np.bool_(True), "x": [np.float32(0.5)]})) == {
+    assert json.loads(dumps({"n": np.int64(3), "yes": np.bool_(True), "x": [np.float32(0.5)]})) == {
         "n": 3, "yes": True, "x": [0.5]}
 
 
@@ -119,6 +124,23 @@ def test_a_table_is_printed_where_no_file_is_asked_for(capsys: pytest.CaptureFix
     publish([TABLE], None, ABOUT)
     shown = capsys.readouterr().out
     assert "1.2 [1.0, 1.5]" in shown and "One note." in shown
+
+
+@pytest.mark.parametrize("file", STORED, ids=lambda file: file.relative_to(RESULTS).as_posix())
+def test_a_stored_table_says_where_it_comes_from_and_fits_a_page(file: Path) -> None:
+    tables, about = load_with_provenance(file)
+    page = file.with_suffix(".md").read_text()
+    assert page == markdown(tables, about), "what is read is what was written"
+    assert page.startswith(f"`{about.command}` · commit ")
+    assert not re.search(r"[ =]/\w", about.command), "names no place of one machine"
+    heads = [line for line in page.splitlines() if set(line) == {"|", "-"}]
+    assert heads and all(line.count("---") <= MOST_COLUMNS for line in heads)
+    assert all(table.title for table in tables)
+
+
+def test_a_command_is_recorded_without_its_work_folder() -> None:
+    words = ["probe", "motion", "--work", "/a/b", "--limit", "16", "--work=/a/b", "--out", "motion.json"]
+    assert without_work(words) == ["probe", "motion", "--limit", "16", "--out", "motion.json"]
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"tables": [1]}', '{"tables": [{}]}', "[" * 5000])

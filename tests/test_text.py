@@ -78,10 +78,10 @@ def test_pieces_tile_the_recording_and_are_cut_in_pauses() -> None:
 
 def test_shared_out_words_keep_to_the_loud_parts() -> None:
     speech = _bursts([1.0, 3.0], 5.0, length=1.0)
-    found = text._shared_out(text._aligner_samples(speech), ["aaaa", "bbbb", "cccc", "dddd"])
-    starts = [a for a, _ in found]
+    found = text.shared_out(speech, ["aaaa", "bbbb", "cccc", "dddd"])
+    starts = [word.start for word in found]
     assert starts[0] == pytest.approx(1.0, abs=0.05) and starts[2] == pytest.approx(3.0, abs=0.1)
-    assert found[-1][1] == pytest.approx(4.0, abs=0.05)
+    assert found[-1].end == pytest.approx(4.0, abs=0.05)
 
 
 @pytest.mark.parametrize("name", ["en_austen_0870", "en_austen_0920", "en_sonnet_3"])

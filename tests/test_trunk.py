@@ -16,8 +16,7 @@ from gesticulator.characters.retarget import CharacterMotion, Retargeter
 from gesticulator.contacts.columns import TRUNK
 from gesticulator.contacts.default_body import cleared
 from gesticulator.contacts.limbs import MARGIN, OURS, TrunkAxes, pose_of
-from gesticulator.contacts.other_bodies import HandLimit, HandPoint, Obstacle, displacement, spread
-from gesticulator.contacts.surfaces import Outline, ellipse
+from gesticulator.contacts.other_bodies import HandLimit, Outline, Trunk, displacement, ellipse, spread
 from tests.awkward import figure, write
 from tests.performances import turned
 from tests.rig_errors import inside, places_of
@@ -27,11 +26,14 @@ STOUT = (0.24, 0.25)
 LENGTH, FPS = 0.5, 60.0
 
 
-def limited(our: Array, their: Array, outline: Outline, size: float = 1.0, length: Array | float = LENGTH) -> HandLimit:
+def upright(outline: Outline, frames: int) -> Trunk:
+    """An upright trunk over some frames, of a body with an arm of our length."""
+    return Trunk(TrunkAxes(np.tile(np.eye(3), (frames, 1, 1)), np.full(frames, LENGTH)), outline, 1.0)
+
+
+def limited(our: Array, their: Array, outline: Outline) -> HandLimit:
     """The limit of points [3, T] left, up and ahead of the hips, of an upright body."""
-    frames = our.shape[1]
-    upright = TrunkAxes(np.tile(np.eye(3), (frames, 1, 1)), np.broadcast_to(length, (frames,)))
-    return HandLimit.of(our, their, (upright, outline), size)
+    return upright(outline, our.shape[1]).limit(our, their.T)
 
 
 def beside(places: Array, width: float, depth: float) -> Array:
@@ -66,10 +68,8 @@ def test_a_hand_that_is_led_around_a_stout_trunk_starts_early_and_is_not_hasty()
                                                          - 0.5 * (np.abs(across) - OURS[0]))])
     their = our * np.array([[0.9], [1.0], [0.5]])
     limit = limited(our, their, ellipse(*STOUT))
-    upright = TrunkAxes(np.tile(np.eye(3), (1200, 1, 1)), np.full(1200, LENGTH))
     framed = limit.lack[:, None] * limit.normal
-    push = spread(framed, [HandPoint(their.T, limit.margin)], Obstacle(upright, ellipse(*STOUT), 1.0),
-                  (their.T, 1.0), 400.0)
+    push = spread(framed, [limit], upright(ellipse(*STOUT), 1200), (their.T, 1.0), 400.0)
     speeds = [np.linalg.norm(np.diff(their.T + moved, axis=0), axis=1).max() * 400.0 for moved in (0.0, push, framed)]
     assert beside((their.T + push).T, *STOUT).min() > 0.99, "36 tangents are up to 0.4 % outside of an ellipse"
     assert speeds[1] < 1.65 * speeds[0] and speeds[2] > 1.95 * speeds[0]
@@ -83,9 +83,7 @@ def test_displacements_of_a_loop_stay_a_loop_at_any_frame_rate(fps: float) -> No
     angle = 2.0 * np.pi * time + 0.8 * np.sin(2.0 * np.pi * time)
     our = np.stack([(OURS[0] + 0.02) * np.cos(angle), np.full(len(time), 0.25), (OURS[1] + 0.02) * np.sin(angle)])
     limit = limited(our, our, ellipse(*STOUT))
-    upright = TrunkAxes(np.tile(np.eye(3), (len(time), 1, 1)), np.full(len(time), LENGTH))
-    push = spread(limit.lack[:, None] * limit.normal, [HandPoint(our.T, limit.margin)],
-                  Obstacle(upright, ellipse(*STOUT), 1.0), (our.T, 1.0), fps)
+    push = spread(limit.lack[:, None] * limit.normal, [limit], upright(ellipse(*STOUT), len(time)), (our.T, 1.0), fps)
     around = np.concatenate([push, push[:2]])
     jerks = np.linalg.norm(np.diff(around, 2, axis=0), axis=1)
     assert jerks[-2:].max() <= 1.1 * np.percentile(jerks[:-2], 99)
@@ -94,8 +92,8 @@ def test_displacements_of_a_loop_stay_a_loop_at_any_frame_rate(fps: float) -> No
 
 def test_an_arm_that_is_too_short_for_a_goal_reaches_another_outside() -> None:
     reached, arm = np.array([[0.1, -0.3, 0.1]]), 0.4
-    ahead = HandLimit(np.array([[0.0, 0.0, 1.0]]), np.array([0.2]), np.zeros(1))
-    aside = HandLimit(np.array([[0.8, 0.0, 0.6]]), np.array([0.05]), np.zeros(1))
+    ahead = HandLimit(reached, np.array([[0.0, 0.0, 1.0]]), np.array([0.2]), np.zeros(1))
+    aside = HandLimit(reached, np.array([[0.8, 0.0, 0.6]]), np.array([0.05]), np.zeros(1))
     push = displacement([ahead, aside], reached, arm)
     assert np.linalg.norm(reached + push) <= arm + 1e-9
     assert push[0, 2] > 0.199 and push[0] @ [0.8, 0.0, 0.6] >= 0.05

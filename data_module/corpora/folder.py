@@ -14,15 +14,17 @@ import argparse
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from data_module.corpora.base import DroppedError, Imported, Item, Options, needed, spread
 from data_module.corpora.takes import TEXTS, read_motion, with_text
 from data_module.errors import InputError, shown
 from data_module.files import read_json, read_text, write_text
-from data_module.motion.bvh import bvh_text
+from data_module.motion.bvh import write_bvh
 from data_module.speech.audio import SOUNDS, load_speech
 from data_module.store import SPLITS, Recording, RecordingInfo, Split
 from data_module.truth import Truth
@@ -127,7 +129,7 @@ class Folder:
             fields = self._fields(name)
             speech, timing = self._with_words(name, replace(load_speech(sound), speaker=item.info.speaker), fields)
             # The strokes of a scripted performance mark a file that the build wrote itself.
-            truth = Truth.from_json(fields) if "strokes" in fields else None
+            truth = msgspec.convert(fields, Truth) if "strokes" in fields else None
         except InputError as error:
             raise DroppedError(str(error)) from None
         except (KeyError, TypeError, ValueError) as error:
@@ -230,12 +232,12 @@ def speakers_by(option: str, names: Sequence[str], folder: Path) -> dict[str, st
 def write_recording(folder: Path, recording: Recording) -> None:
     """Write NAME.bvh and NAME.json, the inverse of `Folder.read` (the sound is the store's own file)."""
     info, words = recording.info, recording.speech.words
-    write_text(folder / f"{info.name}.bvh", bvh_text(recording.motion))
+    write_bvh(folder / f"{info.name}.bvh", recording.motion)
     fields: dict[str, Any] = {
         "words": None if words is None else [{"text": w.text, "start": w.start, "end": w.end} for w in words],
         "performer": info.speaker, "voice": info.voice, "language": info.language, "split": info.split,
         "group": info.group, "stands": recording.stands, "filled": list(recording.motion.filled),
     }
     if recording.truth is not None:
-        fields |= recording.truth.to_json()
+        fields |= asdict(recording.truth)
     write_text(folder / f"{info.name}.json", json.dumps(fields, ensure_ascii=False))

@@ -24,7 +24,7 @@ CORPORA: Registry[RegistryEntry] = Registry("corpora", "a data set that can be r
         "Trinity Speech-Gesture: GENEA_Challenge_2020_data_release, with Training_data/ and Test_data/",
         "data_module.corpora.trinity:Trinity"),
     "zeroeggs": RegistryEntry(
-        "ZeroEGGS: its folder data, with clean/ and info.csv", "data_module.corpora.zeroeggs:ZeroEggs"),
+        "ZeroEGGS: its folder data, with clean/", "data_module.corpora.zeroeggs:ZeroEggs"),
     "mocca": RegistryEntry(
         "MOCCA Gesture Dataset: speakerNN_clipNN.bvh, .wav and .srt", "data_module.corpora.mocca:Mocca"),
     "beat": RegistryEntry(

@@ -19,14 +19,10 @@ from data_module.motion import skeletons
 from data_module.motion.bvh import CENTIMETRES, FRAME_RATE_ADVICE, BvhWarning, read_bvh
 from data_module.speech.audio import load_speech
 from data_module.store import RecordingInfo
-from data_module.types import Motion, Speech, Word
+from data_module.types import Motion, Speech
 
 TEXTS = (".textgrid", ".json", ".srt", ".vtt", ".txt")
 """Suffixes of transcripts, the most reliable times first."""
-
-
-class TakeWarning(UserWarning):
-    """A file differs from the published one, but was read."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +38,10 @@ class Take:
         return [file.stat().st_size for file in (self.motion, self.sound, self.text) if file is not None]
 
 
-def find_takes(source: Path, name: re.Pattern[str], *, texts: Sequence[str] = TEXTS,
-               folders: Mapping[str, str] | None = None) -> tuple[dict[str, Take], list[str]]:
+def find_takes(source: Path, name: re.Pattern[str], *, texts: Sequence[str] = TEXTS
+               ) -> tuple[dict[str, Take], list[str]]:
     """The takes below `source` whose file names fully match `name`, by name; and notes on missing files. texts:
-    suffixes of transcripts, in lower case, best first. folders: suffix -> the data set's folder of such files, for the
-    path in a note. `InputError` for a duplicate file, or if no take is complete."""
+    suffixes of transcripts, in lower case, best first. `InputError` for a duplicate file, or if no take is complete."""
     kinds = (".bvh", ".wav", *texts)
     files_of: dict[str, dict[str, Path]] = {}
     for file in sorted(source.rglob("*")):
@@ -60,45 +55,29 @@ def find_takes(source: Path, name: re.Pattern[str], *, texts: Sequence[str] = TE
         files[kind] = file
     takes: dict[str, Take] = {}
     notes: list[str] = []
-    # A take without sound or motion is noted by the path where the file should be, and left out.
+    # A take without sound or motion is left out.
     for stem, files in sorted(files_of.items()):
-        missing = [_expected(files, stem, kind, folders or {}) for kind in (".bvh", ".wav") if kind not in files]
+        missing = [kind for kind in (".bvh", ".wav") if kind not in files]
         if missing:
-            notes += [f"left out {stem}: {file} is missing" for file in missing]
+            notes += [f"left out {stem}: {stem}{kind} is missing" for kind in missing]
             continue
         takes[stem] = Take(files[".bvh"], files[".wav"], next((files[kind] for kind in texts if kind in files), None))
         if takes[stem].text is None and texts:
-            text = _expected(files, stem, texts[0], folders or {})
-            notes.append(f"{stem}: {text} is missing, so its words are unknown")
+            notes.append(f"{stem}: {stem}{texts[0]} is missing, so its words are unknown")
     if not takes and notes:
         raise InputError(source, f"has no recording with motion and sound ({notes[0]})", "add what is missing")
     return takes, notes
 
 
-def _expected(files: Mapping[str, Path], stem: str, kind: str, folders: Mapping[str, str]) -> Path:
-    there = files[".bvh"] if ".bvh" in files else next(iter(files.values()))
-    if there.parent.name in folders.values() and kind in folders:
-        return there.parent.parent / folders[kind] / (stem + kind)
-    return there.with_suffix(kind)
-
-
-def read_take(info: RecordingInfo, take: Take, options: Options, *, unit: float | None = None,
-              fps: float | None = None, words: Sequence[Word] | None = None) -> Imported:
-    """Read a take. unit, fps: as published, None if unknown; words: of its text, if the caller has read it.
-    `DroppedError` names the file that cannot be used."""
+def read_take(info: RecordingInfo, take: Take, options: Options, unit: float | None) -> Imported:
+    """Read a take. unit: as published, None if unknown. `DroppedError` names the file that cannot be used."""
     try:
         motion, unit_note = read_motion(take.motion, options, unit)
-        speech = replace(load_speech(take.sound), speaker=info.speaker)
-        timing = ""
-        if words is not None:
-            speech, timing = replace(speech, words=tuple(words)), "given"
-        elif take.text is not None:
+        speech, timing = replace(load_speech(take.sound), speaker=info.speaker), ""
+        if take.text is not None:
             speech, timing = with_text(speech, take.text)
     except InputError as error:
         raise DroppedError(str(error)) from None
-    if fps is not None and options.fps is None and abs(motion.fps - fps) > 0.01 * fps:
-        warnings.warn(f"{take.motion} says {motion.fps:g} frames a second and was published with {fps:g}; "
-                      f"say --fps {fps:g} if the file is wrong", TakeWarning, stacklevel=2)
     return Imported(info, speech, motion, unit=unit_note, words=timing)
 
 
@@ -108,8 +87,6 @@ class TakeReader:
     licence: str
     unit: float | None = None
     """Metres per unit, as published; None: guessed."""
-    fps: float | None = None
-    """Frames per second, as published; None: those of the header."""
 
     def __init__(self, options: Options, takes: Mapping[str, Take], infos: Sequence[RecordingInfo],
                  notes: Sequence[str]) -> None:
@@ -127,7 +104,7 @@ class TakeReader:
 
     def read(self, item: Item) -> Imported:
         """See `Reader.read`."""
-        return read_take(item.info, self._takes[item.info.name], self._options, unit=self.unit, fps=self.fps)
+        return read_take(item.info, self._takes[item.info.name], self._options, self.unit)
 
     def notes(self) -> Sequence[str]:
         """See `Reader.notes`."""
@@ -146,22 +123,17 @@ def read_motion(path: Path, options: Options, published: float | None = None) ->
             if error.advice == FRAME_RATE_ADVICE:
                 raise InputError(error.subject, error.wrong, "give the frame rate with --fps") from None
             raise
-    try:
-        guess = skeletons.guess_unit(raw.skeleton, skeletons.find_table(raw.skeleton.names))
-    except InputError:
-        guess = None
     # The user knows best, then the publisher; a guess by the body is right only for people of usual size.
     if options.unit is not None:
         unit, how = options.unit, "given by --unit"
     elif published is not None:
         unit, how = published, "as published"
-        if guess is not None and guess != published:
-            warnings.warn(f"{path} has a body that fits {guess:g} m to a unit, and was published with {published:g}; "
-                          f"say --unit {guess:g} if the file is another", TakeWarning, stacklevel=2)
-    elif guess is not None:
-        unit, how = guess, "guessed by the length of the spine"
     else:
-        unit, how = CENTIMETRES, "assumed"
+        try:
+            unit = skeletons.guess_unit(raw.skeleton, skeletons.find_table(raw.skeleton.names))
+            how = "guessed by the length of the spine"
+        except InputError:
+            unit, how = CENTIMETRES, "assumed"
     return skeletons.scaled(raw, unit), f"{unit:g} m, {how}"
 
 

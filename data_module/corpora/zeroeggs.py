@@ -2,7 +2,6 @@
 
 DIR is the `data` folder of the release, or its `clean` folder, in which sound and motion begin and end together:
 
-    info.csv                                optional: the published list, whose column `validation` is the split
     clean/001_Neutral_0_x_1_0.bvh           centimetres, 60 fps     NUMBER_STYLE_TAKE_x_1_0
     clean/001_Neutral_0_x_1_0.wav
 
@@ -19,12 +18,11 @@ from pathlib import Path
 from data_module.corpora.base import Options, needed
 from data_module.corpora.takes import TakeReader, find_takes
 from data_module.errors import InputError
-from data_module.files import read_table
 from data_module.motion.bvh import CENTIMETRES
 from data_module.store import RecordingInfo, Split
 
 HELD_OUT = frozenset({5, 10, 15, 20, 25, 29, 33, 35, 38, 41, 44, 47, 50, 53, 56, 58, 61, 64, 65, 66, 67})
-"""Numbers of the recordings that the published list holds out, used if the list is missing."""
+"""Numbers of the recordings that the published list (info.csv) holds out."""
 
 _NAME = re.compile(r"(?P<number>\d{3})_[A-Za-z]+_\d+_x_1_0")
 
@@ -33,7 +31,7 @@ class ZeroEggs(TakeReader):
     """A reader of the ZeroEGGS data."""
 
     licence = "CC BY-NC-ND 4.0 (ZeroEGGS): not for commercial use, nor are weights trained on it, and not to be shared"
-    unit, fps = CENTIMETRES, 60.0
+    unit = CENTIMETRES
 
     def __init__(self, source: Path | None, options: Options) -> None:
         source = needed(source, "name ZeroEGGS's folder data, which holds clean/")
@@ -46,31 +44,10 @@ class ZeroEggs(TakeReader):
         notes = [note for note in notes if not note.endswith("its words are unknown")]
         if not any(take.text for take in takes.values()):
             notes.append("words are unknown: the release has none (put NAME.txt or .TextGrid beside NAME.wav)")
-        listed = next((file for file in (source / "info.csv", clean.parent / "info.csv") if file.is_file()), None)
-        if listed is None:
-            notes.append(f"{source / 'info.csv'} is missing: the split is the published one, by number")
-        held = sorted(HELD_OUT if listed is None else _held_out(listed))
-        notes.append("published as validation, divided here between val and test: "
-                     f"{', '.join(f'{number:03d}' for number in held)}")
+        notes.append("what was published as validation is divided between val and test")
         # Every other one, so that both parts have all styles.
-        splits: dict[int, Split] = {number: "val" if place % 2 else "test" for place, number in enumerate(held)}
+        held = enumerate(sorted(HELD_OUT))
+        splits: dict[int, Split] = {number: "val" if place % 2 else "test" for place, number in held}
         super().__init__(options, takes, [
-            RecordingInfo(name, splits.get(_number(name), "train"), "zeroeggs", "zeroeggs", "en", group=name)
+            RecordingInfo(name, splits.get(int(name[:3]), "train"), "zeroeggs", "zeroeggs", "en", group=name)
             for name in takes], notes)
-
-
-def _number(name: str) -> int:
-    return int(name[:3])
-
-
-def _held_out(path: Path) -> frozenset[int]:
-    """Numbers of the recordings that info.csv marks TRUE in its column `validation`."""
-    rows = [(row.get("anim_bvh") or "", (row.get("validation") or "").strip().upper())
-            for _, row in read_table(path, "fetch it again")]
-    # A typing error in the list would silently move a recording into the training split.
-    wrong = [name or marked or "an empty line" for name, marked in rows
-             if not re.match(r"\d{3}_", name) or marked not in ("TRUE", "FALSE")]
-    if wrong or not rows:
-        raise InputError(path, f"has invalid entries ({', '.join(wrong[:3])})" if wrong else "is empty",
-                         "its columns are anim_bvh and validation, among others")
-    return frozenset(_number(name) for name, marked in rows if marked == "TRUE")

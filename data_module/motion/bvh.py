@@ -79,6 +79,10 @@ class _Tokens:
             raise InputError(self.path, f"has '{shown(word)}' where a finite number belongs", "export it again")
         return value
 
+    def offset(self) -> list[float]:
+        self.take("OFFSET")
+        return [self.number() for _ in range(3)]
+
 
 def _parse_header(text: str, path: str) -> _Header:
     tokens = _Tokens(text, path)
@@ -89,37 +93,28 @@ def _parse_header(text: str, path: str) -> _Header:
     channels: list[tuple[str, ...]] = []
     tips: dict[int, Array] = {}
     stack: list[int] = []
-    tokens.take("ROOT")
-    pending: str | None = tokens.take()
-    while pending is not None or stack:
-        if pending is not None:
-            tokens.take("{")
-            names.append(pending)
+    while stack or not names:
+        word = tokens.take().upper()
+        if word == ("JOINT" if names else "ROOT"):
+            names.append(tokens.take())
             parents.append(stack[-1] if stack else -1)
             stack.append(len(names) - 1)
-            tokens.take("OFFSET")
-            offsets.append([tokens.number() for _ in range(3)])
-            joint_channels: list[str] = []
+            tokens.take("{")
+            offsets.append(tokens.offset())
+            channels.append(())
             if tokens.peek().upper() == "CHANNELS":
                 tokens.take()
-                joint_channels = [tokens.take() for _ in range(int(tokens.number()))]
-                unknown = [c for c in joint_channels if c not in _AXES and c not in _PLACES]
-                if unknown:
-                    raise InputError(path, f"has unknown channels {shown(', '.join(unknown), 100)}", "export it again")
-            channels.append(tuple(joint_channels))
-            pending = None
-            continue
-        word = tokens.take()
-        if word == "}":
-            stack.pop()
-        elif word.upper() == "JOINT":
-            pending = tokens.take()
-        elif word.upper() == "END":
+                channels[-1] = tuple(tokens.take() for _ in range(int(tokens.number())))
+            unknown = [channel for channel in channels[-1] if channel not in _AXES and channel not in _PLACES]
+            if unknown:
+                raise InputError(path, f"has unknown channels {shown(', '.join(unknown), 100)}", "export it again")
+        elif word == "END" and stack:
             tokens.take("Site")
             tokens.take("{")
-            tokens.take("OFFSET")
-            tips[stack[-1]] = np.array([tokens.number() for _ in range(3)])
+            tips[stack[-1]] = np.array(tokens.offset())
             tokens.take("}")
+        elif word == "}" and stack:
+            stack.pop()
         else:
             raise InputError(path, f"is not a BVH file ('{shown(word)}' in its hierarchy)", "export it again")
     tokens.take("MOTION")
@@ -255,23 +250,6 @@ def _compose(angles: Array, order: str) -> Array:
 def write_bvh(path: str | os.PathLike[str], motion: Motion, unit: float = CENTIMETRES) -> None:
     """Write a motion as BVH, atomically; rotations in the order ZXY, those of the arms in `_ORDERS_OF_ARMS`. unit:
     metres per unit of the file; its numbers have six decimals."""
-    head, rows = _written(motion, unit)
-    with new_file(path) as out:
-        out.write(head.encode())
-        # Straight into the file: the text of an hour is 300 MB.
-        np.savetxt(out, rows, fmt="%.6f")
-
-
-def bvh_text(motion: Motion, unit: float = CENTIMETRES) -> str:
-    """The file of `write_bvh` as text."""
-    head, rows = _written(motion, unit)
-    body = io.StringIO()
-    np.savetxt(body, rows, fmt="%.6f")
-    return head + body.getvalue()
-
-
-def _written(motion: Motion, unit: float) -> tuple[str, Array]:
-    """The lines up to the frames, and the numbers of the frames [T, C]."""
     skeleton = motion.skeleton if unit == 1.0 else skeletons.scaled_skeleton(motion.skeleton, 1.0 / unit)
     orders = [_order_of(name) for name in skeleton.names]
     turns = [tuple(f"{axis}rotation" for axis in order) for order in orders]
@@ -288,7 +266,10 @@ def _written(motion: Motion, unit: float) -> tuple[str, Array]:
     # Unwrapped angles are smooth in tools that interpolate the channels separately.
     angles = np.degrees(np.unwrap(euler, axis=0))
     values = np.concatenate([places, angles[:, written_order].reshape(len(motion), -1)], axis=1)
-    return head, values + 0.0  # adding 0 turns -0 into 0, which would be written with its sign
+    with new_file(path) as out:
+        out.write(head.encode())
+        # Straight into the file: the text of an hour is 300 MB. Adding 0 turns -0 into 0.
+        np.savetxt(out, values + 0.0, fmt="%.6f")
 
 
 def _order_of(joint: str) -> str:

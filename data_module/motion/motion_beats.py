@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.errors import InputError
 from data_module.motion import kinematics, skeletons
 from data_module.types import Array, Motion
 
@@ -56,8 +55,6 @@ def motion_beats(motion: Motion, mode: str = "A") -> Array:
     Mode B: minima of `acting_speed` itself, as deep as half its standard deviation below their surroundings. Both
     exclude stretches in which the arms hardly move, and interpolate the beat between frames by a parabola.
     """
-    if mode not in MODES:
-        raise InputError("motion beats", f"mode {mode!r} is unknown", f"choose from {', '.join(MODES)}")
     return beats_of_speed(acting_speed(acting_positions(motion), motion.fps), motion.fps, mode)
 
 

@@ -17,7 +17,7 @@ from data_module.errors import InputError
 from data_module.motion import kinematics, rotation
 from data_module.types import Array, Motion, Skeleton
 
-__all__ = ["CHARACTER", "CHARACTERS", "FINGERED", "WHOLE_BODY", "from_vector", "to_character", "to_vector"]
+__all__ = ["CHARACTER", "CHARACTERS", "FINGERED", "WHOLE_BODY", "from_vector", "to_character"]
 
 SIDES = ("Left", "Right")
 """With which the names of joints of arms, hands and legs begin."""
@@ -350,14 +350,8 @@ def standing(motion: Motion) -> Motion:
     return replace(motion, root_positions=motion.root_positions + lift)
 
 
-def to_vector(motion: Motion) -> Array:
-    """[T, J * 3] the input of the models: exponential maps unrolled over time, without yaw and translation."""
-    faced = facing(motion)
-    return rotation.unroll(rotation.to_exponential_map(faced.rotations)).reshape(len(motion), -1)
-
-
 def from_vector(vectors: Array, fps: float) -> Motion:
-    """The inverse of `to_vector` on the character of as many joints (yaw and translation stay zero)."""
+    """A motion of the character from exponential maps [T, J * 3], without yaw and translation."""
     skeleton = CHARACTERS[vectors.shape[-1] // 3]
     frames = len(vectors)
     rotations = rotation.continuous(rotation.from_exponential_map(vectors.reshape(frames, len(skeleton), 3)))

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import os
-import shutil
 import tempfile
-import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias, cast
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
-from data_module.files import write_bytes
+from data_module.files import opened, write_bytes
 from data_module.speech.silence import (
     FAINTEST_SPEECH,
     MARGIN,
@@ -31,22 +30,15 @@ from data_module.speech.silence import (
 from data_module.speech.sound_files import (
     BrokenSoundError,
     NoSoundError,
-    Patched,
-    Promise,
     Sound,
-    container,
-    container_of,
-    is_mpeg,
-    promised,
-    sndfile,
+    decoder,
 )
 from data_module.types import Samples, Speech
 
-__all__ = ["AudioWarning", "as_speech", "load_speech"]
+__all__ = ["as_speech", "load_speech"]
 
-SpeechInput: TypeAlias = "Speech | str | os.PathLike[str] | BinaryIO | NDArray[Any] | Mapping[str, Any]"
-"""A recording: a `Speech`, a sound file by its path or as a binary stream, samples [n] or [n, channels], or an item of
-a Hugging Face data set: {"array": samples, "sampling_rate": hertz}."""
+SpeechInput: TypeAlias = "Speech | str | os.PathLike[str] | BinaryIO | NDArray[Any]"
+"""A recording: a `Speech`, a sound file by its path or as a binary stream, or samples [n] or [n, channels]."""
 
 SAMPLE_RATE = 16000
 """Sample rate of every `Speech` that this module returns, hertz."""
@@ -67,14 +59,10 @@ _FULL_SCALE = 16.0
 _MOST_CHANNELS = 1024
 # Channels (7.1) above which as few samples indicate the same.
 _USUAL_CHANNELS = 8
-# Samples (two years) above which a decoder's length means that it is unknown.
-_OPEN_END = 1 << 40
+# Seconds that may be missing at the end, because of encoder padding and rounding.
+_CUT = 0.25
 # Bytes that are read from a pipe at a time.
 _STREAM_PIECE = 1 << 20
-
-
-class AudioWarning(UserWarning):
-    """A recording can be used, but something about it could not be checked."""
 
 
 def load_speech(source: str | os.PathLike[str] | BinaryIO, any_length: bool = False) -> Speech:
@@ -84,20 +72,18 @@ def load_speech(source: str | os.PathLike[str] | BinaryIO, any_length: bool = Fa
     formats of libsndfile, and with PyAV installed M4A, MP4, WebM and other containers. any_length: accept more than
     `LONGEST` seconds. Channels are averaged.
 
-    Raises `InputError` for anything that is not a complete recording of at least `SHORTEST` seconds; warns with
-    `AudioWarning` if the file does not contain its length.
+    `InputError` for anything that is not a recording of at least `SHORTEST` seconds, and for one with fewer samples
+    than its header promises.
     """
     name = _name_of(source)
-    with contextlib.ExitStack() as opened:
-        try:
-            raw = opened.enter_context(_opened(source, any_length))
-            sound, promise = opened.enter_context(_decoder(raw, name))
-        except NoSoundError as error:
-            raise InputError(name, "is not sound that can be decoded", "give a WAV, FLAC, OGG or MP3 file") from error
-        except OSError as error:
-            raise _unreadable(name, error) from None
-        _check_sound(sound, promise, name, any_length)
-        return Speech(np.concatenate(list(_mono(sound, promise, name, any_length))), SAMPLE_RATE)
+    try:
+        with _opened(source, any_length) as raw, decoder(raw, name) as sound:
+            _check_sound(sound, name, any_length)
+            return Speech(np.concatenate(list(_mono(sound, name, any_length))), SAMPLE_RATE)
+    except NoSoundError as error:
+        raise InputError(name, "is not sound that can be decoded", "give a WAV, FLAC, OGG or MP3 file") from error
+    except OSError as error:
+        raise InputError(name, f"cannot be read ({error.strerror or error})", "check the path and its rights") from None
 
 
 def as_speech(given: SpeechInput, sample_rate: float | None = None) -> Speech:
@@ -108,13 +94,6 @@ def as_speech(given: SpeechInput, sample_rate: float | None = None) -> Speech:
         if sample_rate is not None:
             raise InputError("sample_rate", "is given with a recording that has a rate", "leave it out")
         return given if isinstance(given, Speech) else load_speech(cast("str | BinaryIO", given))
-    if isinstance(given, Mapping):
-        if not {"array", "sampling_rate"} <= set(given):
-            raise InputError("speech", "is a mapping without array and sampling_rate",
-                             'give {"array": samples, "sampling_rate": hertz}')
-        if sample_rate is not None:
-            raise InputError("sample_rate", "is given with a recording that has a rate", "leave it out")
-        return as_speech(given["array"], given["sampling_rate"])
     if sample_rate is None:
         raise InputError("sample_rate", "is missing", "give it with the samples: g(samples, 16000)")
     _check_rate(sample_rate)
@@ -169,24 +148,23 @@ class SampleFeed:
 
 def check_file(name: Path, any_length: bool = False) -> None:
     """`InputError` if a path cannot be a recording, or its header indicates more than `LONGEST`; without decoding."""
-    if not name.exists():
-        raise InputError(name, "does not exist", "check the path")
-    if name.is_dir():
-        raise InputError(name, "is a directory", "give a sound file")
-    if not name.is_file():
-        raise InputError(name, "is not a regular file", "give a sound file")
-    if name.stat().st_size == 0:
-        raise InputError(name, "is empty", "record or copy it again")
+    with opened(name) as raw:
+        _check_size(raw, name)
     seconds = 0.0 if any_length else header_seconds(name)
     if seconds > LONGEST:
         raise _too_long(name, f"its header indicates {_hours(seconds)}")
 
 
+def _check_size(raw: BinaryIO, name: object) -> None:
+    if not raw.seek(0, io.SEEK_END):
+        raise InputError(name, "is empty", "record or copy it again")
+    raw.seek(0)
+
+
 def header_seconds(name: Path) -> float:
     """Length of a recording from its header, seconds; 0 if unknown."""
-    with contextlib.suppress(OSError, NoSoundError, InputError), name.open("rb") as raw, \
-            _decoder(raw, name) as (sound, promise):
-        return _claimed(sound, promise) / sound.rate
+    with contextlib.suppress(OSError, NoSoundError, InputError), name.open("rb") as raw, decoder(raw, name) as sound:
+        return sound.frames / sound.rate
     return 0.0
 
 
@@ -235,12 +213,10 @@ def _as_mono(samples: NDArray[Any]) -> Samples:
     if samples.ndim not in (1, 2) or samples.dtype.kind not in "fiu":
         raise InputError("speech", f"is an array of {samples.dtype} shaped {list(samples.shape)}",
                          "give samples [n] or [n, channels] as numbers")
-    if samples.ndim == 2 and not 1 <= samples.shape[1] <= _MOST_CHANNELS:
-        raise InputError("speech", f"is shaped {list(samples.shape)}, which is {samples.shape[1]} channels",
+    channels = samples.shape[1] if samples.ndim == 2 else 1
+    if not 1 <= channels <= _MOST_CHANNELS or channels > _USUAL_CHANNELS >= len(samples) > 0:
+        raise InputError("speech", f"is shaped {list(samples.shape)}, which is {channels} channels",
                          "give [n, channels]: samples first")
-    if samples.ndim == 2 and samples.shape[1] > _USUAL_CHANNELS >= samples.shape[0] > 0:
-        raise InputError("speech", f"is shaped {list(samples.shape)}, which looks like [channels, n]",
-                         "give [n, channels]: samples first (transpose it)")
     if samples.dtype.kind in "iu":
         half = 2.0 ** (8 * samples.dtype.itemsize - 1)
         # Unsigned samples (8-bit WAV) are centred on half of their range.
@@ -264,76 +240,44 @@ def _name_of(source: str | os.PathLike[str] | BinaryIO) -> object:
 
 @contextlib.contextmanager
 def _opened(source: str | os.PathLike[str] | BinaryIO, any_length: bool) -> Iterator[BinaryIO]:
-    """The sound file as a seekable stream."""
-    if isinstance(source, str | os.PathLike):
-        check_file(Path(source), any_length)
-        with Path(source).open("rb") as raw:
-            yield raw
-    elif source.seekable():
-        yield source
-    else:
-        # Decoders seek, and a pipe cannot.
-        with tempfile.TemporaryFile() as copy:
-            _spool(source, copy, any_length)
-            yield cast(BinaryIO, copy)
+    """The sound file as a seekable stream, from its beginning."""
+    with contextlib.ExitStack() as files:
+        if isinstance(source, str | os.PathLike):
+            raw = files.enter_context(opened(source))
+        elif source.seekable():
+            raw = source
+        else:
+            # Decoders seek, and a pipe cannot.
+            raw = cast(BinaryIO, files.enter_context(tempfile.TemporaryFile()))
+            _spool(source, raw, any_length)
+        _check_size(raw, _name_of(source))
+        yield raw
 
 
 def _spool(source: BinaryIO, copy: BinaryIO, any_length: bool) -> None:
-    most = round(LONGEST * _HIGHEST_RATE)  # bytes: an hour of 96 kHz stereo in floating point
-    if any_length:
-        shutil.copyfileobj(source, copy, _STREAM_PIECE)
-        return
+    most = math.inf if any_length else LONGEST * _HIGHEST_RATE  # bytes: an hour of 96 kHz stereo in floating point
     while data := source.read(_STREAM_PIECE):
         copy.write(data)
         if copy.tell() > most:
             raise _too_long("standard input", "it has more bytes than an hour of sound")
 
 
-@contextlib.contextmanager
-def _decoder(raw: BinaryIO, name: object) -> Iterator[tuple[Sound, Promise]]:
-    """The sound file in the decoder of its format, and the length promised by its header."""
-    size = raw.seek(0, io.SEEK_END)
-    raw.seek(0)
-    if size == 0:
-        raise InputError(name, "is empty", "record or copy it again")
-    head = raw.read(512)
-    kind = container_of(head)
-    if kind:
-        with container(raw, kind, name) as sound:
-            yield sound, Promise(sound.known, sound.frames if sound.known else 0)
-        return
-    raw.seek(0)
-    promise = promised(raw, size, name)
-    raw.seek(0)
-    # The header of a WAV written to a pipe may have a length of 0, which the decoder would trust.
-    with sndfile(cast(BinaryIO, io.BufferedReader(Patched(raw, promise.patch)))) as sound:
-        # Without a count in the header of an MP3 the decoder guesses the length from the first frame.
-        yield replace(sound, frames=0) if is_mpeg(head) and not promise.known else sound, promise
-
-
-def _claimed(sound: Sound, promise: Promise) -> int:
-    """Samples per channel from the header, 0 if unknown."""
-    claimed = promise.frames or sound.frames
-    return claimed if claimed < _OPEN_END else 0
-
-
-def _check_sound(sound: Sound, promise: Promise, name: object, any_length: bool) -> None:
+def _check_sound(sound: Sound, name: object, any_length: bool) -> None:
     rate = sound.rate
     if rate < _LOWEST_RATE:
         raise InputError(name, f"has {rate} samples per second, too few for speech", "record at 8 kHz or more")
     if rate > _HIGHEST_RATE:
         raise InputError(name, f"claims {rate} samples per second", "export it again")
-    claimed = _claimed(sound, promise)
-    if not any_length and claimed > LONGEST * rate:
-        raise _too_long(name, f"its header indicates {_hours(claimed / rate)}")
+    if not any_length and sound.frames > LONGEST * rate:
+        raise _too_long(name, f"its header indicates {_hours(sound.frames / rate)}")
 
 
-def _mono(sound: Sound, promise: Promise, name: object, any_length: bool) -> Iterator[Samples]:
+def _mono(sound: Sound, name: object, any_length: bool) -> Iterator[Samples]:
     """All samples as mono at `SAMPLE_RATE`, piece by piece; `InputError` for too few or too many."""
     import soxr
 
-    rate, claimed = sound.rate, _claimed(sound, promise)
-    most = float("inf") if any_length else LONGEST * rate
+    rate = sound.rate
+    most = math.inf if any_length else LONGEST * rate
     resampler = soxr.ResampleStream(rate, SAMPLE_RATE, 1, dtype="float32") if rate != SAMPLE_RATE else None
     frames = given = 0
     try:
@@ -348,8 +292,6 @@ def _mono(sound: Sound, promise: Promise, name: object, any_length: bool) -> Ite
     except BrokenSoundError as error:
         raise InputError(name, f"breaks off: it cannot be decoded to its end ({error})",
                          "copy it again from its source") from None
-    except OSError as error:
-        raise _unreadable(name, error) from None
     if frames == 0:
         raise InputError(name, "holds no samples", "record or copy it again")
     if resampler is not None:
@@ -357,15 +299,12 @@ def _mono(sound: Sound, promise: Promise, name: object, any_length: bool) -> Ite
         rest = resampler.resample_chunk(np.zeros(0, np.float32), last=True)
         given += len(rest)
         yield np.clip(rest, -1.0, 1.0)
-    if promise.known and frames < claimed:
-        raise InputError(name, f"is cut short: {frames / rate:.2f} s of the {claimed / rate:.2f} s that its header "
-                         "promises", "copy it again from its source")
+    if frames < sound.frames - _CUT * rate:
+        raise InputError(name, f"is cut short: {frames / rate:.2f} s of the {sound.frames / rate:.2f} s that its "
+                         "header promises", "copy it again from its source")
     if given < round(SHORTEST * SAMPLE_RATE):
         raise InputError(name, f"lasts {given / SAMPLE_RATE:.2f} s, too short for a gesture",
                          f"give {SHORTEST} s or more")
-    if not promise.known:
-        warnings.warn(AudioWarning(f"{name}: its length cannot be checked, so a truncated end would go unnoticed"),
-                      stacklevel=2)
 
 
 def _averaged(piece: np.ndarray, name: object) -> Samples:
@@ -375,10 +314,6 @@ def _averaged(piece: np.ndarray, name: object) -> Samples:
         raise InputError(name, f"holds samples up to {np.abs(piece).max():.3g}, where full scale is 1",
                          "export it again, scaled to [-1, 1]")
     return np.ascontiguousarray(piece.mean(axis=1, dtype=np.float32))
-
-
-def _unreadable(name: object, error: OSError) -> InputError:
-    return InputError(name, f"cannot be read ({error.strerror or error})", "check the path and its rights")
 
 
 def _too_long(name: object, why: str) -> InputError:

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_module.errors import InputError
-from data_module.speech.onsets import merged, onsets_of
+from data_module.speech.onsets import onsets_of
 from data_module.speech.silence import FRAME, silent_frames
 from data_module.types import Array, BeatFlag, Beats, Speech
 
 __all__ = ["BeatSettings", "BeatTracker", "find_beats"]
 
-RULES = ("bounded", "strongest", "paper", "even")
+RULES = ("bounded", "paper", "even")
 # Tolerance of times, seconds.
 _EPS = 1e-9
 
@@ -28,8 +28,8 @@ _EPS = 1e-9
 class BeatSettings:
     """The placement of beats. Seconds; every interval between beats lies in [d_min, d_max].
 
-    merge: onsets closer than this count as one. rule: "bounded", the first onset in reach; "strongest", the strongest
-    onset in reach; "paper" (RG 4.2.1, with guards); or "even": beats d_max apart whatever the sound, for a codec of a
+    merge: onsets closer than this count as one. rule: "bounded", the first onset in reach; "paper" (RG
+    4.2.1, with guards); or "even": beats d_max apart whatever the sound, for a codec of a
     fixed rate such as RACER's. Only "even" may have d_min = d_max; the last two intervals then share the remainder,
     each d_max / 2 or longer.
     """
@@ -54,12 +54,11 @@ class BeatSettings:
 
 
 def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
-              settings: BeatSettings, strengths: Array | None = None) -> tuple[float, BeatFlag]:
-    """The beat after `beat` by the rule "bounded" (or, with strengths, "strongest"), and its flag.
+              settings: BeatSettings) -> tuple[float, BeatFlag]:
+    """The beat after `beat` by the rule "bounded", and its flag.
 
     onsets, loud: rising seconds of the onsets and of the frames louder than the noise. end: the end of the recording,
-    None while it is unknown. strengths: dB of the onsets. Only the time before beat + d_max + d_min matters; `end` must
-    be given if it is earlier.
+    None while it is unknown. Only the time before beat + d_max + d_min matters; `end` must be given if it is earlier.
     """
     low, high = beat + settings.d_min, beat + settings.d_max
     horizon = high + settings.d_min
@@ -67,14 +66,11 @@ def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
     # must decide alike.
     if end is not None and end >= horizon:
         end = None
-    first_near = int(np.searchsorted(onsets, low - _EPS))
-    near = onsets[first_near:np.searchsorted(onsets, horizon)]
+    near = onsets[np.searchsorted(onsets, low - _EPS):np.searchsorted(onsets, horizon)]
     # The interval from the beat to the end must not be shorter than d_min, either.
     fits = (near <= high + _EPS) & (True if end is None else end - near >= settings.d_min - _EPS)
     if fits.any():
-        rises = None if strengths is None else strengths[first_near:first_near + len(near)]
-        at = int(fits.argmax()) if rises is None else int(np.where(fits, rises, -np.inf).argmax())
-        return float(near[at]), BeatFlag.ONSET
+        return float(near[fits.argmax()]), BeatFlag.ONSET
     if end is not None and end <= high + _EPS:
         return end, BeatFlag.BOUNDARY
     # Leave room for the next onset (even one that the unknown end may exclude) and for the end.
@@ -87,14 +83,13 @@ def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
 
 
 class BeatTracker:
-    """Streaming `place_beats`: each beat is returned when it is certain. With the rule "paper", which needs the whole
+    """The beats of streamed sound: each is returned when it is certain. With the rule "paper", which needs the whole
     recording, all beats come at the end."""
 
     def __init__(self, settings: BeatSettings, start: float = 0.0) -> None:
         self.settings = settings
         self.last = start
-        self._onsets, self._strengths = list[float](), list[float]()
-        self._loud: list[float] = []
+        self._onsets = self._loud = np.zeros(0)
         self._last_onset = -np.inf  # the last one that was not merged
         self._frames = self._beats = 0
 
@@ -113,7 +108,7 @@ class BeatTracker:
         """The remaining beats, the last at the end of a recording of `duration` seconds."""
         self._take(onsets, silent)
         if self.settings.rule == "paper":
-            beats = _paper_beats(np.array(self._onsets), np.array(self._loud), duration, self.settings)
+            beats = _paper_beats(self._onsets, self._loud, duration, self.settings)
             return [beat for beat in beats if beat[0] > self.last]
         out = []
         while self.last < duration:
@@ -121,12 +116,14 @@ class BeatTracker:
         return out
 
     def _take(self, onsets: Sequence[tuple[float, float]], silent: Sequence[bool]) -> None:
-        for time, strength in onsets:
+        distinct = list[float]()
+        for time, _ in onsets:
             if time - self._last_onset >= self.settings.merge - _EPS:
-                self._onsets.append(time)
-                self._strengths.append(strength)
+                distinct.append(time)
                 self._last_onset = time
-        self._loud += [(self._frames + n) * FRAME for n, quiet in enumerate(silent) if not quiet]
+        self._onsets = np.concatenate([self._onsets, distinct])
+        loud = self._frames + np.flatnonzero(~np.asarray(silent, dtype=bool))
+        self._loud = np.concatenate([self._loud, loud * FRAME])
         self._frames += len(silent)
 
     def _certain(self, onsets_until: float, available: float) -> bool:
@@ -138,71 +135,42 @@ class BeatTracker:
             return False
         if self._frames * FRAME >= high + FRAME and min(onsets_until, available) >= high + s.d_min:
             return True
-        near = next((time for time in self._onsets if time >= low - _EPS), None)
-        if (near is None or near > high + _EPS) and min(onsets_until, available) > high + _EPS:
-            # No onset is in reach. A loud frame is the beat if it leaves room for an onset, and an end, right after it.
-            loud = next((time for time in self._loud if time >= low - _EPS), np.inf)
-            if loud <= max(low, high - s.d_min):
-                return True
-        if near is None or near >= onsets_until or s.rule != "bounded":
+        # The first of each that may be a beat; infinity without any.
+        near, loud = (min(times[np.searchsorted(times, low - _EPS):][:1], default=np.inf)
+                      for times in (self._onsets, self._loud))
+        # No onset is in reach. A loud frame is the beat if it leaves room for an onset, and an end, right after it.
+        if near > high + _EPS and min(onsets_until, available) > high + _EPS and loud <= max(low, high - s.d_min):
+            return True
+        if near >= onsets_until:
             return False
         if near <= high + _EPS:  # the first in reach, unless the end is too close
-            return available >= near + s.d_min
+            return bool(available >= near + s.d_min)
         # The beat only has to leave room for this onset.
-        return near < high + s.d_min and self._frames * FRAME >= high + FRAME
+        return bool(near < high + s.d_min) and self._frames * FRAME >= high + FRAME
 
     def _next(self, end: float | None) -> tuple[float, BeatFlag]:
         s = self.settings
         if s.rule == "even":
             beat = _even_beat(self._beats + 1, s, end)
         else:
-            strengths = np.array(self._strengths) if s.rule == "strongest" else None
-            beat = next_beat(self.last, np.array(self._onsets), np.array(self._loud), end, s, strengths)
+            beat = next_beat(self.last, self._onsets, self._loud, end, s)
         self.last = beat[0]
         self._beats += 1
         # Nothing before a beat can be a later beat, so memory does not grow with the recording.
-        old = sum(time < self.last for time in self._onsets)
-        del self._onsets[:old], self._strengths[:old]
-        del self._loud[:sum(time < self.last for time in self._loud)]
+        self._onsets, self._loud = (times[np.searchsorted(times, self.last):] for times in (self._onsets, self._loud))
         return beat
 
 
 def _even_beat(number: int, settings: BeatSettings, end: float | None) -> tuple[float, BeatFlag]:
-    """Beat `number` (from 1) of `_even_beats`; end: the end of the recording, None while it is far."""
+    """Beat `number` (from 1) of the rule "even": d_max after the one before. If less than d_min is left at the end of
+    the recording, the last beat but one moves to d_min before it, so that the last two intervals share the remainder.
+    With d_min = d_max, where no other interval is allowed, d_max / 2 replaces d_min. end: None while it is far."""
     time = number * settings.d_max  # a multiple, not a running sum: an hour of steps must not drift
     if end is None:
         return time, BeatFlag.EVEN_PSEUDO
     if number >= np.ceil(end / settings.d_max - _EPS):
         return end, BeatFlag.BOUNDARY
     return min(time, end - min(settings.d_min, settings.d_max / 2)), BeatFlag.EVEN_PSEUDO
-
-
-def place_beats(onsets: Array, loud: Array, duration: float, settings: BeatSettings | None = None,
-                strengths: Array | None = None) -> Beats:
-    """Beats from onsets (RG 4.2.1) by the rules of `next_beat`, `_paper_beats` and `_even_beats`.
-
-    onsets: [n] rising seconds; loud: [m] the times of the frames louder than the noise; strengths: [n] dB of the
-    onsets, for the rule "strongest". 0 and `duration` are beats. Every interval lies in [d_min, d_max], unless the
-    recording is shorter than d_min, or d_min = d_max (`_even_beats`).
-    """
-    settings = settings or BeatSettings()
-    every, onsets = np.asarray(onsets, dtype=np.float64), merged(onsets, settings.merge)
-    if settings.rule != "strongest":
-        strengths = None
-    elif strengths is None or len(strengths) != len(every):
-        raise ValueError("the rule strongest needs the strength of each onset")
-    else:
-        strengths = strengths[np.searchsorted(every, onsets)]
-    loud = np.asarray(loud, dtype=np.float64)
-    if settings.rule == "even":
-        return _even_beats(duration, settings)
-    if settings.rule == "paper":
-        beats = _paper_beats(onsets, loud, duration, settings)
-    else:
-        beats = [(0.0, BeatFlag.BOUNDARY)]
-        while beats[-1][0] < duration:
-            beats.append(next_beat(beats[-1][0], onsets, loud, duration, settings, strengths))
-    return Beats(np.array([time for time, _ in beats]), np.array([flag for _, flag in beats], dtype=np.int8))
 
 
 def _paper_beats(onsets: Array, loud: Array, duration: float, settings: BeatSettings) -> list[tuple[float, BeatFlag]]:
@@ -232,27 +200,13 @@ def _paper_beats(onsets: Array, loud: Array, duration: float, settings: BeatSett
     return done
 
 
-def _even_beats(duration: float, settings: BeatSettings) -> Beats:
-    """Beats d_max apart, as the bounded rule gives in silence. If less than d_min is left at the end, the last beat but
-    one moves to d_min before the end, so that the last two intervals share the remainder. With d_min = d_max, where no
-    other interval is allowed, d_max / 2 replaces d_min for the last two intervals."""
-    shortest = min(settings.d_min, settings.d_max / 2)
-    count = max(1, int(np.ceil(duration / settings.d_max - _EPS)))
-    # Multiples, not a running sum: an hour of steps must not drift.
-    times = np.arange(count + 1, dtype=np.float64) * settings.d_max
-    times[-1] = duration
-    if count > 1:
-        times[-2] = min(times[-2], duration - shortest)
-    flags = np.full(count + 1, BeatFlag.EVEN_PSEUDO, dtype=np.int8)
-    flags[[0, -1]] = BeatFlag.BOUNDARY
-    return Beats(times, flags)
-
-
 def find_beats(speech: Speech, settings: BeatSettings | None = None) -> Beats:
     """The beats of a recording: its onsets, pseudo-beats between them, its start and its end (RG 4.2.1)."""
     settings = settings or BeatSettings()
-    if settings.rule == "even":
-        return _even_beats(speech.duration, settings)
-    onsets, strengths = onsets_of(speech.samples, speech.sample_rate)
-    loud = np.flatnonzero(~silent_frames(speech.samples, speech.sample_rate)).astype(np.float64) * FRAME
-    return place_beats(onsets, loud, speech.duration, settings, strengths)
+    onsets, silent = list[tuple[float, float]](), list[bool]()
+    if settings.rule != "even":
+        onsets = onsets_of(speech.samples, speech.sample_rate)
+        silent = silent_frames(speech.samples, speech.sample_rate).tolist()
+    # The whole recording at once: a file takes the path of a stream.
+    beats = [(0.0, BeatFlag.BOUNDARY), *BeatTracker(settings).finish(onsets, silent, speech.duration)]
+    return Beats(np.array([time for time, _ in beats]), np.array([flag for _, flag in beats], dtype=np.int8))

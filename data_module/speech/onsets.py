@@ -57,16 +57,14 @@ def detect_onsets(samples: Samples, sample_rate: int, merge: float = 0.05) -> Ar
     depend on the gain, so nothing is scaled by the file's maximum. Of onsets closer than `merge` seconds the first
     counts.
     """
-    return merged(onsets_of(samples, sample_rate)[0], merge)
+    return merged(np.array([time for time, _ in onsets_of(samples, sample_rate)]), merge)
 
 
-def onsets_of(samples: Samples, sample_rate: int) -> tuple[Array, Array]:
-    """The onsets of a recording [n], before merging, and their strengths [n] in dB."""
+def onsets_of(samples: Samples, sample_rate: int) -> list[tuple[float, float]]:
+    """The onsets of a recording (seconds, dB), before merging."""
     # One step with all of the sound: a file takes the path of a stream.
-    tracker, loud = OnsetTracker(sample_rate), loudness(frame_levels(samples, sample_rate))
-    onsets = tracker.step(samples, loud)
-    onsets += tracker.finish()
-    return np.array([time for time, _ in onsets]), np.array([strength for _, strength in onsets])
+    tracker = OnsetTracker(sample_rate)
+    return tracker.step(samples, loudness(frame_levels(samples, sample_rate))) + tracker.finish()
 
 
 def merged(times: Array, closest: float) -> Array:
@@ -76,13 +74,6 @@ def merged(times: Array, closest: float) -> Array:
         if not distinct or time - distinct[-1] >= closest - _EPS:
             distinct.append(float(time))
     return np.array(distinct)
-
-
-def onset_strength(samples: Samples, sample_rate: int) -> Array:
-    """librosa's onset strength in dB every 10 ms, [F]; value f is that of the spectrum centred on f / 100 s."""
-    tracker = RiseTracker(sample_rate)
-    parts = tracker.step(samples, loudness(frame_levels(samples, sample_rate)).ground)
-    return np.concatenate([parts, tracker.finish()])
 
 
 class RiseTracker:

@@ -1,8 +1,8 @@
-"""Sound files: the length promised by the header, and decoding to samples at the original rate, piece by piece.
+"""Sound files: decoding to samples at the original rate, piece by piece.
 
-Decoders silently accept truncated files, so format and expected length are read from the header first. WAV, FLAC, OGG,
-MP3 and similar formats are decoded by libsndfile; M4A, MP4, WebM and other containers, including videos, by FFmpeg
-through PyAV. A truncated OGG goes unnoticed: it has no length in its header.
+WAV, FLAC, OGG, MP3 and similar formats are decoded by libsndfile; M4A, MP4, WebM and other containers, including
+videos, by FFmpeg through PyAV. A truncated file is noticed where the header has the number of samples, as in FLAC and
+most containers; others are read as far as they go.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import contextlib
 import io
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, BinaryIO, Literal
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,20 +30,16 @@ PYAV = "pip install 'gesticulator[video]'"
 _OFFSET = 0.02
 # Late start, seconds, above which it is implausible and ignored.
 _MOST_OFFSET = 60.0
-# Seconds that may be missing at the end of a container, because of encoder padding and rounding.
-_CUT = 0.25
 
 
 @dataclass(frozen=True)
 class Sound:
-    """A sound file that is being decoded. rate: samples per second. frames: samples per channel from its header, 0 if
-    unknown. pieces: samples [n, channels], to be iterated once; they raise `BrokenSoundError`. known: frames is
-    reliable."""
+    """A sound file that is being decoded. rate: samples per second. frames: samples per channel that its header
+    promises, 0 if unknown. pieces: samples [n, channels], to be iterated once; they raise `BrokenSoundError`."""
 
     rate: int
     frames: int
     pieces: Iterator[NDArray[np.float32]]
-    known: bool = False
 
 
 class NoSoundError(Exception):
@@ -56,26 +52,16 @@ class BrokenSoundError(Exception):
 
 # ---------------------------------------------------------------------------------------------------- headers
 
-# Least placeholder of the length by a recorder that writes to a pipe and cannot fill it in later.
-_STREAMED = 0x7FFF0000
-# Most chunks of a WAV before its sound; a dozen are usual.
-_MOST_CHUNKS = 1000
+# Samples (two years) above which a decoder's length means that it is unknown.
+_OPEN_END = 1 << 40
+# Bytes in which the header of a WAV ends, and how it ends in one that was written to a pipe: with a length of 0.
+_HEAD, _OPEN_WAV = 512, b"data\0\0\0\0"
 # (offset, bytes there, FFmpeg's name of the format): MP4 and M4A, WebM, AVI, WMA and WMV, AMR, MPEG.
 _CONTAINERS: tuple[tuple[int, bytes, str], ...] = (
     (4, b"ftyp", "mov,mp4,m4a,3gp,3g2,mj2"), (4, b"moov", "mov,mp4,m4a,3gp,3g2,mj2"),
     (4, b"mdat", "mov,mp4,m4a,3gp,3g2,mj2"), (0, b"\x1aE\xdf\xa3", "matroska,webm"), (8, b"AVI ", "avi"),
     (0, b"0&\xb2u\x8ef\xcf\x11", "asf"), (0, b"#!AMR", "amr"), (0, b"\0\0\x01\xba", "mpeg"),
 )
-
-
-@dataclass(frozen=True)
-class Promise:
-    """The length in a header. known: it is reliable; frames: samples per channel, 0 to use the decoder's count; patch:
-    position of a length of 0 that means "to the end"."""
-
-    known: bool
-    frames: int = 0
-    patch: int = 0
 
 
 class Patched(io.RawIOBase):
@@ -128,76 +114,20 @@ def is_mpeg(head: bytes) -> bool:
     return head[:3] == b"ID3" or (len(head) > 1 and head[0] == 0xFF and head[1] & 0xE0 == 0xE0)
 
 
-def promised(raw: BinaryIO, size: int, name: object) -> Promise:
-    """The length in the header of `size` bytes of sound. `InputError` for a shorter file."""
-    head = raw.read(12)
-    if head[:4] in (b"RIFF", b"RIFX", b"RF64") and head[8:12] == b"WAVE":
-        return _promised_by_riff(raw, size, name, "big" if head[:4] == b"RIFX" else "little")
-    if head[:4] == b"fLaC":
-        # STREAMINFO comes first: 4 bytes of block header, then 36 bits of sample count from its 108th bit.
-        raw.seek(0)
-        block = raw.read(42)
-        count = int.from_bytes(block[21:26], "big") & ((1 << 36) - 1)
-        return Promise(count > 0, count)
-    if head[:4] == b"OggS":
-        return Promise(True)  # the decoder counts up to the last page that is there
-    if is_mpeg(head):
-        return _promised_by_mpeg(raw, head)
-    return Promise(False)
-
-
-def _promised_by_riff(raw: BinaryIO, size: int, name: object, order: Literal["little", "big"]) -> Promise:
-    """Find the chunk with the sound and compare its length with the size of the file."""
-    position, long_length = 12, 0
-    for _ in range(_MOST_CHUNKS):
-        if position + 8 > size:
-            break
-        raw.seek(position)
-        chunk = raw.read(8)
-        length = int.from_bytes(chunk[4:], order)
-        if chunk[:4] == b"ds64":
-            raw.seek(position + 16)
-            long_length = int.from_bytes(raw.read(8), "little")
-        if chunk[:4] == b"data":
-            there = size - position - 8
-            if length == 0xFFFFFFFF and long_length:
-                length = long_length
-            elif length == 0 and there > 0:
-                return Promise(False, patch=position + 4)
-            # A recorder that writes to a pipe leaves a placeholder: nothing can be checked.
-            elif length >= _STREAMED and length > there:
-                return Promise(False)
-            if length > there:
-                raise InputError(name, f"is cut short: {there} of the {length} bytes of sound that its header promises",
-                                 "copy it again from its source")
-            return Promise(True)
-        if not chunk[:4].isascii() or not chunk[:4].decode("ascii").isprintable():
-            break
-        # Chunks begin at even positions: an odd length is followed by a byte of padding.
-        position += 8 + length + (length & 1)
-    raise InputError(name, "holds no sound: its header breaks off", "copy it again from its source")
-
-
-def _promised_by_mpeg(raw: BinaryIO, head: bytes) -> Promise:
-    """Samples per channel from the encoder's info frame ("Xing" or "Info"), less its padding."""
-    start = 0
-    if head[:3] == b"ID3":
-        start = 10 + sum((byte & 0x7F) << shift for byte, shift in zip(head[6:10], (21, 14, 7, 0), strict=True))
-    raw.seek(start)
-    frame = raw.read(4096)
-    mark = max(frame.find(b"Xing"), frame.find(b"Info"))
-    if mark < 0 or mark > 64 or len(frame) < mark + 12 or not frame[mark + 7] & 1:
-        return Promise(False)
-    version_one = frame[1] >> 3 & 3 == 3
-    frames = int.from_bytes(frame[mark + 8:mark + 12], "big")
-    # Encoder delay and padding, and the decoder's own delay, are trimmed from the ends: allow for all of them.
-    return Promise(True, max(1, frames - 4) * (1152 if version_one else 576))
-
-
 # ---------------------------------------------------------------------------------------------------- libsndfile
 
 @contextlib.contextmanager
-def sndfile(raw: BinaryIO) -> Iterator[Sound]:
+def decoder(raw: BinaryIO, name: object) -> Iterator[Sound]:
+    """A seekable sound file in the decoder of its format. `NoSoundError` if no decoder knows it."""
+    head = raw.read(_HEAD)
+    raw.seek(0)
+    kind = container_of(head)
+    with container(raw, kind, name) if kind else _sndfile(raw, head) as sound:
+        yield sound
+
+
+@contextlib.contextmanager
+def _sndfile(raw: BinaryIO, head: bytes) -> Iterator[Sound]:
     import soundfile
 
     class ForwardOnlyFile(soundfile.SoundFile):
@@ -206,12 +136,16 @@ def sndfile(raw: BinaryIO) -> Iterator[Sound]:
         def seekable(self) -> bool:
             return False
 
+    # The decoder would trust the length of 0.
+    place = head.find(_OPEN_WAV) + 4 if head[:4] == b"RIFF" and _OPEN_WAV in head else 0
     try:
-        file = ForwardOnlyFile(raw)
+        file = ForwardOnlyFile(io.BufferedReader(Patched(raw, place)))
     except (soundfile.SoundFileError, TypeError, ValueError) as error:
         raise NoSoundError from error
+    # Of an MP3 without a count in its header the decoder guesses the length from the first frame.
+    frames = 0 if is_mpeg(head) or file.frames > _OPEN_END else int(file.frames)
     with file:
-        yield Sound(int(file.samplerate), int(file.frames), _of_sndfile(file))
+        yield Sound(int(file.samplerate), frames, _of_sndfile(file))
 
 
 def _of_sndfile(file: Any) -> Iterator[NDArray[np.float32]]:
@@ -239,7 +173,6 @@ def container(raw: BinaryIO, kind: str, name: object) -> Iterator[Sound]:
     except ImportError:
         raise InputError(name, "is a video or container, and its decoder (PyAV) is not installed",
                          f"{PYAV}, or convert it to WAV") from None
-    raw.seek(0)
     try:
         file: Any = av.open(raw, mode="r", format=kind.split(",")[0])
     except (av.error.FFmpegError, ValueError) as error:
@@ -253,10 +186,10 @@ def container(raw: BinaryIO, kind: str, name: object) -> Iterator[Sound]:
         if rate <= 0:
             raise NoSoundError
         known = stream.duration is not None and stream.time_base is not None
-        seconds = float(stream.duration * stream.time_base) if known else (file.duration or 0) / av.time_base
+        seconds = float(stream.duration * stream.time_base) if known else 0.0
         late = float(stream.start_time * stream.time_base) if stream.start_time and stream.time_base else 0.0
         late = late if _OFFSET < late < _MOST_OFFSET else 0.0
-        yield Sound(rate, max(0, round((seconds + late - _CUT) * rate)), _of_container(file, stream, rate, late), known)
+        yield Sound(rate, round((seconds + late) * rate), _of_container(file, stream, rate, late))
 
 
 def _of_container(file: Any, stream: Any, rate: int, late: float) -> Iterator[NDArray[np.float32]]:

@@ -39,9 +39,7 @@ _NOISE, _ABOVE_NOISE = 10.0, 3.0
 # Largest share of frames of speech in a pause: breaths, and the last of a word.
 _PAUSE = 0.2
 REACH = 20 * RATE
-"""Frames by which the shift of two long recordings may exceed the difference of their lengths."""
-# Pairs of frames up to which all are compared (two recordings of 2.5 minutes); of longer ones those within `REACH`.
-_MOST_CELLS = 60_000_000
+"""Frames by which the shift of two recordings may exceed the difference of their lengths."""
 # Most bytes of the trace: two recordings of an hour whose lengths differ by half a minute.
 _MOST_KEPT = 700_000_000
 _MATCH, _SKIP, _ADD = 0, 1, 2
@@ -228,13 +226,12 @@ def _matches(old: Frames, new: Frames) -> Shifts:
 
 def _band(old: int, new: int) -> tuple[int, int]:
     """The least shift that is considered, and the number of shifts."""
-    if old * new <= _MOST_CELLS:
-        return -old, old + new + 1
-    width = 2 * REACH + abs(old - new) + 1
+    low, high = max(-old, min(new - old, 0) - REACH), min(new, max(new - old, 0) + REACH)
+    width = high - low + 1
     if old * width > _MOST_KEPT:
         raise InputError("the new sound", f"lasts {new / RATE:.0f} s, and the old one {old / RATE:.0f} s, too much "
                          "of a difference for sounds of this length", "give another export of the whole sound")
-    return -REACH - max(old - new, 0), width
+    return low, width
 
 
 def _row(best: NDArray[np.int32], cost: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:

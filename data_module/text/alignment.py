@@ -132,9 +132,18 @@ def alignment(speech: Speech, transcript: str) -> Alignment:
 
 def shared_out(speech: Speech, words: Sequence[str]) -> tuple[Word, ...]:
     """Estimated times of words of any language: spread over the loud parts of the recording by their length."""
-    end = speech.duration
-    return tuple(Word(word, min(a, end), min(b, end))
-                 for word, (a, b) in zip(words, _shared_out(_aligner_samples(speech), words), strict=True))
+    samples, end = _aligner_samples(speech), speech.duration
+    loud = np.flatnonzero(_loud(samples))
+    if len(loud) == 0:
+        loud = np.arange(max(1, len(samples) // int(FRAME * ALIGNER_RATE)))
+    # One more than its letters for the pause after each word.
+    share = np.concatenate([[0], np.cumsum([len(word) + 1 for word in words])])
+    edges = np.floor(share / share[-1] * len(loud)).astype(int)
+    last = len(loud) - 1
+    # A word ends with its last loud frame, not where the next one begins: pauses lie between words.
+    return tuple(Word(word, min(float(loud[min(a, last)] * FRAME), end),
+                      min(float((loud[min(max(a, b - 1), last)] + 1) * FRAME), end))
+                 for word, (a, b) in zip(words, itertools.pairwise(edges), strict=True))
 
 
 def written_words(transcript: str) -> list[str]:
@@ -294,16 +303,3 @@ def _covered(samples: NDArray[np.int16], spans: Sequence[tuple[float, float]]) -
     for start, end in spans:
         spoken[round(start / FRAME):round(end / FRAME)] = True
     return float((loud & spoken).sum() / max(1, loud.sum()))
-
-
-def _shared_out(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[float, float]]:
-    loud = np.flatnonzero(_loud(samples))
-    if len(loud) == 0:
-        loud = np.arange(max(1, len(samples) // int(FRAME * ALIGNER_RATE)))
-    # One more than its letters for the pause after each word.
-    share = np.concatenate([[0], np.cumsum([len(word) + 1 for word in words])])
-    edges = np.floor(share / share[-1] * len(loud)).astype(int)
-    last = len(loud) - 1
-    # A word ends with its last loud frame, not where the next one begins: pauses lie between words.
-    return [(float(loud[min(a, last)] * FRAME), float((loud[min(max(a, b - 1), last)] + 1) * FRAME))
-            for a, b in itertools.pairwise(edges)]

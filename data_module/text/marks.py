@@ -7,6 +7,7 @@ note its name. This module knows how marks are written; `gesticulator.directing.
 from __future__ import annotations
 
 import re
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TypeAlias
@@ -97,42 +98,22 @@ def _names(match: re.Match[str]) -> Iterator[str]:
 def marked_words(texts: Sequence[str]) -> tuple[list[WordMarks], tuple[str, ...]]:
     """Each text of a list of words without marks, with the names of the marks before it; and the marks after the last
     word. A mark may be spread over several texts, as "[thumbs" and "up]" are. Texts without a mark stay as they are."""
-    out: list[WordMarks] = []
-    waiting: list[str] = []
-    for pieces in _pieces(texts):
-        words, marks, touched = [], list[str](), False
-        for piece, names in pieces:
-            touched = touched or names is not None
-            if names is not None:
-                waiting += names
-            elif piece.strip():
-                words.append(piece)
-                marks, waiting = [*marks, *waiting], []
-        out.append((" ".join("".join(words).split()) if touched else "".join(piece for piece, _ in pieces),
-                    tuple(marks)))
-    return out, tuple(waiting)
-
-
-def _pieces(texts: Sequence[str]) -> Iterator[list[tuple[str, list[str] | None]]]:
-    """The pieces of each text: (words, None), or ("", names) for a mark or a part of one. The names are where a mark
-    ends."""
     # A mark may begin in one text and end in another, so all are searched at once.
     joined = " ".join(texts)
-    marks = [(match.start(), match.end(), list(_names(match))) for match in _MARK.finditer(joined)]
-    begin = first = 0
+    waiting = deque((match.end(), name) for match in _MARK.finditer(joined) for name in _names(match))
+    plain = _MARK.sub(lambda match: "\0" * len(match[0]), joined)
+    out: list[WordMarks] = []
+    begin = 0
     for text in texts:
-        end, at = begin + len(text), begin
-        pieces: list[tuple[str, list[str] | None]] = []
-        while first < len(marks) and marks[first][0] < end:
-            start, stop, names = marks[first]
-            pieces += [(joined[at:max(at, start)], None), ("", names if stop <= end else [])]
-            at = min(stop, end)
-            if stop > end:
-                break
-            first += 1
-        pieces.append((joined[at:end], None))
-        yield pieces
-        begin = end + 1
+        piece = plain[begin:begin + len(text)]
+        # A mark is on the first text of which something spoken is behind it.
+        spoken = piece.replace("\0", " ").rstrip()
+        names = []
+        while spoken and waiting and waiting[0][0] < begin + len(spoken):
+            names.append(waiting.popleft()[1])
+        out.append((" ".join(piece.replace("\0", "").split()) if "\0" in piece else text, tuple(names)))
+        begin += len(text) + 1
+    return out, tuple(name for _, name in waiting)
 
 
 def with_marks(words: Sequence[Word], text: str, marks: Sequence[tuple[int, str]],

@@ -18,7 +18,7 @@ from data_module.text.alignment import written_words
 from data_module.text.marks import is_mark, marked_text
 from data_module.text.transcript_formats import Content, Entry, shared_in_cue
 
-__all__ = ["srt", "vtt"]
+__all__ = ["subtitles"]
 
 _CLOCK = r"(?:(\d{1,4}):)?(\d{1,4}):(\d{1,4})(?:[.,](\d+))?"
 _CUE = re.compile(rf"\s*{_CLOCK}\s*-->\s*{_CLOCK}(?:\s.*)?")
@@ -32,7 +32,7 @@ _HIGHLIGHT = re.compile(r"<(u|b|font|c)(?:[ .][^<>]*)?>([^<>]*)</\1>", re.IGNORE
 class _Cue:
     """A cue as written: lines with their tags, and its time, seconds."""
 
-    lines: tuple[str, ...]
+    lines: list[str]
     start: float
     end: float
     where: str
@@ -45,19 +45,31 @@ class _Cue:
         return Entry(self.text, self.start, self.end, self.where)
 
 
-def srt(source: str, text: str, speaker: str | None = None) -> Content:
-    """SubRip."""
-    return _content(list(_cues(source, text.split("\n"), 0, comments=False)))
-
-
-def vtt(source: str, text: str, speaker: str | None = None) -> Content:
-    """WebVTT."""
-    lines = text.split("\n")
-    if lines[0].split()[:1] != ["WEBVTT"]:
-        raise InputError(source, "line 1: is not WebVTT, which begins with WEBVTT", "save it again, or as .srt")
-    # The header's own lines end at the first empty line.
-    first = next((n for n, line in enumerate(lines) if not line.strip() or "-->" in line), len(lines))
-    return _content(list(_cues(source, lines, first, comments=True)))
+def subtitles(source: str, text: str, speaker: str | None = None) -> Content:
+    """SubRip or WebVTT: of each cue a line with two times, and the lines up to an empty one; the rest is not spoken."""
+    cues: list[_Cue] = []
+    inside = False
+    for number, line in enumerate(text.split("\n"), 1):
+        if re.match(r"\s*\d+:[^>]*-->", line):
+            match = _CUE.fullmatch(line)
+            if match is None:
+                raise InputError(source, f"line {number}: {line.strip()[:60]!r} is not a pair of times",
+                                 "write 00:00:01,000 --> 00:00:02,500")
+            times = match.groups()
+            cues.append(_Cue([], _clock(times[:4]), _clock(times[4:]), f"line {number}"))
+            inside = True
+        # In WebVTT a line of spaces is a line; rolling captions have one above the first.
+        elif inside and (line.strip() or (line and not cues[-1].lines)):
+            cues[-1].lines.append(line)
+        else:
+            inside = False
+    # One time inside a line is enough: the first word of each line has the time of its cue.
+    if any(_INNER.search(line) for cue in cues for line in cue.lines):
+        return Content(words=tuple(_timed_inside(cues)))
+    lines = _highlighted_lines(cues)
+    if lines is None:
+        return Content(cues=tuple(cue.entry() for cue in cues))
+    return Content(words=tuple(word for line in lines for word in _words_of_line(line)))
 
 
 def _plain(text: str) -> str:
@@ -66,44 +78,9 @@ def _plain(text: str) -> str:
     return " ".join(html.unescape(spoken).split())
 
 
-def _cues(source: str, lines: Sequence[str], first: int, *, comments: bool) -> Iterator[_Cue]:
-    """The cues from line `first` on: an optional name, a line with two times, lines of text, an empty line."""
-    at = first
-    while at < len(lines):
-        begin = at
-        # In WebVTT a line of spaces is a line; rolling captions have one above the first.
-        while at < len(lines) and (lines[at].strip() or (comments and lines[at] and "-->" in lines[at - 1] and at)):
-            at += 1
-        block = lines[begin:at]
-        at += 1
-        if not block or (comments and re.match(r"(NOTE|STYLE|REGION)\b", block[0])) \
-                or (len(block) == 1 and block[0].strip().isdigit()):
-            continue
-        clock = next((n for n, line in enumerate(block[:2]) if "-->" in line), None)
-        if clock is None:
-            raise InputError(source, f"line {begin + 1}: no times (START --> END) above {block[0].strip()[:30]!r}",
-                             "write 00:00:01,000 --> 00:00:02,500 above each cue")
-        match = _CUE.fullmatch(block[clock])
-        if match is None:
-            raise InputError(source, f"line {begin + clock + 1}: {block[clock].strip()[:60]!r} is not a pair of times",
-                             "write 00:00:01,000 --> 00:00:02,500")
-        times = match.groups()
-        yield _Cue(tuple(block[clock + 1:]), _clock(times[:4]), _clock(times[4:]), f"line {begin + clock + 1}")
-
-
 def _clock(parts: Sequence[str | None]) -> float:
     hours, minutes, seconds, decimals = parts
     return int(hours or 0) * 3600 + int(minutes or 0) * 60 + float(f"{seconds}.{decimals or 0}")
-
-
-def _content(cues: Sequence[_Cue]) -> Content:
-    # One time inside a line is enough: the first word of each line has the time of its cue.
-    if any(_INNER.search(line) for cue in cues for line in cue.lines):
-        return Content(words=tuple(_timed_inside(cues)))
-    lines = _highlighted_lines(cues)
-    if lines is None:
-        return Content(cues=tuple(cue.entry() for cue in cues))
-    return Content(words=tuple(word for line in lines for word in _words_of_line(line)))
 
 
 # ------------------------------------------------------------------------------------------ highlighted words
@@ -165,9 +142,9 @@ def _words_of_line(cues: Sequence[_Cue]) -> list[Entry]:
 
 def _timed_inside(cues: Sequence[_Cue]) -> Iterator[Entry]:
     """The words of cues with times inside; a line that repeats one of the cue before is left out."""
-    before: tuple[str, ...] = ()
+    before: list[str] = []
     for cue in cues:
-        lines = tuple(_plain(line) for line in cue.lines)
+        lines = [_plain(line) for line in cue.lines]
         for line, plain in zip(cue.lines, lines, strict=True):
             # A rolling caption shows the line before once more, without times.
             if plain and (plain not in before or _INNER.search(line)):

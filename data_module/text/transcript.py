@@ -24,15 +24,15 @@ from data_module.text import alignment as aligner
 from data_module.text import transcript_formats as formats
 from data_module.text.marks import marked_text, marked_words, with_marks
 from data_module.text.recognisers import words_json
-from data_module.text.subtitles import srt, vtt
+from data_module.text.subtitles import subtitles
 from data_module.text.transcript_formats import Content, Entry
 from data_module.types import Speech, Word
 
 __all__ = ["Text", "Transcript", "as_transcript", "read_transcript", "timed_transcript", "with_transcript"]
 
 FORMATS: dict[str, Callable[[str, str, str | None], Content]] = {
-    ".txt": formats.plain, ".textgrid": formats.textgrid, ".srt": srt, ".vtt": vtt, ".tsv": formats.tsv,
-    ".json": words_json,
+    ".txt": formats.plain, ".textgrid": formats.textgrid, ".srt": subtitles, ".vtt": subtitles,
+    ".tsv": formats.tsv, ".json": words_json,
 }
 """Readers by suffix: (file, its text, speaker) to its content."""
 
@@ -144,18 +144,16 @@ def with_transcript(speech: Speech, transcript: Transcript) -> tuple[Speech, Tim
     without the aligner); other languages are spread over the loud parts of the recording."""
     # Once more: a transcript may have been read without its recording.
     transcript = _within(transcript, speech.duration)
-    how: How
     if transcript.timing == "words":
-        words, how, guessed, reason = transcript.words or (), "given", transcript.guessed, ""
+        words, guessed, reason = transcript.words or (), transcript.guessed, ""
     elif transcript.timing == "cues":
         words, guessed = _in_cues(speech, transcript)
-        how = "guessed" if 2 * guessed > len(words) else "heard"
         reason = "they are spread over their cues" if guessed else ""
     else:
         placed, late, reason = _placed(speech, transcript.text, transcript.marks, aligner.can_follow(transcript.text))
         words = _with_late(placed, late)
         guessed = len(words) if reason else 0
-        how = "guessed" if reason else "heard"
+    how: How = "given" if transcript.timing == "words" else "guessed" if 2 * guessed > len(words) else "heard"
     count = _spoken(words)
     if transcript.timing == "none" and reason not in ("", _ENGLISH_ONLY):
         _warn(transcript.source, reason)
@@ -173,9 +171,7 @@ def _summary(count: int, how: How, guessed: int, reason: str) -> str:
     total = f"{count} word" + "s" * (count != 1)
     if guessed == 0:
         return f"{total}, times {'given' if how == 'given' else 'aligned with the recording'}"
-    some = ("word times are estimates" if guessed == count
-            else "1 word time is an estimate" if guessed == 1 else f"{guessed} word times are estimates")
-    return f"{total}, {some}" + (f": {reason}" if reason else "")
+    return f"{total}, {guessed} word times are estimates" + (f": {reason}" if reason else "")
 
 
 def _spoken(words: Sequence[Word]) -> int:
@@ -197,14 +193,11 @@ def _transcript(source: str, content: Content) -> Transcript:
         _check_rate(source, words)
         text = " ".join(marked_text(cue.text)[0] for cue in cues)
         return Transcript(words, text, "cues", source, cues, len(words), notes)
-    if not content.words:
-        text, marks = marked_text(content.text)
+    if all(entry.start is None for entry in content.words):
+        text, marks = marked_text(content.text or " ".join(entry.text for entry in content.words if entry.text))
         return Transcript(None, text, "none", source, marks=marks)
-    entries = _unmarked(content.words)
-    text = " ".join(entry.text for entry in entries if entry.text)
-    if all(entry.start is None for entry in entries):
-        return Transcript(None, text, "none", source, marks=_in_text(entries))
-    filled = _filled(entries)
+    filled = _filled(_unmarked(content.words))
+    text = " ".join(entry.text for entry in filled if entry.text)
     words, notes = _in_order(source, filled)
     _check_rate(source, words)
     return Transcript(words, text, "words", source, guessed=sum(e.guessed for e in filled), notes=notes)
@@ -223,15 +216,6 @@ def _unmarked(entries: Sequence[Entry]) -> list[Entry]:
     if late and last is not None:
         out[last] = replace(out[last], marks=(*out[last].marks, *late))
     return out
-
-
-def _in_text(entries: Sequence[Entry]) -> tuple[tuple[int, str], ...]:
-    """The marks of entries, by their offset in the text that joins the entries."""
-    marks, at = [], 0
-    for entry in entries:
-        marks += [(at, name) for name in entry.marks]
-        at += len(entry.text) + 1 if entry.text else 0
-    return tuple(marks)
 
 
 def _check_rate(source: str, words: Sequence[Word]) -> None:
@@ -280,22 +264,17 @@ def _in_order(source: str, entries: Sequence[Entry]) -> tuple[tuple[Word, ...], 
     inside = [e for e in entries if e.end is not None and (e.end > 0 or e.start == 0)]
     early = sum(e.start is not None and e.start < 0 for e in entries)
     if early:
-        notes.append(f"{_times(early)} began before the recording")
+        notes.append(f"{early} of them began before the recording")
     words = [replace(word, start=max(0.0, word.start)) for word in _as_words(inside)]
     if any(a.start > b.start for a, b in itertools.pairwise(words)):
         notes.append("the times were not in order and were sorted")
         words.sort(key=lambda word: word.start)
     overlaps = sum(a.end - b.start > _OVERLAP for a, b in itertools.pairwise(words))
     if overlaps:
-        notes.append(f"{_times(overlaps)} overlapped the next and was cut" if overlaps == 1
-                     else f"{_times(overlaps)} overlapped the next and were cut")
+        notes.append(f"{overlaps} of them overlapped the next and were cut")
     # A frame has one word: each ends where the next begins, at the latest.
     ends = [min(a.end, b.start) for a, b in itertools.pairwise(words)] + [word.end for word in words[-1:]]
     return tuple(replace(word, end=end) for word, end in zip(words, ends, strict=True)), tuple(notes)
-
-
-def _times(count: int) -> str:
-    return "1 time" if count == 1 else f"{count} times"
 
 
 def _within(transcript: Transcript, duration: float) -> Transcript:
@@ -303,16 +282,13 @@ def _within(transcript: Transcript, duration: float) -> Transcript:
     words, cues = (tuple(replace(w, end=min(w.end, duration)) for w in words if w.start < duration)
                    for words in (transcript.words or (), transcript.cues))
     lost = _spoken(transcript.words or ()) - _spoken(words)
-    if not lost:
-        return replace(transcript, words=words if transcript.words is not None else None, cues=cues)
-    if not _spoken(words):
-        raise InputError(transcript.source, f"all its words come after the end of the recording ({duration:.1f} s)",
-                         "give the transcript of this recording, its times in seconds")
-    # With more words lost than kept this is another recording; a few are a cut end.
+    if transcript.words is None or not lost:
+        return replace(transcript, words=None if transcript.words is None else words, cues=cues)
+    # With more words lost than left this is another recording; a few are a cut end.
     if lost > _spoken(words):
         raise InputError(transcript.source, f"{lost} of its {lost + _spoken(words)} words come after the end of the "
                          f"recording ({duration:.1f} s)", "give the transcript of this recording, its times in seconds")
-    note = f"{lost} {'word' if lost == 1 else 'words'} after the end of the recording left out"
+    note = f"{lost} of them left out after the end of the recording"
     return replace(transcript, words=words, cues=cues, notes=(*transcript.notes, note))
 
 

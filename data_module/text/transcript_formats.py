@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NoReturn
 
 import numpy as np
 
@@ -23,10 +22,9 @@ SILENCES = frozenset({"", "sp", "sil", "<eps>", "<sil>", "<p>", "<p:>"})
 # Possessive quantifiers (++) prevent backtracking, so that the time is linear in the length.
 NUMBER = r"[-+]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][-+]?\d++)?+"
 """A number in TextGrids and label files."""
-# The tokens of a TextGrid: quoted text, separate numbers, and a flag; everything else is for people. The last two are
-# errors: an unclosed quote, and a value that is none of the three.
-_TOKEN = re.compile(rf'"((?:[^"]++|"")*+)"|(?<![^\s=])({NUMBER})(?!\S)|(<exists>|<absent>)|"'
-                    rf'|=[ \t]*(?!{NUMBER}(?!\S))[^\s"<]\S*')
+# The tokens of a TextGrid: quoted text, separate numbers, and a flag; everything else is for people. The last one is an
+# error, an unclosed quote.
+_TOKEN = re.compile(rf'"((?:[^"]++|"")*+)"|(?<![^\s=])({NUMBER})(?!\S)|(<exists>)|"')
 
 
 @dataclass(frozen=True)
@@ -57,69 +55,34 @@ def plain(source: str, text: str, speaker: str | None = None) -> Content:
 
 def textgrid(source: str, text: str, speaker: str | None = None) -> Content:
     """A Praat TextGrid in its long or its short form, as the Montreal Forced Aligner and others write it."""
-    tokens = _Tokens(source, text)
-    if not tokens.text().startswith("ooTextFile") or tokens.text() != "TextGrid":
-        raise InputError(source, "is not a TextGrid", "save it from Praat as a text file or a short text file")
-    tokens.number(), tokens.number()
-    tokens.flag()
+    tokens = _TOKEN.finditer(text)
+
+    def word() -> str:
+        return next(tokens)[1].replace('""', '"')
+
+    def number() -> float:
+        return float(next(tokens)[2])
+
     tiers: dict[str, list[Entry]] = {}
-    for _ in range(tokens.count()):
-        kind, name = tokens.text(), tokens.text()
-        if kind not in ("IntervalTier", "TextTier"):
-            tokens.refuse(f"a tier of an unknown kind, {kind[:30]!r}")
-        tokens.number(), tokens.number()
-        entries = []
-        for _ in range(tokens.count()):
-            start = tokens.number()
-            end = tokens.number() if kind == "IntervalTier" else start
-            where = f"line {tokens.line}"
-            entries.append(Entry(" ".join(tokens.text().split()), start, end, where))
-        # Points hold tones and comments; of intervals with one name the first count.
-        if kind == "IntervalTier":
-            tiers.setdefault(name, entries)
+    try:
+        if not word().startswith("ooTextFile") or word() != "TextGrid":
+            raise ValueError
+        number(), number(), next(tokens)[3].strip()
+        for _ in range(int(number())):
+            kind, name = word(), word()
+            number(), number()
+            entries = []
+            for place in range(int(number())):
+                start = number()
+                end = number() if kind == "IntervalTier" else start
+                entries.append(Entry(" ".join(word().split()), start, end, f"interval {place + 1} of {name[:40]}"))
+            # Points hold tones and comments; of intervals with one name the first count.
+            if kind == "IntervalTier":
+                tiers.setdefault(name, entries)
+    except (StopIteration, ValueError, TypeError, AttributeError, OverflowError):
+        # A token of another kind is None.
+        raise InputError(source, "is not a whole TextGrid with tiers", "save it from Praat as a text file") from None
     return Content(words=spoken_tier(source, tiers, speaker))
-
-
-class _Tokens:
-    """The tokens of a TextGrid one after the other; `line` is that of the last one."""
-
-    def __init__(self, source: str, text: str) -> None:
-        self.source, self.line, self._text, self._at = source, 1, text, 0
-        self._found = _TOKEN.finditer(text)
-
-    def _next(self) -> re.Match[str]:
-        match = next(self._found, None)
-        if match is None:
-            raise InputError(self.source, f"ends in line {self._text.count(chr(10)) + 1}, before all that it announces",
-                             "it is cut off: copy it again")
-        self.line += self._text.count("\n", self._at, match.start())
-        self._at = match.start()
-        return match
-
-    def refuse(self, problem: str) -> NoReturn:
-        raise InputError(self.source, f"line {self.line}: {problem}", "save it again as a TextGrid")
-
-    def text(self) -> str:
-        match = self._next()
-        if match[1] is None:
-            self.refuse(f"a text in quotes was expected, not {match[0].lstrip('= ')[:40]}")
-        return match[1].replace('""', '"')
-
-    def number(self) -> float:
-        match = self._next()
-        if match[2] is None or not np.isfinite(float(match[2])):
-            self.refuse(f"a number was expected, not {match[0].lstrip('= ')[:40]}")
-        return float(match[2])
-
-    def flag(self) -> None:
-        if self._next()[3] != "<exists>":
-            self.refuse("it has no tiers")
-
-    def count(self) -> int:
-        value = self.number()
-        if not 0 <= value <= len(self._text) or value != int(value):
-            self.refuse(f"{value:g} is not a number of entries")
-        return int(value)
 
 
 def spoken_tier(source: str, tiers: Mapping[str, Sequence[Entry]], speaker: str | None) -> tuple[Entry, ...]:
@@ -141,19 +104,19 @@ def spoken_tier(source: str, tiers: Mapping[str, Sequence[Entry]], speaker: str 
 def tsv(source: str, text: str, speaker: str | None = None) -> Content:
     """Tab-separated start, end and text below a line with these names, as whisper writes it: whole numbers are
     milliseconds, others seconds."""
-    lines = [(number, line.split("\t")) for number, line in enumerate(text.split("\n"), start=1) if line.strip()]
-    if not lines or [name.strip().lower() for name in lines[0][1]] != ["start", "end", "text"]:
+    rows = [(number, line.split("\t")) for number, line in enumerate(text.split("\n"), 1) if line.strip()]
+    if not rows or [name.strip().lower() for name in rows[0][1]] != ["start", "end", "text"]:
         raise InputError(source, "line 1: does not name the columns start, end and text",
                          "write them, with tabs between")
-    for number, row in lines[1:]:
+    for number, row in rows[1:]:
         if len(row) < 3 or not all(re.fullmatch(NUMBER, value.strip()) for value in row[:2]):
             raise InputError(source, f"line {number}: is not a start, an end and a text with tabs between",
                              "write it again")
-    whole = all(value.strip().lstrip("+-").isdigit() for _, row in lines[1:] for value in row[:2])
+    whole = all(value.strip().lstrip("+-").isdigit() for _, row in rows[1:] for value in row[:2])
     unit = 1e-3 if whole else 1.0
-    entries = [Entry(" ".join(" ".join(row[2:]).split()), float(row[0]) * unit, float(row[1]) * unit,
-                     f"line {number}") for number, row in lines[1:]]
-    return Content(cues=tuple(entries))
+    return Content(cues=tuple(
+        Entry(" ".join(" ".join(row[2:]).split()), float(row[0]) * unit, float(row[1]) * unit, f"line {number}")
+        for number, row in rows[1:]))
 
 
 def shared_in_cue(cue: Entry) -> list[Entry]:

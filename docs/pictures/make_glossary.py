@@ -24,7 +24,8 @@ from data_module.files import write_bytes
 from data_module.motion import kinematics
 from data_module.motion.motion_beats import acting_positions, acting_speed, motion_beats
 from data_module.speech.audio import load_speech, resample
-from data_module.speech.onsets import detect_onsets, onset_strength
+from data_module.speech.onsets import RiseTracker, detect_onsets
+from data_module.speech.silence import frame_levels, loudness
 from data_module.types import Array, BeatFlag, Motion, Samples, Speech
 from gesticulator import Gesticulator, Performance
 from gesticulator.bundle.features import representation_of
@@ -155,7 +156,8 @@ def onset(s: Scene) -> Figure:
     top = waveform(upper, s.sound)
     label(upper, "waveform, onsets marked")
     upper.vlines(s.onsets, -top, top, color=RED, linewidth=1.2)
-    strength = onset_strength(s.sound.samples, SAMPLE_RATE)
+    rise, ground = RiseTracker(SAMPLE_RATE), loudness(frame_levels(s.sound.samples, SAMPLE_RATE)).ground
+    strength = np.concatenate([rise.step(s.sound.samples, ground), rise.finish()])
     lower.vlines(s.onsets, 0, strength.max(), color=RED, linewidth=0.8, alpha=0.5)
     curve(lower, np.arange(len(strength)) / 100, strength, INK)
     plain(lower)

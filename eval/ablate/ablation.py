@@ -22,17 +22,15 @@ from gesticulator.bundle import config as configs
 
 @dataclass
 class Ablation:
-    """Both papers' rows and where their cells are kept. bundle: what RACER's rows stand on; None for the row
-    "q-network", trained here."""
+    """Both papers' rows and where their cells are kept."""
 
     rg: RgRows
     cells: CellStore
-    bundle: str | None = None
 
     @cached_property
     def racer(self) -> RacerRows:
         """RACER's rows."""
-        return RacerRows.over(self.rg, self.bundle)
+        return RacerRows.over(self.rg)
 
     def run(self, only: Sequence[str], seeds: int, systems: Mapping[str, Path], about: Provenance) -> dict[str, Any]:
         """Run the rows and figures of `only` (empty: all) that are not finished, and write the tables of all that is.
@@ -58,9 +56,8 @@ class Ablation:
         for name, folder in systems.items():
             self.system(name, folder)
         # Cells of settings that have changed since stay in the folder and out of the tables.
-        cells = {row: {seed: cell for seed, cell in by_seed.items() if self._current(row, cell)}
-                 for row, by_seed in self.cells.read(shared).items()}
-        cells = {row: by_seed for row, by_seed in cells.items() if by_seed}
+        cells = {row: current for row, by_seed in self.cells.read().items()
+                 if (current := {seed: cell for seed, cell in by_seed.items() if self._current(cell, shared)})}
         facts: dict[str, Any] = {
             "preset": self.rg.first.config.name, "refused": {}, "rows": summaries(cells),
             "store": {"name": store.corpus, "fingerprint": store.fingerprint,
@@ -94,9 +91,12 @@ class Ablation:
         return self._kept(name, 0, key, self.rg.shared, lambda: self.rg.foreign_measured(folder, clips), kind="system",
                           settings=[], split="test", question=f"another system's motion, {len(clips)} clips")
 
-    def _current(self, name: str, cell: Cell) -> bool:
-        """False for a cell of a row whose settings have changed since."""
-        return name not in ROWS or is_racer(name) or cell["key"] == self.rg.cell_key(name, cell["seed"])
+    def _current(self, cell: Cell, shared: Mapping[bool, str]) -> bool:
+        """False for a cell of other settings. shared: hash of what RACER's rows stand on at True, the others' at
+        False, of those that were run."""
+        name, racer = cell["row"], is_racer(cell["row"])
+        same = racer or name not in ROWS or cell["key"] == self.rg.cell_key(name, cell["seed"])
+        return bool(same and cell["shared"] == shared.get(racer, cell["shared"]))
 
     def _kept(self, name: str, seed: int, key: str, shared: str, make: Callable[[], Mapping[str, Any] | None],
               **about: Any) -> Cell | None:

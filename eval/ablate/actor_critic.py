@@ -6,8 +6,6 @@ trunk and estimates the value of a state under the actor. They learn in turns.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 
@@ -16,44 +14,33 @@ from interpreters.base import BlockFeatures, InterpreterDefaults, Need, Scores
 from interpreters.cql import DROPOUT, QNetwork, QState, backed_up, data_nll, next_known
 from interpreters.transformer import Head, Layer, begin_small, sliding
 
-
-@dataclass(frozen=True)
-class ActorCriticConfig:
-    """How the two halves share and take turns."""
-
-    branch: int = 3
-    """Number of last layers that actor and critic do not share."""
-    actor_steps: int = 5
-    critic_steps: int = 5
-    gamma: float = 0.99
-    """Discount. Bailando has 1; 0.99 makes it comparable with the other variants."""
-    freeze_trunk: bool = True
-    """Keep the shared layers and the tokens as supervised learning left them."""
+BRANCH = 3
+"""Last layers that actor and critic do not share."""
+TURN = 5
+"""Steps for which one of them learns, before it is the other's turn."""
 
 
 class ActorCritic(nn.Module, InterpreterDefaults):
-    """pi(a | s) and V(s) on a shared trunk. Dropout is off throughout."""
+    """pi(a | s) and V(s) on a shared trunk, which stays as supervised learning left it. Dropout is off throughout."""
 
     name = "actor-critic"
 
-    def __init__(self, actor: QNetwork, config: ActorCriticConfig | None = None) -> None:
-        """actor: the network that becomes the policy. ValueError if it has fewer layers than `branch`."""
+    def __init__(self, actor: QNetwork, gamma: float = 0.99) -> None:
+        """actor: the network that becomes the policy; a small one may have fewer layers than `BRANCH`. gamma: the
+        discount; Bailando has 1, which would not compare with the other rows."""
         super().__init__()
-        self.config, self.actor = config or ActorCriticConfig(), actor
-        self.shared = actor.config.layers - self.config.branch
-        if self.shared < 0 or self.config.branch < 1:
-            raise ValueError(f"{self.config.branch} layers cannot be split off {actor.config.layers}")
-        sizes = actor.config
-        self.critic = nn.ModuleList(Layer(sizes.width, sizes.heads, DROPOUT) for _ in range(self.config.branch))
+        self.actor, self.gamma, sizes = actor, gamma, actor.config
+        branch = min(BRANCH, sizes.layers)
+        self.shared = sizes.layers - branch
+        self.critic = nn.ModuleList(Layer(sizes.width, sizes.heads, DROPOUT) for _ in range(branch))
         self.value = Head(sizes.width, 1)
         # Small first weights, as the network's own layers begin.
         self.critic.apply(begin_small)
         self.value.apply(begin_small)
         self.turn = "actor"
-        if self.config.freeze_trunk:
-            freeze(actor)
-            for part in (actor.layers[self.shared:], actor.head):
-                part.requires_grad_(True)
+        freeze(actor)
+        for part in (actor.layers[self.shared:], actor.head):
+            part.requires_grad_(True)
         self.train()
 
     @property
@@ -79,8 +66,7 @@ class ActorCritic(nn.Module, InterpreterDefaults):
 
     def before_step(self, step: int) -> None:
         # In turns, as in Bailando: while one learns the other stands still.
-        at = step % (self.config.actor_steps + self.config.critic_steps)
-        self.turn = "actor" if at < self.config.actor_steps else "critic"
+        self.turn = "actor" if step % (2 * TURN) < TURN else "critic"
 
     def _read(self, tokens: Tensor) -> Tensor:
         """Logits and the state's value [B, T', S + 1] of one window of tokens [B, 2, T', C]."""
@@ -108,7 +94,7 @@ class ActorCritic(nn.Module, InterpreterDefaults):
         logits, value = self.logits_and_value(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])
         action, reward, terminal, valid = (batch[key][:, :-1] for key in ("action", "reward", "terminal", "valid"))
         # The critic's own target must not move with the gradient: only its estimate does.
-        error = backed_up(reward, terminal, value[:, 1:].detach(), self.config.gamma) - value[:, :-1]
+        error = backed_up(reward, terminal, value[:, 1:].detach(), self.gamma) - value[:, :-1]
         nll = data_nll(logits[:, :-1], action, self.actor.allowed(batch["silent"][:, :-1]))
         counted = valid * next_known(batch)
         terms = {"actor": masked_mean(nll * error.detach(), counted),

@@ -2,8 +2,7 @@
 
 A cell OUT/cells/ROW-SEED.json has "row", "seed" (0 for what has none), "split", "key" (hash of all that shapes it),
 "shared" (hash of what all rows stand on), "question", "settings", "clips" (one mapping a clip, by column) and "sets"
-(figures of all clips). A file is written whole or not at all, so a run that is stopped goes on, and several processes
-or machines may divide the rows between them with nothing to gather afterwards.
+(figures of all clips). A file is written whole or not at all, so a run that is stopped goes on.
 """
 
 from __future__ import annotations
@@ -19,9 +18,9 @@ from data_module.errors import InputError
 from data_module.files import read_object, write_text
 from data_module.types import Array
 from eval import stats
-from eval.ablate.rows import COLUMNS, DECIDED, is_racer
+from eval.ablate.rows import COLUMNS, DECIDED
 from eval.crossed import crossed
-from eval.table import dumps, loads
+from eval.table import dumps, undefined
 
 FOLDER = "cells"
 LARGEST = 1 << 24
@@ -55,30 +54,17 @@ class CellStore:
         file.parent.mkdir(parents=True, exist_ok=True)
         write_text(file, dumps(cell))
 
-    def read(self, shared: Mapping[bool, str] | None = None) -> Cells:
-        """Every cell, by row and seed.
-
-        shared: hash of what rows stand on, of RACER's rows at True and of the others at False; cells with another are
-        left out. InputError where cells that would be compared stand on different things.
-        """
+    def read(self) -> Cells:
+        """Every cell, by row and seed."""
         cells: Cells = {}
-        stands: dict[bool, set[str]] = {}
-        for file in sorted((self.out / FOLDER).glob("*.json")):
-            cell = _read(file)
-            group = is_racer(cell["row"])
-            # RACER's rows stand on a bundle of their own and are never compared with the others.
-            if shared is None or cell["shared"] == shared.get(group, cell["shared"]):
-                stands.setdefault(group, set()).add(cell["shared"])
-                cells.setdefault(cell["row"], {})[int(cell["seed"])] = cell
-        if any(len(hashes) > 1 for hashes in stands.values()):
-            raise InputError(self.out / FOLDER, "holds figures of different presets, stores or versions",
-                             "keep them in two folders")
+        for cell in map(_read, sorted((self.out / FOLDER).glob("*.json"))):
+            cells.setdefault(cell["row"], {})[int(cell["seed"])] = cell
         return {row: dict(sorted(by_seed.items())) for row, by_seed in sorted(cells.items())}
 
 
 def _read(file: Path) -> Cell:
     remedy = "remove it, and the same command makes it again"
-    cell: Cell = loads(dumps(read_object(file, remedy, LARGEST)))  # null becomes NaN
+    cell: Cell = undefined(read_object(file, remedy, LARGEST))
     if not {"row", "seed", "key", "shared", "clips", "sets"} <= set(cell) or not isinstance(cell["clips"], list):
         raise InputError(file, "is no cell of an ablation", remedy)
     return cell
@@ -132,14 +118,6 @@ def difference(cells: Cells, first: str, second: str, key: str) -> stats.Interva
     return crossed(apart, weights) if apart.size else stats.Interval.undefined()
 
 
-def late_gains(cells: Sequence[Cell]) -> dict[str, float]:
-    """By stage how much of its validation figure was still gained in the last quarter of the training, the most of
-    all seeds; where it was not validated before then, NaN."""
-    stages = dict.fromkeys(stage for cell in cells for stage in cell.get("late_gains", {}))
-    return {stage: max((cell["late_gains"][stage] for cell in cells if stage in cell.get("late_gains", {})),
-                       key=lambda gain: np.inf if np.isnan(gain) else gain) for stage in stages}
-
-
 def summaries(cells: Cells) -> dict[str, dict[str, Any]]:
     """Every row's figures with their intervals over seeds and clips, as plain values but for the intervals."""
     rows: dict[str, dict[str, Any]] = {}
@@ -150,7 +128,6 @@ def summaries(cells: Cells) -> dict[str, dict[str, Any]]:
         rows[name] = {
             "settings": first["settings"], "question": first["question"], "kind": first.get("kind", "row"),
             "seeds": list(by_seed), "decided": set(by_seed) == {0} or len(by_seed) >= DECIDED,
-            "seconds": [cell["seconds"]["training"] for cell in every if "seconds" in cell],
-            "late_gains": late_gains(every), "pmb_curve": np.mean(curves, axis=0).tolist() if curves else [],
+            "pmb_curve": np.mean(curves, axis=0).tolist() if curves else [],
             "figures": {key: interval_of(every, key) for key in COLUMNS}}
     return rows

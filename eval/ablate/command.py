@@ -1,17 +1,16 @@
 """Every table, figure and claim of both papers, run again on any data set.
 
     gesticulator ablate --data STORE --work DIR [--only NAME ...] [--preset ablation|tiny] [--seeds 3]
-                        [--bundle DIR] [--system NAME=DIR ...] [--out docs/results/ablation]
+                        [--system NAME=DIR ...] [--out docs/results/ablation]
     gesticulator ablate --list                          every row, table and figure
     gesticulator ablate --tables [--out DIR]            the tables and claims again, from the cells that are there
 
 What there is (`--list`): the rows of rows.toml, each a few settings on top of a preset; RACER's rows (`racer-NAME`),
-which share a lexicon and two reward models, those of a bundle or else trained here; and the figures (`figure-N`,
+which share the lexicon and the two reward models of the row `q-network`; and the figures (`figure-N`,
 `eval.ablate.figures`), drawn from what the rows left. Without --only all of it is run, in that order. A finished row
 and seed is a file OUT/cells/ROW-SEED.json, and a stage is kept in the work folder under the hash of its settings. So a
-command that was stopped goes on, rows share what they have in common, and several commands, on several machines that
-see both folders, may divide the rows between them. Other systems' motion for the test speech becomes a row of every
-table by --system; SG, Ges, GTC, S2AG and Bailando have lines of their own.
+command that was stopped goes on, and rows share what they have in common. Other systems' motion for the test speech
+becomes a row of every table by --system; SG, Ges, GTC, S2AG and Bailando have lines of their own.
 
 What fools it: a row trained as long as the others may need longer; MAJE and MAD praise stillness; PMB at 0.2 s is what
 the papers print and near its chance level, so read the share above chance at 0.1 s; and a few seeds of the same lexicon
@@ -29,34 +28,19 @@ from data_module.errors import InputError
 from eval.ablate.rows import CONTROLS, PRESETS, REFERENCES, ROWS, TABLES
 
 SEEDS = 3
-FIGURES = ("figure-2", "figure-5", "figure-6", "figure-9-performer", "figure-9-ours", "figure-10", "figure-11",
-           "figure-14", "figure-15", "figure-16", "figure-17", "figure-18")
+FIGURES = ("figure-5", "figure-6", "figure-9-performer", "figure-9-ours", "figure-11", "figure-14", "figure-15",
+           "figure-16", "figure-17", "figure-18")
 """Those of `eval.ablate.figures`, which is imported when one is drawn."""
-ELSEWHERE: dict[str, str] = {
-    "RG Fig. 6, as a contact sheet with words": "plot lexicon", "RG Fig. 9, of any motion": "plot strip",
-    "RG Fig. 12, RACER Fig. 4 (people)": "study",
-    "RG Fig. 13 (other languages)": "score on a folder of speech of that language",
-    "all metrics, of any motion": "score"}
-"""Figures that have a command of their own."""
-
 
 def listing() -> str:
-    """The rows that can be run, and the commands of other figures."""
+    """The rows and figures that can be run."""
     lines = []
     for name, row in ROWS.items():
-        changes = [*(f"--set {setting}" for setting in row.set),
-                   *([f"--interpreter {row.play}"] if row.play != "lstm" else []),
-                   *([f"{row.style} style codes"] if row.style != "interpreted" else []),
-                   *([f"on {row.split}"] if row.split != "test" else []),
-                   *([row.train] if row.train not in ("stages", "offline") else [])]
-        stands = [title for title, table in TABLES.items() if any(line.row == name for line in table.lines)]
-        lines.append(f"{name:20} {row.ask}\n{'':20} {' '.join(changes) or '(the preset as it is)'}\n{'':20} "
-                     f"{', '.join(stands)}")
+        changes = [*(f"--set {setting}" for setting in row.set), row.play, row.style, row.split, row.train]
+        lines.append(f"{name:20} {row.ask}\n{'':20} {' '.join(changes)}")
     lines += [f"{name:20} {about} (stands in every table)" for name, about in {**REFERENCES, **CONTROLS}.items()]
     lines += [f"{name:20} RG Fig. {name.split('-')[1]}" for name in FIGURES]
-    lines += [f"tables: {', '.join(TABLES)}"]
-    lines += [f"elsewhere: {what}: gesticulator {command}" for what, command in ELSEWHERE.items()]
-    return "\n".join(lines)
+    return "\n".join([*lines, f"tables: {', '.join(TABLES)}"])
 
 
 # ------------------------------------------------------------------------------------------------------------- command
@@ -71,8 +55,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--preset", default="ablation", choices=tuple(PRESETS))
     add("--seeds", type=int, default=SEEDS, metavar="N", help=f"seeds 1 to N ({SEEDS})")
     add("--limit", type=int, metavar="N", help="use only the first N recordings of a split")
-    add("--bundle", metavar="NAME|DIR",
-        help="bundle for RACER's rows: default, paper, or a folder (default: trained here)")
     add("--system", action="append", default=[], metavar="NAME=DIR", dest="systems",
         help="another system's motion for the test recordings, with the same file names")
     add("--out", default="docs/results/ablation", metavar="DIR", help="output folder for the cells and table.json, .md")
@@ -118,15 +100,12 @@ def run(arguments: argparse.Namespace) -> int:
     from eval.ablate.run import RgRows
     from eval.context import EvalContext, opened, provenance
     from eval.metrics.gesture_features import at_hand, spaces
-    from eval.table import load
-    from gesticulator.bundle.files import bundle_folder
+    from eval.table import load, markdown
     from gesticulator.training.stages import Run
 
     store, work = opened(arguments.data, arguments.work)
     first = Run(PRESETS[arguments.preset](), store, work, progress=not arguments.quiet, workers=os.cpu_count() or 1)
     rg = RgRows(EvalContext(first, networks=spaces(at_hand()), limit=arguments.limit))
-    bundle = str(bundle_folder(arguments.bundle)) if arguments.bundle else None
-    Ablation(rg, CellStore(Path(arguments.out)), bundle).run(
-        arguments.only, arguments.seeds, systems, provenance(arguments))
-    print("\n".join(table.terminal() for table in load(Path(arguments.out) / "table.json")), end="")
+    Ablation(rg, CellStore(Path(arguments.out))).run(arguments.only, arguments.seeds, systems, provenance(arguments))
+    print(markdown(load(Path(arguments.out) / "table.json")), end="")
     return 0

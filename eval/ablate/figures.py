@@ -1,8 +1,7 @@
 """The papers' figures, drawn from what the rows of an ablation left behind (see `eval.ablate.command`).
 
-A figure is FIGURE.svg or FIGURE.png in the folder of the cells. figures.json there holds for each which figure of the
-paper it is, its title and its caption. The motion that it shows is of the first seed and, where one clip is shown, of
-the first test recording, whatever it looks like.
+A figure is FIGURE.svg or FIGURE.png in the folder of the cells. The motion that it shows is of the first seed and,
+where one clip is shown, of the first test recording, whatever it looks like.
 """
 
 from __future__ import annotations
@@ -18,32 +17,25 @@ import torch
 from data_module import intervals
 from data_module.blocks import cut
 from data_module.errors import InputError
-from data_module.files import read_object, write_text
-from data_module.motion.motion_beats import acting_positions, acting_speed, motion_beats
+from data_module.motion.motion_beats import motion_beats
 from data_module.speech.beats import find_beats
 from data_module.speech.onsets import detect_onsets
 from data_module.store import Recording
-from eval.ablate import style_editing
 from eval.ablate.rows import COLUMNS, OURS, PERFORMER, REAL_TAKE, ROWS, TABLES
-from eval.ablate.run import SHOWN_SEED, RgRows, configured
+from eval.ablate.run import RgRows, configured
 from eval.clip.excerpts import evenly
 from eval.metrics import audio_clusters, pmb
 from eval.metrics.encode import EncodedMotion, latents_of
 from eval.metrics.evaluate import WIDE
-from eval.pictures import plots
 from eval.pictures.canvas import STYLE
-from eval.pictures.embedding import NEIGHBOURS, embed, embedding_panels, joint_embedding, neighbours_agree
-from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curves, overview, size_sweep
+from eval.pictures.embedding import embed, embedding_panels, joint_embedding, neighbours_agree
+from eval.pictures.plots import beat_strips, cluster_bars, delta_curves, size_sweep
 from eval.pictures.strips import PAGE, Source, draw_page, save_strip
-from eval.table import dumps
-from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages import LABELS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
 
-DRAWN = "figures.json"
-"""The file of the captions of all figures."""
 POINTS = 3000
 """Blocks in the picture of the lexicon."""
 EACH = 500
@@ -52,11 +44,9 @@ COUNTED = 24
 """Training recordings whose intervals are counted."""
 STRETCH = 8.0
 """Seconds of a clip that are shown."""
-Drawn = tuple["Picture", str]
-"""The picture and its caption."""
 Summaries = Mapping[str, Any]
 """`eval.ablate.cells.summaries`."""
-Draw = Callable[[RgRows, Summaries], Drawn]
+Draw = Callable[[RgRows, Summaries], "Picture"]
 
 
 def shown_recording(rg: RgRows) -> Recording:
@@ -76,18 +66,17 @@ def start_of(recording: Recording) -> float:
 
 # -------------------------------------------------------------------------------------------------------- the pictures
 
-def onset_intervals(rg: RgRows, rows: Summaries) -> Drawn:
+def onset_intervals(rg: RgRows, rows: Summaries) -> Picture:
     """RG Fig. 5 and 8a."""
     store = rg.context.store
     infos = evenly(store, "train", COUNTED)
     counted = sum((intervals.measure(store.load(info.name).speech)[1] for info in infos), intervals.Intervals())
     bounds = rg.first.config.rhythm.beats
-    return intervals.drawn(counted, f"{store.corpus}, {len(infos)} recordings"), (
-        f"Intervals between onsets of the speech, and between beats; {counted.share(bounds.d_min, bounds.d_max):.0%} "
-        f"of the former lie between {bounds.d_min:g} and {bounds.d_max:g} s.")
+    return intervals.drawn(counted, f"{store.corpus}, {len(infos)} recordings, "
+                           f"{counted.share(bounds.d_min, bounds.d_max):.0%} within the bounds")
 
 
-def lexicon(rg: RgRows, rows: Summaries) -> Drawn:
+def lexicon(rg: RgRows, rows: Summaries) -> Picture:
     """RG Fig. 6 and 8b."""
     judge, labelled, corpus = rg.judge.block_lexicon, rg.first.get(LABELS), rg.context.corpus
     few = np.sort(np.random.default_rng(0).permutation(corpus.select("train"))[:POINTS])
@@ -97,57 +86,31 @@ def lexicon(rg: RgRows, rows: Summaries) -> Drawn:
     flat = embed(latents)
     # A t-SNE bends distances: how much of the neighbourhood survives says what the picture can be read for.
     shown, true = neighbours_agree(flat, labels), neighbours_agree(latents, labels)
-    caption = (f"E(M) of {len(few)} blocks by t-SNE, coloured by lexeme, silent ones crossed. {100 * shown:.0f} % of "
-               f"the {NEIGHBOURS} nearest neighbours share the lexeme, {100 * true:.0f} % in latent space.")
-    return embedding_panels({"E(M)": (flat, labels)}, len(judge.vectors), labelled.silent.tolist()), caption
-
-
-def pipeline(rg: RgRows, rows: Summaries) -> Drawn:
-    """RG Fig. 2, on a stretch of real data."""
-    recording, motion = shown_recording(rg), rg.motions(OURS)[0]
-    rhythm = rg.first.config.rhythm
-    shown = Overview(recording.speech, find_beats(recording.speech, rhythm.beats),
-                     cut(recording.speech, rhythm).edges, encoded(rg, OURS)[0].labels,
-                     acting_speed(acting_positions(motion), motion.fps), motion.fps, motion_beats(motion),
-                     recording.speech.words or (), rg.first.get(LABELS).silent.tolist())
-    return (overview(shown, start_of(recording), STRETCH),
-            "Speech is cut at its beats; each block gets a lexeme; the generator draws the motion.")
+    title = f"neighbours with the lexeme: {100 * shown:.0f} %, in latent space {100 * true:.0f} %"
+    return embedding_panels({title: (flat, labels)}, len(judge.vectors), labelled.silent.tolist())
 
 
 def strip(name: str) -> Draw:
     """RG Fig. 9, of a row or of the performer."""
-    def drawn(rg: RgRows, rows: Summaries) -> Drawn:
+    def drawn(rg: RgRows, rows: Summaries) -> Picture:
         recording, motion = shown_recording(rg), rg.motions(name)[0]
         # Nine figures over four seconds: close enough to see a stroke, few enough to tell them apart.
         start = start_of(recording)
         times = np.linspace(start, min(start + STRETCH / 2, (len(motion) - 1) / motion.fps), 9)
-        return draw_page([Source("", motion)], times, recording.speech, find_beats(recording.speech),
-                         layout=replace(PAGE, views=("front",))), (
-            f"{name}: {STRETCH / 2:g} s of {recording.info.name}.")
+        return draw_page([Source(f"{name}, {recording.info.name}", motion)], times, recording.speech,
+                         find_beats(recording.speech), layout=replace(PAGE, views=("front",)))
 
     return drawn
 
 
-def edited(rg: RgRows, rows: Summaries) -> Drawn:
-    """RG Fig. 10."""
-    bundle, _ = rg.trained("style-editing", SHOWN_SEED)
-    assert bundle.levels is not None
-    clips = style_editing.excerpts(rg.context.store)
-    return plots.style_editing(style_editing.figures(Gesticulator(bundle), clips, bundle.levels)), (
-        "Motion for the same speech when low, middle and high values of each feature are asked for.")
-
-
-def curves(rg: RgRows, rows: Summaries) -> Drawn:
+def curves(rg: RgRows, rows: Summaries) -> Picture:
     """RG Fig. 11."""
-    names = [line.row for line in TABLES["RG Table 1"].lines if line.row in rows]
-    beside = [name for name in (REAL_TAKE, "shuffled") if name in rows]
-    shown = {name: rows[name]["pmb_curve"] for name in (*names, *beside)}
-    return delta_curves(shown, pmb.DELTAS, dashed=(PERFORMER, *beside)), (
-        "PMB over the distance delta at which a motion beat counts as matched; shuffled motion shows how much of it is "
-        "chance.")
+    beside = [PERFORMER, REAL_TAKE, "shuffled"]
+    names = [*(line.row for line in TABLES["RG Table 1"].lines), *beside]
+    return delta_curves({name: rows[name]["pmb_curve"] for name in names if name in rows}, pmb.DELTAS, dashed=beside)
 
 
-def clusters(rg: RgRows, rows: Summaries) -> Drawn:
+def clusters(rg: RgRows, rows: Summaries) -> Picture:
     """RG Fig. 14."""
     corpus, frames, names = rg.context.corpus, rg.first.config.rhythm.frames, rg.names("test")
     blocks = [corpus.blocks_of(corpus.names.index(name)) for name in names]
@@ -158,43 +121,35 @@ def clusters(rg: RgRows, rows: Summaries) -> Drawn:
     levels = {f"{kind} level": audio_clusters.cluster(
         features[every][:, frames:2 * frames].float().mean(dim=1).numpy())
         for kind, features in (("low", corpus.low), ("high", corpus.high))}
-    associations = {}
-    for name in (PERFORMER, OURS):
-        lexemes = [clip.labels[voiced] for clip, voiced in zip(encoded(rg, name), spoken, strict=True)]
-        associations[name] = audio_clusters.association(levels, np.concatenate(lexemes), place)
-    return cluster_bars(associations), (
-        "H(lexeme of the motion | cluster of the audio), less than by chance where the level says something of the "
-        "lexeme. The paper's claim is that the high level says more than the low one.")
+    return cluster_bars({name: audio_clusters.association(levels, np.concatenate([
+        clip.labels[voiced] for clip, voiced in zip(encoded(rg, name), spoken, strict=True)]), place)
+        for name in (PERFORMER, OURS)})
 
 
 def panels(*names: str) -> Draw:
     """RG Figs 15 and 17: the latents of rows in one embedding."""
-    def drawn(rg: RgRows, rows: Summaries) -> Drawn:
+    def drawn(rg: RgRows, rows: Summaries) -> Picture:
         clips = {name: encoded(rg, name) for name in names}
         latents = {name: np.concatenate([clip.latents.double().numpy() for clip in of]) for name, of in clips.items()}
-        labels = {name: np.concatenate([clip.labels for clip in of]) for name, of in clips.items()}
-        shown = {name: (points, labels[name][chosen])
+        shown = {name: (points, np.concatenate([clip.labels for clip in clips[name]])[chosen])
                  for name, (points, chosen) in joint_embedding(latents, EACH).items()}
-        return embedding_panels(shown, len(rg.judge.lexicon.vectors), rg.first.get(LABELS).silent.tolist()), (
-            "Latents of the motion in one t-SNE, coloured by the nearest lexeme.")
+        return embedding_panels(shown, len(rg.judge.lexicon.vectors), rg.first.get(LABELS).silent.tolist())
 
     return drawn
 
 
-def strips_of_beats(rg: RgRows, rows: Summaries) -> Drawn:
+def strips_of_beats(rg: RgRows, rows: Summaries) -> Picture:
     """RG Fig. 16."""
     recording = shown_recording(rg)
     onsets = detect_onsets(recording.speech.samples, recording.speech.sample_rate)
     shown = {}
-    for name in (*(line.row for line in TABLES["RG Table 4"].lines), PERFORMER):
+    for name in (*_RANGES, PERFORMER):
         rhythm = configured(rg.first.config, OURS if name == PERFORMER else name).rhythm
         shown[name] = (motion_beats(rg.motions(name)[0]), onsets, cut(recording.speech, rhythm).edges)
-    return beat_strips(shown, start_of(recording), STRETCH, WIDE), (
-        f"Onsets of the speech above, beats of the motion below, pairs within {WIDE} s joined. No chance level "
-        "is drawn: at this delta most beats find an onset in any motion (Fig. 11).")
+    return beat_strips(shown, start_of(recording), STRETCH, WIDE)
 
 
-def sizes(rg: RgRows, rows: Summaries) -> Drawn:
+def sizes(rg: RgRows, rows: Summaries) -> Picture:
     """RG Fig. 18."""
     there = [int(name.removeprefix("size-")) for name in ROWS if name.startswith("size-") and name in rows]
     if len(there) < 2:
@@ -204,18 +159,15 @@ def sizes(rg: RgRows, rows: Summaries) -> Drawn:
                       for value in [rows[f"size-{size}"]["figures"][key]]] for title, key in keys.items()}
     beside = rows.get(f"{PERFORMER}-val")
     reference = {title: beside["figures"][key].mean for title, key in keys.items()} if beside else {}
-    return size_sweep(there, bounds, reference, chosen=rg.first.config.lexicon.size), (
-        "Lexicons of different sizes on the validation split; the performer dashed.")
+    return size_sweep(there, bounds, reference, rg.first.config.lexicon.size)
 
 
 # ------------------------------------------------------------------------------------------------------------ the list
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """A figure: which of the paper it is, what it shows, how, the rows that it is drawn from; dots: as PNG."""
+    """A figure: how it is drawn, the rows that it is drawn from; dots: as PNG."""
 
-    paper: str
-    title: str
     draw: Draw
     rows: tuple[str, ...] = ()
     dots: bool = False
@@ -223,27 +175,22 @@ class PaperFigure:
 
 _STEPS = (PERFORMER, "no-audio-no-style", "no-style", "random-style", OURS)
 _LEXEMES = (PERFORMER, "no-lexemes", OURS)
+_RANGES = tuple(line.row for line in TABLES["RG Table 4"].lines)
 FIGURES: dict[str, PaperFigure] = {
-    "figure-2": PaperFigure("RG Fig. 2", "from speech to motion", pipeline, (OURS,)),
-    "figure-5": PaperFigure("RG Fig. 5 and 8a", "intervals between onsets", onset_intervals),
-    "figure-6": PaperFigure("RG Fig. 6 and 8b", "the lexicon", lexicon, dots=True),
-    "figure-9-performer": PaperFigure("RG Fig. 9", "the performer", strip(PERFORMER), (PERFORMER,), dots=True),
-    "figure-9-ours": PaperFigure("RG Fig. 9", "ours", strip(OURS), (OURS,), dots=True),
-    "figure-10": PaperFigure("RG Fig. 10", "style editing", edited, ("style-editing",), dots=True),
-    "figure-11": PaperFigure("RG Fig. 11", "PMB over delta", curves),
-    "figure-14": PaperFigure("RG Fig. 14", "what two levels of the audio say of the lexeme", clusters,
-                             (PERFORMER, OURS)),
-    "figure-15": PaperFigure("RG Fig. 15", "what style codes add", panels(*_STEPS), _STEPS, dots=True),
-    "figure-16": PaperFigure("RG Fig. 16", "beats under three ranges of intervals", strips_of_beats,
-                             (*(line.row for line in TABLES["RG Table 4"].lines), PERFORMER)),
-    "figure-17": PaperFigure("RG Fig. 17", "what lexemes add", panels(*_LEXEMES), _LEXEMES, dots=True),
-    "figure-18": PaperFigure("RG Fig. 18", "how many lexemes", sizes),
+    "figure-5": PaperFigure(onset_intervals), "figure-6": PaperFigure(lexicon, dots=True),
+    "figure-9-performer": PaperFigure(strip(PERFORMER), (PERFORMER,), dots=True),
+    "figure-9-ours": PaperFigure(strip(OURS), (OURS,), dots=True),
+    "figure-11": PaperFigure(curves), "figure-14": PaperFigure(clusters, (PERFORMER, OURS)),
+    "figure-15": PaperFigure(panels(*_STEPS), _STEPS, dots=True),
+    "figure-16": PaperFigure(strips_of_beats, (*_RANGES, PERFORMER)),
+    "figure-17": PaperFigure(panels(*_LEXEMES), _LEXEMES, dots=True),
+    "figure-18": PaperFigure(sizes),
 }
 
 
 def draw(rg: RgRows, name: str, rows: Summaries, out: Path) -> str:
-    """Write a figure and its caption to a folder; why it cannot be drawn, or ""."""
-    figure, place = FIGURES[name], out / DRAWN
+    """Write a figure to a folder; why it cannot be drawn, or ""."""
+    figure = FIGURES[name]
     lacking = [row for row in figure.rows if row not in rows]
     if lacking:
         return f"not run: {', '.join(lacking)}"
@@ -251,11 +198,7 @@ def draw(rg: RgRows, name: str, rows: Summaries, out: Path) -> str:
         from matplotlib import rc_context
 
         with rc_context(STYLE):
-            picture, caption = figure.draw(rg, rows)
-            save_strip(picture, out / f"{name}.{'png' if figure.dots else 'svg'}")
+            save_strip(figure.draw(rg, rows), out / f"{name}.{'png' if figure.dots else 'svg'}")
     except (ImportError, InputError) as error:
         return str(error)
-    drawn = read_object(place, "remove it, and draw the figures again") if place.exists() else {}
-    drawn[name] = {"figure": figure.paper, "title": figure.title, "caption": caption}
-    write_text(place, dumps(dict(sorted(drawn.items()))))
     return ""

@@ -102,19 +102,13 @@ def accuracy(interpreter: LexemeInterpreter, decisions: Decisions, take: Demonst
 
 # --------------------------------------------------------------------------------------------- figures of one take
 
-@dataclass(frozen=True)
-class PolicyJudge:
-    """Judges chosen lexemes. tables: reward tables by the prefix of their columns."""
-
-    decisions: Decisions
-    tables: Mapping[str, EnsembleReward | RewardTable]
-
-    def lexeme_values(self, take: Demonstration, lexemes: Lexemes) -> dict[str, float]:
-        """The figures of the lexemes [M] that a policy chose on one take: returns by each reward, accuracy (percent),
-        diversity (nats) and the longest run of one lexeme."""
-        chosen, returns = lexemes[1:], {}
-        for prefix, rewards in self.tables.items():
-            each = rewards.sequence_every(torch.as_tensor(lexemes), torch.as_tensor(take.blocks))[1:].double().numpy()
-            returns[f"{prefix}return"] = episode_return(np.take_along_axis(each, chosen[:, None], axis=1)[:, 0])
-        return {**returns, "accuracy": 100.0 * float((chosen == take.lexemes[1:]).mean()),
-                "lexeme_diversity": diversity(chosen, self.decisions.size), "longest_run": longest_run([chosen])}
+def lexeme_values(take: Demonstration, lexemes: Lexemes, size: int, tables: Mapping[str, RewardTable | EnsembleReward]
+                  ) -> dict[str, float]:
+    """The figures of the lexemes [M] of `size` that a policy chose on one take: returns by each of the reward tables
+    (by the prefix of their columns), accuracy (percent), diversity (nats) and the longest run of one lexeme."""
+    chosen, returns = lexemes[1:], {}
+    for prefix, rewards in tables.items():
+        each = rewards.sequence_every(torch.as_tensor(lexemes), torch.as_tensor(take.blocks))[1:].double().numpy()
+        returns[f"{prefix}return"] = episode_return(np.take_along_axis(each, chosen[:, None], axis=1)[:, 0])
+    return {**returns, "accuracy": lexeme_accuracy(chosen, take.lexemes[1:]),
+            "lexeme_diversity": diversity(chosen, size), "longest_run": longest_run([chosen])}

@@ -5,8 +5,7 @@ is the settings that it changes and how it learns. "offline" learns from the epi
 (`interpreters.episodes`); "online" acts in the recorded speech, epsilon-greedily, and learns from what it remembers
 (DQN); "actor-critic" begins as the supervised network of its seed (so it has had twice the steps in all) and learns
 from what it has just done. The lexicon, the speech levels and both reward models are a bundle's, and the data set is
-sampled once, so seeds differ by network, batches and roll-outs alone. A finished network is kept in the work folder
-under a hash of all that shapes it.
+sampled once, so seeds differ by network, batches and roll-outs alone.
 
 What fools it: the training reward is what most rows were made to please and `racer-supervised` was not; believe what
 the judging model says too. The paper's figures stand beside ours for their order alone: other data, another reward
@@ -16,36 +15,33 @@ model, another lexicon.
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from safetensors.torch import load_file
 from torch import Tensor
 
 from data_module.errors import InputError
 from data_module.layers import freeze
 from data_module.store import Recording
 from data_module.types import Motion
-from eval.ablate.actor_critic import ActorCritic, ActorCriticConfig
-from eval.ablate.policy import Decisions, PolicyJudge, walk
+from eval.ablate.actor_critic import ActorCritic
+from eval.ablate.policy import Decisions, lexeme_values, walk
 from eval.ablate.rows import RACER_PRESETS, RACER_SUPERVISED, ROWS
 from eval.ablate.run import RgRows
 from eval.ablate.simulator import Choose, Replay, Simulator
 from eval.baselines.interpreters import ReplayInterpreter
-from eval.context import EvalContext, Lexemes, with_judges
+from eval.context import EvalContext, Lexemes
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
 from gesticulator.bundle.config import Config
 from gesticulator.bundle.models import JUDGES
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages import STAGES, Corpus
-from gesticulator.training.stages import base as stages
 from gesticulator.training.stages.caches import weights_hash
 from gesticulator.training.stages.q_network import features_of, new_q_network, q_batch, takes_of
 from gesticulator.training.stages.reward import reward_table, taught_reward
@@ -55,7 +51,7 @@ from interpreters.episodes import BehaviourPolicies, Demonstration, Episodes, Si
 from interpreters.reward_table import Centred, EnsembleReward
 from lexicon.inventory import nearest_silent
 
-VERSION = 3
+VERSION = 4
 """Raised when the same settings would no longer give the same figures."""
 ACT_EVERY = 2
 """Steps of the online row between two roll-outs of a batch of episodes."""
@@ -65,6 +61,8 @@ GREEDY_AT, LEAST_EPSILON = 0.5, 0.1
 """epsilon falls from 1 to the least one by this share of the steps."""
 MOTION = 60
 """Test recordings that are played at most, which is what claims of motion need."""
+Policy = QNetwork | ActorCritic
+"""A row's network, trained."""
 
 
 # ------------------------------------------------------------------------------------------- what all rows stand on
@@ -72,56 +70,41 @@ MOTION = 60
 @dataclass(frozen=True)
 class RacerRows:
     """Shared by RACER's rows. context: a store and a bundle with both reward models; settings: those that the rows
-    change; takes: the training split; judge: decisions on the test split with the reward tables, "" the one that
-    policies are taught and "judge_" the other; shapes: hash of the data and of the bundle's parts; rg: what scores
-    motion."""
+    change; takes: the training split; decisions: on the test split; tables: of rewards, "" the one that policies are
+    taught and "judge_" the other; rg: what scores motion."""
 
     context: EvalContext
     settings: Config
     takes: list[Demonstration]
     silent: SilentLexemes
-    judge: PolicyJudge
+    decisions: Decisions
     tables: dict[str, EnsembleReward]
-    shapes: str
     rg: RgRows
+    _episodes: dict[str, Episodes] = field(default_factory=dict, init=False)
+    _trained: dict[tuple[str, int], Policy] = field(default_factory=dict, init=False)
 
     @classmethod
-    def over(cls, rg: RgRows, bundle: str | None) -> RacerRows:
-        """On the store of the other rows. bundle: a folder; None for the row "q-network", trained here."""
-        first = rg.first
-        if bundle is not None:
-            models = bundles.load(bundle)
-        else:
-            models, run = rg.trained("q-network", 1)
-            models = models.with_parts(**{name: run.get(STAGES[name]) for name in JUDGES})
-        context = EvalContext.over(first.store, models, first.work, rg.context.limit, first.progress)
+    def over(cls, rg: RgRows) -> RacerRows:
+        """On the store of the other rows and the bundle of the row "q-network", with the models of its training."""
+        first, (bundle, run) = rg.first, rg.trained("q-network", 1)
+        bundle = bundle.with_parts(**{name: run.get(STAGES[name]) for name in JUDGES})
+        context = EvalContext.over(first.store, bundle, first.work, rg.context.limit, first.progress)
         return cls.of(context, rg, RACER_PRESETS[first.config.name])
 
     @classmethod
     def of(cls, context: EvalContext, rg: RgRows, preset: Sequence[str]) -> RacerRows:
-        """From a bundle over a lexicon with both reward models; InputError for another, and without test speech."""
-        context = replace(context, models=with_judges(context.bundle, context.work))
-        bundle, store = context.bundle, context.store
-        if bundle.reward is None or bundle.reward_judge is None:
-            raise InputError(context.work, "lacks one of the two reward models of the bundle's training",
-                             "give the work folder of its training, with schedules.reward.steps")
-        lexicon = bundle.block_lexicon
-        config = configs.with_settings(bundle.config, preset)
-        corpus, labels = context.corpus, context.labels
+        """From a bundle over a lexicon with both reward models; InputError without test speech."""
+        bundle, corpus, labels = context.bundle, context.corpus, context.labels
+        assert bundle.reward is not None and bundle.reward_judge is not None
         decisions = Decisions.of(bundle, corpus, labels, context.limit)
         if not decisions.takes:
-            raise InputError(store.path, "has no test recording with a decision in it", "build the store again")
+            raise InputError(context.store.path, "has no test recording with a decision in it", "build the store again")
         # The data are relabelled as the hint wants it: in silence the nearest silent lexeme is what was done.
         silent = SilentLexemes(bundle.silent, nearest_silent(bundle.vectors.double().numpy(), bundle.silent))
         takes = [replace(take, lexemes=silent.relabel(take)) for take in takes_of(corpus, labels, "train")]
-        models = (lexicon, bundle.interpreter, bundle.reward, bundle.reward_judge, bundle.encoder)
-        # All that shapes episodes and rewards, so that a finished network of other models is never taken for this one.
-        hashes = [weights_hash(model) for model in models if model is not None]
-        shapes = configs.digest(VERSION, store.fingerprint, hashes, bundle.silent.tolist(), config.silence.mask)
-        tables = {"": reward_table(bundle.reward, lexicon, corpus),
-                  "judge_": reward_table(bundle.reward_judge, lexicon, corpus)}
-        judge = PolicyJudge(decisions, tables)
-        return cls(context, config, takes, silent, judge, tables, shapes, rg)
+        tables = {"": reward_table(bundle.reward, bundle.block_lexicon, corpus),
+                  "judge_": reward_table(bundle.reward_judge, bundle.block_lexicon, corpus)}
+        return cls(context, configs.with_settings(bundle.config, preset), takes, silent, decisions, tables, rg)
 
     @property
     def bundle(self) -> bundles.Bundle:
@@ -141,40 +124,34 @@ class RacerRows:
         """The settings of a row."""
         return configs.with_settings(self.settings, ROWS[name].set)
 
-    def key(self, name: str, seed: int) -> str:
-        """Hash of everything that shapes the network of a row."""
-        row = ROWS[name]
-        how = {"online": [ACT_EVERY, MEMORY, GREEDY_AT, LEAST_EPSILON], "offline": [],
-               "actor-critic": [ActorCriticConfig(), self.config(RACER_SUPERVISED)]}[row.train]
-        return configs.digest(self.shapes, self.config(name), row.train, how, seed)
-
     @cached_property
     def shared(self) -> str:
-        """Hash of what the rows share."""
-        generator, style = self.bundle.generator, self.bundle.style
-        assert generator is not None
-        networks = [[network.sha256, network.name, network.frames] for network in self.rg.context.networks.values()]
-        return configs.digest(VERSION, self.shapes, weights_hash(generator), weights_hash(style) if style else "",
-                              networks, self.context.limit, MOTION)
+        """Hash of what the rows share: all models, and what scores motion."""
+        bundle = self.bundle
+        models = (bundle.block_lexicon, bundle.interpreter, bundle.reward, bundle.reward_judge, bundle.encoder,
+                  bundle.generator, bundle.style)
+        return configs.digest(VERSION, [weights_hash(model) for model in models if model is not None],
+                              bundle.silent.tolist(), bundle.config.silence.mask, self.context.limit, self.rg.shared)
 
     def cell_key(self, name: str, seed: int) -> str:
         """Hash of everything that shapes a row's cell."""
-        names = [self.corpus.names[take.recording] for take in self.judge.decisions.takes]
-        return configs.digest(self.shared, self.key(name, seed), names)
+        names = [self.corpus.names[take.recording] for take in self.decisions.takes]
+        begins_as = self.config(RACER_SUPERVISED) if ROWS[name].train == "actor-critic" else None
+        return configs.digest(self.shared, self.config(name), ROWS[name].train, begins_as, seed, names)
 
     def measured(self, name: str, seed: int) -> dict[str, Any]:
-        """"clips", "sets" and "seconds" of a row's cell: all test recordings judged, the first `MOTION` played."""
-        policy, seconds = trained(self, name, seed)
-        takes = self.judge.decisions.takes
-        chosen = [walk(policy, self.judge.decisions, take) for take in takes]
+        """"clips" and "sets" of a row's cell: all test recordings judged, the first `MOTION` played."""
+        policy, takes = trained(self, name, seed), self.decisions.takes
+        chosen = [walk(policy, self.decisions, take) for take in takes]
         clips = [{"name": self.corpus.names[take.recording], "decisions": len(take.blocks) - 1,
-                  **self.judge.lexeme_values(take, lexemes)} for take, lexemes in zip(takes, chosen, strict=True)]
+                  **lexeme_values(take, lexemes, self.decisions.size, self.tables)}
+                 for take, lexemes in zip(takes, chosen, strict=True)]
         # Without a lexicon: lexemes that were chosen are known, and need not be read from the motion.
         scored = self.rg.scored([recording.info.name for recording in self.recordings], lexicon=False)
         motions = [self._played(*pair) for pair in zip(self.recordings, chosen, strict=False)]
         for clip, motion in zip(clips, self.rg.summary(scored, motions)["clips"], strict=False):
             clip |= motion
-        return {"clips": clips, "sets": {}, "seconds": {"training": round(seconds, 1)}}
+        return {"clips": clips, "sets": {}}
 
     def _played(self, recording: Recording, lexemes: Lexemes) -> Motion:
         """Motion that the generator samples for lexemes [M] on the speech of a recording, the gate open."""
@@ -186,7 +163,7 @@ class RacerRows:
     def recordings(self) -> list[Recording]:
         """The first `MOTION` test recordings, which every row is played on."""
         return [self.context.store.load(self.corpus.names[take.recording])
-                for take in self.judge.decisions.takes[:MOTION]]
+                for take in self.decisions.takes[:MOTION]]
 
     def untrained(self, name: str, seed: int) -> QNetwork:
         """The network that a row begins with, the same for all rows of a seed."""
@@ -208,27 +185,21 @@ def rescaled(table: Tensor, episodes: Episodes) -> Tensor:
 
 
 def rewarded(racer: RacerRows, config: Config) -> Episodes:
-    """The offline data set with the reward of the settings."""
-    episodes = _episodes(racer, config)
-    if config.episodes.reward == "contrastive":
-        return episodes
-    lexicon = racer.bundle.block_lexicon
-    table = rescaled(distance_rewards(lexicon.shown(), racer.corpus.motion), episodes).numpy()
-    return Episodes([replace(e, reward=table[e.blocks, e.actions].astype(np.float32)) for e in episodes.episodes])
-
-
-def _episodes(racer: RacerRows, config: Config) -> Episodes:
-    """The offline data set with the contrastive reward, kept in the work folder; every seed learns from the same."""
+    """The offline data set with the reward of the settings; every seed learns from the same."""
     plain = replace(config.episodes, reward="contrastive")
-    file = racer.context.work / f"racer-{configs.digest(racer.shapes, plain, config.seed)}.npz"
-    if not file.exists():
+    key = configs.digest(plain)
+    if key not in racer._episodes:
         # Behaviour beside the recorded one: without it no other lexeme than the person's was ever tried.
         interpreters: dict[str, LexemeInterpreter] = {
             "sampled": racer.bundle.interpreter, "statistical": racer.bundle.interpreter_named("statistical")}
-        build(racer.takes, plain, racer.taught(config).sequence, silent=racer.silent,
-              vectors=racer.bundle.vectors.numpy(), seed=config.seed,
-              policies=BehaviourPolicies(interpreters, features_of(racer.corpus))).save(file)
-    return Episodes.load(file)
+        racer._episodes[key] = build(racer.takes, plain, racer.taught(config).sequence, silent=racer.silent,
+                                     vectors=racer.bundle.vectors.numpy(), seed=config.seed,
+                                     policies=BehaviourPolicies(interpreters, features_of(racer.corpus)))
+    episodes = racer._episodes[key]
+    if config.episodes.reward == "contrastive":
+        return episodes
+    table = rescaled(distance_rewards(racer.bundle.block_lexicon.shown(), racer.corpus.motion), episodes).numpy()
+    return Episodes([replace(e, reward=table[e.blocks, e.actions].astype(np.float32)) for e in episodes.episodes])
 
 
 # --------------------------------------------------------------------------------------------------------- learning
@@ -237,7 +208,12 @@ Learner = tuple[ConservativeQ | ActorCritic, fitting.MakeBatch]
 """A model for `fit`, with its `before_step`, and the maker of its batches."""
 
 
-def latest(policy: QNetwork | ActorCritic, corpus: Corpus, observed: dict[str, Tensor]) -> Tensor:
+def simulator(racer: RacerRows, config: Config) -> Simulator:
+    """The recorded speech as an environment that pays by the training reward."""
+    return Simulator(racer.takes, racer.taught(config).rewards, racer.tables[""].window)
+
+
+def latest(policy: Policy, corpus: Corpus, observed: dict[str, Tensor]) -> Tensor:
     """Scores [B, S] of the lexeme to be chosen now, after what was seen (see `eval.ablate.simulator.Choose`)."""
     batch = q_batch(corpus, observed)
     return policy.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[:, -1]
@@ -283,7 +259,7 @@ class Acting(ConservativeQ):
     def __init__(self, racer: RacerRows, config: Config, network: QNetwork, seed: int) -> None:
         super().__init__(network)
         self._racer, self._config, self._seed, self._memory = racer, config, seed, Replay(MEMORY)
-        self._simulator = Simulator(racer.takes, racer.taught(config).rewards, racer.tables[""].window)
+        self._simulator = simulator(racer, config)
 
     def before_step(self, step: int) -> None:
         """The target network, and what it does now and then."""
@@ -311,42 +287,26 @@ def online(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Le
 def actor_critic(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
     """Policy gradients on what the policy has just done, beginning as the supervised network of the seed."""
     # Of the same seed: the pair differs by what came after, as the paper's rows do.
-    supervised = trained(racer, RACER_SUPERVISED, seed)[0]
-    model = ActorCritic(network, ActorCriticConfig(gamma=config.cql.gamma))
+    supervised, model = trained(racer, RACER_SUPERVISED, seed), ActorCritic(network, config.cql.gamma)
     assert isinstance(supervised, QNetwork)
     model.begin_as(supervised)
-    simulator = Simulator(racer.takes, racer.taught(config).rewards, racer.tables[""].window)
-    return model, lambda rng, size: q_batch(racer.corpus, simulator.collect(
+    speech = simulator(racer, config)
+    return model, lambda rng, size: q_batch(racer.corpus, speech.collect(
         sampled(model, racer.corpus, rng), rng, size, config.cql.decisions))
 
 
 TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
 
 
-def trained(racer: RacerRows, name: str, seed: int) -> tuple[QNetwork | ActorCritic, float]:
-    """The network of a row, trained now or read from the work folder, and how many seconds that took.
-
-    A training that is stopped begins anew: what was remembered of roll-outs is not kept.
-    """
-    row, config, began = ROWS[name], racer.config(name), time.monotonic()
-    folder = racer.context.work / f"{name}-{racer.key(name, seed)}"
-    network = racer.untrained(name, seed)
-    if stages.finished(folder):
-        policy: QNetwork | ActorCritic = network
-        # A stored actor-critic has a critic beside its network, so it is made before its weights are read.
-        if row.train == "actor-critic":
-            policy = ActorCritic(network, ActorCriticConfig(gamma=config.cql.gamma))
-        policy.load_state_dict(load_file(folder / stages.WEIGHTS))
-    else:
-        model, make_batch = TRAININGS[row.train](racer, config, network, seed)
-        began = time.monotonic()  # without the data set, or the network that it begins as
-        folder.mkdir(parents=True, exist_ok=True)
+def trained(racer: RacerRows, name: str, seed: int) -> Policy:
+    """The network of a row, trained at its first use."""
+    if (name, seed) not in racer._trained:
+        config = racer.config(name)
+        model, make_batch = TRAININGS[ROWS[name].train](racer, config, racer.untrained(name, seed), seed)
         # No checkpoint is kept: what roll-outs remembered would be lost, so a resumed training would be another one.
         with tempfile.TemporaryDirectory() as scratch:
             fitting.fit(f"{name}, seed {seed}", model, fitting.Task(
                 make_batch, before_step=model.before_step), config.schedules.cql, Path(scratch),
                 fitting.FitOptions(seed=seed, checkpoint_seconds=float("inf"), progress=racer.context.progress))
-        policy = model.online if isinstance(model, ConservativeQ) else model
-        stages.keep(folder, policy, {})
-    freeze(policy)
-    return policy, time.monotonic() - began
+        racer._trained[name, seed] = freeze(model.online if isinstance(model, ConservativeQ) else model)
+    return racer._trained[name, seed]

@@ -1,10 +1,10 @@
 """The rows of Rhythmic Gesticulator's tables: trained, played on the test speech and scored, one seed at a time.
 
-A row plays the performer's speech in the performer's habits. It is measured by `gesticulator score`, by the same
-functions that a user calls, with the lexicon of the row `ours` for all rows, so that rows without a lexicon, or with
-another, can be compared. Beside the rows stand cells without a seed, measured alike: the performer (whose motion is
-the truth), a real take, motion that is known to be wrong (`eval.baselines`), and what other systems made of the same
-speech. The first seed's motion stays in the work folder, a BVH of each clip in played/ROW, for the figures.
+A row plays the performer's speech in the performer's habits. It is measured by the functions of `gesticulator score`,
+with the lexicon of the row `ours` for all rows, so that rows without a lexicon, or with another, can be compared.
+Beside the rows stand cells without a seed, measured alike: the performer (whose motion is the truth), a real take,
+motion that is known to be wrong (`eval.baselines`), and what other systems made of the same speech. The first seed's
+motion stays in the work folder, a BVH of each clip in played/ROW, for the figures.
 
 Figures of a set (FGD, diversity, motion variance) have no value for a clip; each clip gets the jackknife's: n times the
 figure of all less n - 1 times the figure without it. So one paired test serves all (`eval.ablate.verdicts`), and small
@@ -18,7 +18,6 @@ what its settings change and nothing else, and a work folder of the training com
 from __future__ import annotations
 
 import hashlib
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -26,11 +25,9 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from torch import nn
 from tqdm import tqdm
 
 from data_module.errors import InputError
-from data_module.files import lock
 from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.motion.kinematics import resample
 from data_module.motion.skeletons import to_character
@@ -42,8 +39,8 @@ from eval.ablate.rows import COLUMNS, FLOOR, OURS, PERFORMER, REAL_TAKE, ROWS
 from eval.baselines.controls import split_halves
 from eval.baselines.interpreters import RandomStyle
 from eval.clip.clip_set import TRUTH, ClipSet
+from eval.clip.excerpts import real_take
 from eval.clip.foreign import find_motions, read_folder
-from eval.clip.measure import real_take
 from eval.context import EvalContext
 from eval.metrics import fgd, pmb
 from eval.metrics.gesture_features import pooled
@@ -53,8 +50,7 @@ from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import Config
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.options import FPS
-from gesticulator.training.fit import late_gain
-from gesticulator.training.stages import BLOCKS, CORPUS, ENCODER, LABELS, LEXICON, Node, Run, Stage, assemble, wanted
+from gesticulator.training.stages import BLOCKS, CORPUS, ENCODER, LABELS, LEXICON, Node, Run, assemble, wanted
 from gesticulator.training.stages.q_network import takes_of
 
 VERSION = 3
@@ -81,34 +77,14 @@ class RowRun(Run):
     """The run of a row. taken: nodes that another run makes, by name, whose keys then shape this run's stages."""
 
     taken: Mapping[str, Run] = field(default_factory=dict)
-    seconds: dict[str, float] = field(default_factory=dict)
-    """By stage the seconds of its training; 0 where it was finished before."""
-    late_gains: dict[str, float] = field(default_factory=dict)
-    """By how much each stage's validation still became better in the last quarter of its training, as a share."""
 
     def get(self, node: Node[T]) -> T:
-        """See `Run.get`; what another process is making is waited for."""
-        if node.name in self.taken:
-            return self.taken[node.name].get(node)
-        if node.name in self._values or node.name not in (BLOCKS.name, CORPUS.name):
-            return super().get(node)
-        with lock(self.work / node.name, f"a row that makes {node.name}", beside=True, wait=True):
-            return super().get(node)
+        """See `Run.get`."""
+        return self.taken[node.name].get(node) if node.name in self.taken else super().get(node)
 
     def key(self, node: Node[Any]) -> str:
         """See `Run.key`."""
         return self.taken[node.name].key(node) if node.name in self.taken else super().key(node)
-
-    def train_stage(self, stage: Stage[Any], model: nn.Module) -> dict[str, float]:
-        """See `Run.train_stage`; the seconds are noted."""
-        with lock(self.folder(stage), f"a row that trains {stage.name}", beside=True, wait=True):
-            began, there = time.monotonic(), self.finished(stage)
-            figures = super().train_stage(stage, model)
-        self.seconds[stage.name] = 0.0 if there else round(time.monotonic() - began, 1)
-        log = self.folder(stage) / f"{stage.name}.jsonl"
-        if log.is_file():
-            self.late_gains[stage.name] = late_gain(log)
-        return figures
 
 
 # ------------------------------------------------------------------------------------------------------------ the rows
@@ -133,13 +109,16 @@ class RgRows:
         return configs.digest(VERSION, self.first.store.fingerprint, self.first.config, self.first.key(LEXICON),
                               self.first.key(CORPUS), networks, self.context.limit)
 
-    def runs(self, name: str, seed: int) -> tuple[RowRun, RowRun]:
-        """The run that makes a row's lexicon, at the preset's seed, and the one that does the rest."""
-        first, config = self.first, configured(self.first.config, name)
-        about = (first.store, first.work, first.device, first.progress, first.workers)
+    def run(self, name: str, seed: int) -> RowRun:
+        """The run of a row at a seed; its lexicon is made by another one, at the preset's seed."""
+        config = configured(self.first.config, name)
         corpora = self._corpus_run(config)
-        before = RowRun(config, *about, taken={ENCODER.name: first, BLOCKS.name: corpora, CORPUS.name: corpora})
-        return before, RowRun(replace(config, seed=seed), *about, taken={**before.taken, LEXICON.name: before})
+        before = self._row_run(config, {ENCODER.name: self.first, BLOCKS.name: corpora, CORPUS.name: corpora})
+        return self._row_run(replace(config, seed=seed), {**before.taken, LEXICON.name: before})
+
+    def _row_run(self, config: Config, taken: Mapping[str, Run]) -> RowRun:
+        first = self.first
+        return RowRun(config, first.store, first.work, first.device, first.progress, first.workers, taken=taken)
 
     def _corpus_run(self, config: Config) -> Run:
         """The run that cuts the store by these settings; that of the preset and the last other one stay in memory."""
@@ -150,21 +129,17 @@ class RgRows:
             return first
         if key not in self._corpora:
             # One at a time: the blocks of five hours fill the memory.
-            self._corpora = {key: RowRun(config, first.store, first.work, first.device, first.progress,
-                                         workers=first.workers, taken={ENCODER.name: first})}
+            self._corpora = {key: self._row_run(config, {ENCODER.name: first})}
         return self._corpora[key]
 
     def trained(self, name: str, seed: int) -> tuple[Bundle, RowRun]:
         """The bundle of a row, and its run; what is not in the work folder is trained."""
-        before, run = self.runs(name, seed)
-        # The lexicon is trained by the other run, at the preset's seed, so its seconds are noted there.
-        bundle = assemble(run)
-        run.seconds["lexicon"] = before.seconds.get("lexicon", 0.0)
-        return bundle, run
+        run = self.run(name, seed)
+        return assemble(run), run
 
     def cell_key(self, name: str, seed: int) -> str:
         """Hash of everything that shapes a row's cell."""
-        row, (_, run) = ROWS[name], self.runs(name, seed)
+        row, run = ROWS[name], self.run(name, seed)
         config = run.config
         # Beside the stages everything that is applied when they play: it changes the motion and no weights.
         return configs.digest(self.shared, run.key(LEXICON), [run.key(stage) for stage in wanted(config)], row.play,
@@ -225,33 +200,28 @@ class RgRows:
                    for beats, track in zip(row.beats, scored.tracks, strict=True) if track is not None]
         return {"clips": [{"name": name, **{key: float(value[k]) for key, value in values.items()}}
                           for k, name in enumerate(scored.clips.names)],
-                "sets": {"pmb_curve": {"deltas": list(pmb.DELTAS), "percent": np.mean(percent, axis=0).tolist()}}}
+                "sets": {"pmb_curve": {"percent": np.mean(percent, axis=0).tolist()}}}
 
     def _distances(self, row: ScoreRow, truth: Sequence[Motion]) -> Array:
         """[clips] FGD in the first network by the jackknife; NaN without a network, and of fewer than two windows."""
         if not row.features:
             return np.full(len(truth), np.nan)
         network = next(iter(row.features))
-        real = pooled(list(truth), self.context.networks[network])
-
-        def distance(chosen: stats.Indices) -> float:
-            sides = ([part[k] for k in chosen if len(part[k])] for part in (row.features[network], real))
-            features, reference = (np.concatenate(side) if side else np.zeros((0, 1)) for side in sides)
-            return fgd.distance(features, reference) if min(len(features), len(reference)) > 1 else float("nan")
-
-        return stats.jackknife(distance, len(truth))
+        own, real = row.features[network], pooled(list(truth), self.context.networks[network])
+        return stats.jackknife(lambda chosen: fgd.of_clips([own[k] for k in chosen], [real[k] for k in chosen]),
+                               len(truth))
 
     def measured(self, name: str, seed: int) -> dict[str, Any]:
-        """"clips", "sets" and "seconds" of a row's cell."""
-        began, row = time.monotonic(), ROWS[name]
-        bundle, run = self.trained(name, seed)
+        """"clips" and "sets" of a row's cell."""
+        row, (bundle, run) = ROWS[name], self.trained(name, seed)
         recordings = [self.recording(clip) for clip in self.names(row.split)]
         # Codes of the right spread and no meaning: what the interpreter's choice of a code is worth.
         if row.style == "random":
             style = RandomStyle(bundle.config.generator.style_width, seed)
             bundle = bundle.with_parts(style=cast(Any, style), style_text=None)
         system = Gesticulator(bundle)
-        temperature = 1.0 if row.play == "statistical" else None  # its arg max never changes
+        # The arg max of the statistical interpreter never changes.
+        temperature = 1.0 if row.play == "statistical" else None
         motions = [system(recording.speech, speaker=recording.info.speaker, interpreter=row.play, seed=seed,
                           temperature=temperature).motion
                    for recording in tqdm(recordings, desc=f"{name}, seed {seed}", disable=not self.context.progress)]
@@ -259,12 +229,10 @@ class RgRows:
             self.keep(name, motions)
         summary = self.summary(self.scored(self.names(row.split)), motions)
         # Accuracy compares lexemes by number, which means the same in one lexicon only.
-        if self.runs(name, seed)[0].key(LEXICON) == self.first.key(LEXICON):
+        if run.key(LEXICON) == self.first.key(LEXICON):
             for clip in summary["clips"]:
                 clip |= self.accuracies(system, row.play, clip["name"])
-        trained = sum(seconds for stage, seconds in run.seconds.items() if stage != "lexicon")
-        return {"stages": run.seconds, "late_gains": run.late_gains,
-                "seconds": {"training": round(trained, 1), "in_all": round(time.monotonic() - began, 1)}, **summary}
+        return summary
 
     def accuracies(self, system: Gesticulator, interpreter: str, name: str) -> dict[str, float]:
         """Free-running and teacher-forced (RG Table 6), of a recording and a row over the lexicon of `ours`."""
@@ -328,17 +296,15 @@ class RgRows:
         """FGD between halves of the performer's clips, halved in several ways: no skill gets below it."""
         if not self.context.networks:
             return None
-        truth = scored.clips.motions[TRUTH]
-        place = {id(motion): k for k, motion in enumerate(truth)}
-        real, clips = pooled(list(truth), next(iter(self.context.networks.values()))), []
+        truth, clips = scored.clips.motions[TRUTH], []
+        real = pooled(truth, next(iter(self.context.networks.values())))
         for seed in range(FLOOR_DRAWS):
             try:
-                halves = split_halves(truth, seed, scored.clips.groups)
+                halves = split_halves(truth, scored.clips.groups, seed)
             except ValueError:
                 return None
-            first, second = (np.concatenate([real[place[id(motion)]] for motion in half]) for half in halves)
-            if min(len(first), len(second)) > 1:
-                clips.append({"name": f"halving {seed}", "fgd": fgd.distance(first, second)})
+            value = fgd.of_clips(*([real[k] for k in half] for half in halves))
+            clips += [{"name": f"halving {seed}", "fgd": value}] if np.isfinite(value) else []
         return {"clips": clips, "sets": {}} if clips else None
 
     def foreign(self, name: str, folder: Path) -> tuple[str, list[str]]:

@@ -28,8 +28,6 @@ class Simulator:
     def __init__(self, takes: Sequence[Demonstration], score: Score, window: int) -> None:
         """takes: the recordings; score: the reward of a trailing window of `window` = W blocks. As in the offline data,
         the first windows of an episode contain recorded lexemes from before its start."""
-        if window < 1 or max((len(take.blocks) for take in takes), default=0) < 2:
-            raise ValueError("a simulator needs a window of one block and a recording of two at least")
         self.score, self.window = score, window
         self._lengths = np.array([len(take.blocks) for take in takes], dtype=np.int64)
         self._offsets = np.cumsum(self._lengths) - self._lengths
@@ -40,8 +38,6 @@ class Simulator:
 
     def collect(self, choose: Choose, rng: np.random.Generator, count: int, decisions: int) -> dict[str, Tensor]:
         """Act in `count` = B episodes of T decisions, at starts sampled like windows of the data."""
-        if count < 1 or decisions < 1:
-            raise ValueError("an episode needs a decision, and a batch an episode")
         return self.act(choose, *draw_starts(rng, self._lengths, count, decisions), decisions)
 
     @torch.no_grad()
@@ -57,8 +53,6 @@ class Simulator:
         # Speech goes on whatever is done, so all but lexemes and rewards is known beforehand. The history begins W
         # blocks before the first decision: the first rewards then look back as far as any.
         past = torch.as_tensor(start)[:, None] + torch.arange(1 - self.window, decisions + 2)
-        if bool((past[:, self.window] > last[:, 0]).any()) or bool((past[:, self.window] < 1).any()):
-            raise ValueError("an episode must begin before the last block of its recording")
         known, rows = past >= 0, offset + past.clamp_min(0).minimum(last)
         lexemes, blocks = self._lexemes[rows], self._blocks[rows]
         # Column W is the first decision; the columns before it are what was recorded.
@@ -87,36 +81,17 @@ class Simulator:
 
 
 class Replay:
-    """A ring buffer of windows."""
+    """The newest `capacity` windows."""
 
     def __init__(self, capacity: int) -> None:
-        if capacity < 1:
-            raise ValueError("a replay buffer needs room for at least one window")
-        self.capacity, self._count, self._next = capacity, 0, 0
-        self._store: dict[str, Tensor] = {}
-
-    def __len__(self) -> int:
-        return self._count
+        self.capacity, self._store = capacity, dict[str, Tensor]()
 
     def add(self, windows: dict[str, Tensor]) -> None:
-        """Store a batch of windows, each array [B, ...], in the layout of `Episodes.windows`; ValueError for another
-        layout than before."""
-        if not self._store:
-            self._store = {key: value.new_zeros(self.capacity, *value.shape[1:]) for key, value in windows.items()}
-        layout = {key: (value.dtype, value.shape[1:]) for key, value in windows.items()}
-        if layout != {key: (value.dtype, value.shape[1:]) for key, value in self._store.items()}:
-            raise ValueError("these windows have another layout than those before")
-        count = len(windows["block"])
-        first = max(0, count - self.capacity)  # the newest, if there are too many
-        rows = (self._next + torch.arange(first, count)) % self.capacity
-        for key, value in windows.items():
-            self._store[key][rows] = value[first:].to(self._store[key].device)
-        self._next = (self._next + count) % self.capacity
-        self._count = min(self._count + count, self.capacity)
+        """Store a batch of windows, each array [B, ...], in the layout of `Episodes.windows`."""
+        self._store = {key: torch.cat([self._store.get(key, value[:0]), value])[-self.capacity:]
+                       for key, value in windows.items()}
 
     def windows(self, rng: np.random.Generator, count: int) -> dict[str, Tensor]:
-        """A batch of `count` random windows, with repetition; ValueError while the buffer is empty."""
-        if self._count == 0:
-            raise ValueError("the replay buffer is empty")
-        rows = torch.as_tensor(rng.integers(self._count, size=count))
+        """A batch of `count` random windows, with repetition."""
+        rows = torch.as_tensor(rng.integers(len(self._store["block"]), size=count))
         return {key: value[rows] for key, value in self._store.items()}

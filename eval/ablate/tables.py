@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from data_module.errors import InputError
-from eval.ablate.cells import Cells, CellStore, difference, summaries
+from eval.ablate.cells import Cells, CellStore, summaries
 from eval.ablate.rows import (
     COLUMNS,
     CONTROLS,
@@ -25,9 +25,7 @@ from eval.ablate.rows import (
     FLOOR,
     OURS,
     PERFORMER,
-    RACER_OURS,
     REFERENCES,
-    ROWS,
     SYSTEMS,
     TABLES,
     PaperTable,
@@ -39,8 +37,6 @@ from eval.metrics import pmb
 from eval.table import Cell, Column, Provenance, Table, load_with_provenance, save
 
 COMMAND = "gesticulator ablate --tables"
-SETTLED = 0.01
-"""Share of its validation figure that a stage gains in the last quarter of its training where it is as good as done."""
 Rows = Mapping[str, Mapping[str, Any]]
 """`eval.ablate.cells.summaries`."""
 
@@ -127,50 +123,6 @@ def curve_table(rows: Rows) -> Table:
         "row")
 
 
-def training_table(rows: Rows) -> Table:
-    """Of each row its settings, the seconds of its training, and how much that still gained at its end."""
-    columns = {"settings": Column("settings"), "seconds": Column("training by seed", "s"),
-               "late": Column("most that a stage's validation gained in its last quarter", "%", 1, "low")}
-    return Table("What rows change", columns, {
-        name: {"settings": " ".join(row["settings"]), "seconds": ", ".join(f"{s:.0f}" for s in row["seconds"]),
-               "late": 100.0 * max(row["late_gains"].values()) if row.get("late_gains") else None}
-        for name, row in rows.items() if row["kind"] == "row"}, "row", [
-            f"A training is done where that is at most {100 * SETTLED:g} %."])
-
-
-# -------------------------------------------------------------------------------------------------------- differences
-
-def difference_table(cells: Cells) -> Table:
-    """`ours` less each other row of the papers' tables, beside the papers' own (on Trinity)."""
-    # The tables whose rows are the whole system with one part changed; others compare something else.
-    lines = [line for title in ("RG Table 1", "RG Table 2", "RG Table 4", "RG Table 6", "RG Table 7")
-             for line in TABLES[title].lines]
-    papers: dict[str, dict[str, float]] = {}
-    for line in lines:
-        known = {key: values[0] for key, values in line.paper.items() if math.isfinite(values[0])}
-        papers.setdefault(line.row, {}).update(known)
-    keys = ("pmb_above_chance", "fgd", "diversity")
-    columns = {key: _plain(key) for key in keys} | {
-        f"{key}, paper": Column(f"the paper's {COLUMNS[key].heading}", digits=1) for key in ("pmb", "fgd")}
-    body: dict[str, dict[str, Cell]] = {}
-    for row in dict.fromkeys(line.row for line in lines if line.row in ROWS and line.row != OURS):
-        if row in cells and OURS in cells:
-            body[row] = {key: difference(cells, OURS, row, key) for key in keys}
-            body[row] |= {f"{key}, paper": papers[OURS][key] - papers[row][key] for key in ("pmb", "fgd")
-                          if key in papers[row]}
-    return Table("Ours less each row", columns, body, "row")
-
-
-def racer_differences(cells: Cells) -> Table:
-    """RACER's own row less each other that has its seeds."""
-    columns = TABLES["RACER Table 2"].columns
-    body: dict[str, dict[str, Cell]] = {}
-    for name in filter(is_racer, ROWS):
-        if name != RACER_OURS and set(cells.get(name, {})) & set(cells.get(RACER_OURS, {})):
-            body[f"{RACER_OURS} - {name}"] = {key: difference(cells, RACER_OURS, name, key) for key in columns}
-    return Table("RACER Table 2, differences", {key: _plain(key) for key in columns}, body, "row")
-
-
 # ---------------------------------------------------------------------------------------------------------- all of it
 
 def corpus_table(facts: Mapping[str, Any]) -> Table:
@@ -205,10 +157,9 @@ def write(cells: Cells, facts: Mapping[str, Any], out: Path, about: Provenance,
     decided: where the verdicts do, if they are of another commit.
     """
     rows: Rows = facts["rows"]
-    racer = [paper_table("RACER Table 2", rows), racer_differences(cells)] if any(map(is_racer, rows)) else []
-    papers = [paper_table(title, rows) for title in TABLES if title != "RACER Table 2"]
-    save([corpus_table(facts), about_table(facts), *papers, curve_table(rows), difference_table(cells), *racer,
-          training_table(rows)], out / "table.json", about)
+    titles = [title for title in TABLES if title != "RACER Table 2" or any(map(is_racer, rows))]
+    save([corpus_table(facts), about_table(facts), *(paper_table(title, rows) for title in titles), curve_table(rows)],
+         out / "table.json", about)
     save([corpus_table(facts), claims_table(cells)], out.parent / "claims.json", decided or about)
 
 

@@ -29,10 +29,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
-import msgspec
 import numpy as np
 from scipy.stats import t
 
@@ -251,42 +249,34 @@ def _worded(decision: Decision) -> str:
     return decision.word + (f" ({reason})" if reason else "")
 
 
-def _row(claim: Claim, table: PaperTable, cells: Cells) -> tuple[dict[str, str | None], dict[str, Any]]:
-    """A claim's line and its facts."""
+def _row(claim: Claim, table: PaperTable, cells: Cells) -> tuple[dict[str, str | None], Decision, Decision]:
+    """A claim's line and its two verdicts."""
     plain, valid, fooled = readings(claim, cells)
     column = COLUMNS[claim.metric]
-    sentence = f"{column.heading}: {claim.first} {SIGNS[claim.sign]} {claim.second}"
     printed = "; ".join(f"{place} {first:g} and {second:g}" for place, first, second in table.both(claim))
     by = f"{COLUMNS[column.valid].heading}, {_shown(valid, column.digits) or '-'}: " if column.valid else ""
-    return {"where": claim.where, "claim": sentence, "paper": printed, "difference": _shown(plain, column.digits),
-            "published": _worded(plain), "controls": fooled or None, "valid": by + _worded(valid)}, {
-        **asdict(claim), "sentence": sentence, "paper": printed, "controls": fooled, "published": _facts(plain),
-        "valid": _facts(valid)}
+    return {"where": claim.where, "claim": f"{column.heading}: {claim.first} {SIGNS[claim.sign]} {claim.second}",
+            "paper": printed, "difference": _shown(plain, column.digits), "published": _worded(plain),
+            "controls": fooled or None, "valid": by + _worded(valid)}, plain, valid
 
 
-def _facts(decision: Decision) -> dict[str, Any]:
-    return {"verdict": decision.word, "reason": decision.reason, "difference": decision.value.to_dict(),
-            "margin": decision.margin, "pairs": list(decision.over), "needed": list(decision.needed)}
-
-
-def _row_elsewhere(claim: Elsewhere) -> tuple[dict[str, str | None], dict[str, Any]]:
+def _row_elsewhere(claim: Elsewhere) -> tuple[dict[str, str | None], Decision, Decision]:
     decision = present(claim)
     word = _worded(decision)
     return {"where": claim.where, "claim": claim.says, "difference": _shown(decision, 2), "published": word,
-            "valid": word}, {
-        **msgspec.structs.asdict(claim), "published": _facts(decision), "valid": _facts(decision)}
+            "valid": word}, decision, decision
 
 
 def claims_table(cells: Cells) -> Table:
-    """Every claim of both papers and its two verdicts."""
-    both = [_row(claim, table, cells) for table in TABLES.values() for claim in table.claims]
-    both += [_row_elsewhere(claim) for claim in ELSEWHERE]
-    count = {reading: {word: Counter(facts[reading]["verdict"] for _, facts in both)[word] for word in WORDS}
-             for reading in ("published", "valid")}
+    """Every claim of both papers and its two verdicts; its facts count them."""
+    rows, published, valid = zip(
+        *(_row(claim, table, cells) for table in TABLES.values() for claim in table.claims),
+        *map(_row_elsewhere, ELSEWHERE), strict=True)
+    count = {reading: {word: Counter(decision.word for decision in of)[word] for word in WORDS}
+             for reading, of in (("published", published), ("valid", valid))}
     counted = {reading: ", ".join(f"{number} {word}" for word, number in words.items() if number)
             for reading, words in count.items()}
-    return Table("Claims", _COLUMNS, {str(number): row for number, (row, _) in enumerate(both, 1)}, "", [
+    return Table("Claims", _COLUMNS, {str(number): row for number, row in enumerate(rows, 1)}, "", [
         f"As published: {counted['published']}. Valid: {counted['valid']}. Differences are paired, with 95 % "
         "intervals over seeds and clips; the margin is half of the paper's effect; seeds and clips that would decide "
-        "are for 80 % power. The papers' figures are of other data: compare the order."],
-        {"claims": [facts for _, facts in both], "count": count})
+        "are for 80 % power. The papers' figures are of other data: compare the order."], {"count": count})

@@ -20,7 +20,7 @@ from eval.metrics import EYE_METRICS
 from eval.stats import Interval
 from eval.table import Cell, Column, Table
 
-__all__ = ["Bound", "Claim", "Measured", "Row", "Verdict", "at_least", "at_most", "verdict_table"]
+__all__ = ["Bound", "Measured", "Row", "Verdict", "verdict_table"]
 
 TABLE = Path(__file__).with_name("bounds.toml")
 SHOWN = {True: "yes", False: "NO", None: ""}
@@ -58,83 +58,57 @@ ANY = Bound()
 """Shown, not judged."""
 
 
-def at_most(high: float) -> Bound:
-    """No more than that."""
-    return Bound(high=high)
-
-
-def at_least(low: float) -> Bound:
-    """No less than that."""
-    return Bound(low=low)
-
-
-@dataclass(frozen=True)
-class Claim:
-    """A figure with its subject and unit, and its bound; digits: decimals in tables."""
-
-    figure: str
-    bound: Bound = ANY
-    digits: int = 2
-
-    def judge(self, value: Interval, reason: str = "") -> Verdict:
-        """The verdict on a measured value; reason: a remark for the reader."""
-        if self.bound == ANY:
-            return Verdict(self, value, None, reason)
-        undefined = "" if math.isfinite(value.mean) else "undefined: the motion has nothing of it"
-        return Verdict(self, value, self.bound.keeps(value.mean), "; ".join(filter(None, (undefined, reason))))
-
-    def undecided(self, reason: str) -> Verdict:
-        """The verdict where there is no value to judge."""
-        return Verdict(self, Interval.undefined(), None, reason)
-
-
 @dataclass(frozen=True)
 class Verdict:
-    """A claim, the measured value and whether it keeps the bound; holds: None where that is not decided."""
+    """A figure with its subject and unit, its bound and the measured value. digits: decimals in tables; reason: a
+    remark for the reader."""
 
-    claim: Claim
+    figure: str
+    bound: Bound
     value: Interval
-    holds: bool | None
+    digits: int = 2
     reason: str = ""
 
     @property
-    def figure(self) -> str:
-        """The title of the measured figure."""
-        return self.claim.figure
+    def holds(self) -> bool | None:
+        """Whether the value keeps the bound; None where there is none."""
+        return self.bound.keeps(self.value.mean) if self.bound != ANY else None
 
     @property
     def entry(self) -> dict[str, Any]:
         """For JSON: name, value, low, high, n, bound, holds, reason."""
+        undefined = self.holds is False and not math.isfinite(self.value.mean)
+        reasons = ("undefined: the motion has nothing of it" if undefined else "", self.reason)
         return {"name": self.figure, "value": self.value.mean, "low": self.value.low, "high": self.value.high,
-                "n": self.value.n, "bound": self.claim.bound.text(self.claim.digits), "holds": self.holds,
-                "reason": self.reason}
+                "n": self.value.n, "bound": self.bound.text(self.digits), "holds": self.holds,
+                "reason": "; ".join(filter(None, reasons))}
 
     @property
     def row(self) -> dict[str, Cell]:
         """For a table with `COLUMNS`."""
-        return {"value": self.value.text(self.claim.digits), "bound": self.claim.bound.text(self.claim.digits),
-                "holds": SHOWN[self.holds], "reason": self.reason}
+        return {"value": self.value.text(self.digits), "bound": self.bound.text(self.digits),
+                "holds": SHOWN[self.holds], "reason": self.entry["reason"]}
 
 
-def count(entries: Sequence[Mapping[str, Any]]) -> tuple[int, int]:
-    """How many hold, and how many are decided, of verdicts as `Verdict.entry` gives them, also when read back."""
-    decided = [entry["holds"] for entry in entries if isinstance(entry["holds"], bool)]
-    return sum(decided), len(decided)
+def summary(verdicts: Sequence[Verdict]) -> str:
+    """How many hold, of those that are decided."""
+    decided = [verdict.holds for verdict in verdicts if verdict.holds is not None]
+    return f"{sum(decided)} of {len(decided)} clauses hold."
 
 
-def summary(entries: Sequence[Mapping[str, Any]]) -> str:
-    """The same as a sentence."""
-    holding, decided = count(entries)
-    return f"{holding} of {decided} clauses hold."
-
-
-def verdict_table(title: str, verdicts: Sequence[Verdict]) -> Table:
-    """Verdicts as a table; facts["clauses"] is the list of entries. ValueError where two are of one figure."""
-    if len({verdict.figure for verdict in verdicts}) != len(verdicts):
+def verdict_table(title: str, verdicts: Sequence[Verdict], beside: Mapping[str, Sequence[Verdict]] | None = None
+                  ) -> Table:
+    """Verdicts as a table; facts["clauses"] is the list of entries. beside: by a column's name the verdicts on another
+    motion, of which the values are shown, with "!" where one does not hold. ValueError where two are of one figure."""
+    rows = {verdict.figure: verdict.row for verdict in verdicts}
+    if len(rows) != len(verdicts):
         raise ValueError("two claims are of one figure")
-    entries = [verdict.entry for verdict in verdicts]
-    return Table(title, COLUMNS, {verdict.figure: verdict.row for verdict in verdicts}, "clause",
-                 [summary(entries)], {"clauses": entries})
+    for name, others in (beside or {}).items():
+        for other in others:
+            rows[other.figure][name] = f"{other.row['value']}{' !' if other.holds is False else ''}"
+    columns = {**COLUMNS, **{name: Column(name) for name in beside or {}}}
+    return Table(title, columns, rows, "clause", [summary(verdicts)],
+                 {"clauses": [verdict.entry for verdict in verdicts]})
 
 
 # --------------------------------------------------------------------------------------------------------- the table
@@ -148,10 +122,8 @@ class Measured:
     missing: str = ""
 
 
-Figures = Mapping[tuple[str, str], Measured]
-"""(Figure, set of stimuli) -> its value."""
 Results = dict[tuple[str, str], Measured]
-"""The same while it is put together."""
+"""(Figure, set of stimuli) -> its value."""
 
 
 @dataclass(frozen=True)
@@ -171,37 +143,32 @@ class Row:
     times: float = 1.0
     least: float = -math.inf
 
-    def sets(self, figures: Figures) -> list[str]:
+    def sets(self, figures: Results) -> list[str]:
         """The sets of stimuli of the row on which the figure was measured."""
         measured = [on for figure, on in figures if figure == self.figure]
         return [on for on in self.on if on in measured] if self.on else measured
 
-    def judge(self, figures: Figures) -> list[Verdict]:
+    def judge(self, figures: Results) -> list[Verdict]:
         """A verdict for each set of stimuli of which there is a value."""
         return [self._judge(on, figures) for on in self.sets(figures)]
 
-    def _judge(self, on: str, figures: Figures) -> Verdict:
-        def claim(bound: Bound) -> Claim:
-            return Claim(self.title.format(on=on), bound, self.digits)
-
+    def _judge(self, on: str, figures: Results) -> Verdict:
         measured, other = figures[self.figure, on], figures.get((self.figure, self.over or self.limit))
-        value, remark = measured.value, measured.remark
+        value, remark, bound = measured.value, measured.remark, self.bound
         lacking = measured.missing or self._lacking(on, figures)
         # A ratio without its denominator is not measured; a limit without its set leaves a figure that is only shown.
         if self.over and other is None:
             lacking = lacking or LACKING["corpus"]
-        if lacking:
-            return claim(ANY).undecided(f"not measured: {lacking}")
         if self.over and other is not None:
-            reference = other.value.mean
-            return claim(self.bound).judge(value.times(1.0 / reference), f"{value.mean:.2f} and {reference:.2f}")
-        if not self.limit or other is None:
-            return claim(ANY if self.limit else self.bound).judge(value, remark)
-        source = f"the bound is {f'{self.times:g} times ' if self.times != 1.0 else ''}that of: {self.limit}"
-        return claim(at_most(self.times * max(other.value.mean, self.least))).judge(
-            value, "; ".join(filter(None, (remark, source))))
+            value, remark = value.times(1.0 / other.value.mean), f"{value.mean:.2f} and {other.value.mean:.2f}"
+        if self.limit:
+            bound = ANY if other is None else Bound(high=self.times * max(other.value.mean, self.least))
+        title = self.title.format(on=on)
+        if lacking:
+            return Verdict(title, ANY, Interval.undefined(), self.digits, f"not measured: {lacking}")
+        return Verdict(title, bound, value, self.digits, remark)
 
-    def _lacking(self, on: str, figures: Figures) -> str:
+    def _lacking(self, on: str, figures: Results) -> str:
         """Why the figure has no value, where that is no fault of the motion; else empty."""
         if not self.needs or math.isfinite(figures[self.figure, on].value.mean):
             return ""
@@ -210,14 +177,14 @@ class Row:
         return "" if self.needs == FINGERS and math.isfinite(moving.mean) else LACKING[self.needs]
 
 
-def judge(rows: Sequence[Row], figures: Figures) -> list[Verdict]:
+def judge(rows: Sequence[Row], figures: Results) -> list[Verdict]:
     """The verdicts of all rows, in their order."""
     return [verdict for row in rows for verdict in row.judge(figures)]
 
 
 @cache
 def table() -> dict[str, tuple[Row, ...]]:
-    """Group -> its rows, as `bounds.toml` has them; ValueError for a key that no row has."""
+    """Group -> its rows, as `bounds.toml` has them."""
     groups = tomllib.loads(TABLE.read_text(encoding="utf-8"))
     titles = groups.pop("titles")
     return {group: tuple(_row({"on": held.get("on", ()), **entry}, titles) for entry in held["rows"])
@@ -234,18 +201,4 @@ def _row(entry: dict[str, Any], titles: Mapping[str, str]) -> Row:
     metric = EYE_METRICS.get(figure)
     title = titles[figure] if metric is None else titles.get(figure, f"{metric.heading}, {{on}}")
     entry.setdefault("digits", 2 if metric is None else metric.digits)
-    try:
-        return Row(figure, title, bound, (on,) if isinstance(on, str) else tuple(on), **entry)
-    except TypeError as error:
-        raise ValueError(f"{TABLE.name}, {figure}: {error}") from None
-
-
-def bounds_of(group: str) -> dict[str, Row]:
-    """Figure -> its judged row, of a group in which every figure stands once."""
-    return {row.figure: row for row in table()[group] if row.bound != ANY}
-
-
-def mark(figure: str, value: Interval) -> str:
-    """" !" where a figure of the group `motion` lies outside of its bound."""
-    row = bounds_of("motion").get(figure)
-    return " !" if row is not None and math.isfinite(value.mean) and not row.bound.keeps(value.mean) else ""
+    return Row(figure, title, bound, (on,) if isinstance(on, str) else tuple(on), **entry)

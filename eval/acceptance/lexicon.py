@@ -57,7 +57,6 @@ class HeldOut:
     """A recording's own motion in N blocks. motion: [N, K, D_m] normalised; durations: [N] s; first: [D_m] the pose at
     time 0; positions: [D_m vectors -> joints] metres."""
 
-    name: str
     motion: Tensor
     durations: Tensor
     first: Tensor
@@ -79,18 +78,9 @@ def decoder(lexicon: Lexicon | MovementLexicon) -> Decode:
     return decode
 
 
-@dataclass(frozen=True)
-class Fit:
-    """Of one recording. within, displaced: [2] squared errors, and what they are compared with, m2; heights: [2]
-    correlation of both hands' heights, of what is decoded and of the truth."""
-
-    within: Array
-    displaced: Array
-    heights: Array
-
-
-def fit_of(held: HeldOut, decoded: Tensor) -> Fit:
-    """How near decoded blocks [N, K, D_m] are to the truth, in the blocks of strokes."""
+def fit_of(held: HeldOut, decoded: Tensor) -> Array:
+    """[3, 2] of decoded blocks [N, K, D_m] of strokes: squared errors within blocks and of their places, each with what
+    it is compared with, m2; the correlation of both hands' heights, as decoded and in truth."""
     truth, drawn = held.positions(held.motion), held.positions(decoded)
     last = np.concatenate([held.positions(held.first[None, None])[:, -1:], truth[:-1, -1:]])
     moving = stroke_blocks(truth, held.durations.numpy())
@@ -99,8 +89,8 @@ def fit_of(held: HeldOut, decoded: Tensor) -> Fit:
     inner = x - x.mean(axis=1, keepdims=True)
     wrists = [CHARACTER.index(side + "Hand") for side in ("Right", "Left")]
     heights = [hands.correlation(places[..., wrists, 1].reshape(-1, 2)) for places in (drawn, truth)]
-    return Fit(np.array([((y - y.mean(axis=1, keepdims=True) - inner) ** 2).sum(), (inner ** 2).sum()]),
-               np.array([((y - x) ** 2).sum(), ((x - l0) ** 2).sum()]), np.array(heights))
+    return np.array([[((y - y.mean(axis=1, keepdims=True) - inner) ** 2).sum(), (inner ** 2).sum()],
+                     [((y - x) ** 2).sum(), ((x - l0) ** 2).sum()], heights])
 
 
 def stroke_blocks(places: Array, durations: Array) -> NDArray[np.bool_]:
@@ -122,10 +112,10 @@ def r_squared(sums: Array) -> Interval:
 
 def lexicon_figures(recordings: Sequence[HeldOut], decoded: Sequence[Tensor]) -> Results:
     """Within-block and displacement R2 and the tie between the hands of decoded recordings, each [N, K, D_m]."""
-    fits = [fit_of(held, blocks) for held, blocks in zip(recordings, decoded, strict=True)]
-    drawn, true = (stats.mean_interval([fit.heights[k] for fit in fits]) for k in (0, 1))
-    return {("within_r2", OPEN): Measured(r_squared(np.array([fit.within for fit in fits]))),
-            ("displacement_r2", OPEN): Measured(r_squared(np.array([fit.displaced for fit in fits]))),
+    fits = np.array([fit_of(held, blocks) for held, blocks in zip(recordings, decoded, strict=True)])
+    drawn, true = (stats.mean_interval(fits[:, 2, k]) for k in (0, 1))
+    return {("within_r2", OPEN): Measured(r_squared(fits[:, 0])),
+            ("displacement_r2", OPEN): Measured(r_squared(fits[:, 1])),
             ("heights_apart", OPEN): Measured(Interval.exact(abs(drawn.mean - true.mean), drawn.n),
                                               f"decoded {drawn.text()}, truth {true.text()}")}
 
@@ -147,11 +137,9 @@ def absent_figure(decoded: Sequence[Tensor], present: Tensor) -> Measured:
 def encode(bundle: Bundle, rendering: Rendering, speaker: int) -> NDArray[np.int64]:
     """[N] ranks of the requested lexemes: how many are nearer to each sampled block than the one that was requested."""
     lexicon = bundle.block_lexicon
-    # The blocks as the generator sampled them: rest and life are laid over later and are no answer to a lexeme.
     blocks, requested = torch.as_tensor(rendering.drawn), torch.as_tensor(rendering.lexemes)
     if isinstance(lexicon, Lexicon):
         return ranks_of(lexicon.quantizer.distances(lexicon.latents(blocks)), requested)
-    assert rendering.edges is not None
     durations = torch.as_tensor(np.diff(rendering.edges), dtype=torch.float32)
     ranks = lexicon.ranks(blocks, pasts_of(blocks, durations, bundle.rest_feature(speaker)), requested)
     return np.asarray(ranks.numpy(), dtype=np.int64)
@@ -172,7 +160,7 @@ def obedience_figures(ranks: Sequence[NDArray[np.int64]], lexemes: Sequence[NDAr
     common = float(np.bincount(every).max() / len(every))
 
     def share(least: int) -> Interval:
-        return stats.mean_interval([float((rank < least).mean()) for rank in ranks], sizes, groups=list(groups))
+        return stats.mean_interval([float((rank < least).mean()) for rank in ranks], sizes, groups=groups)
 
     remark = (f"{sum(sizes)} blocks, {len(np.unique(every))} lexemes in use; always requesting the most frequent one "
               f"would reach {common:.2f}")
@@ -192,8 +180,8 @@ def silent_speed(motion: Motion, edges: Array, quiet: NDArray[np.bool_]) -> floa
 def silent_figure(renderings: Sequence[Rendering], silent: NDArray[np.int64], groups: Sequence[str]) -> Measured:
     """Hand speed, m/s, where silent lexemes follow each other."""
     values = [silent_speed(rendering.motion, rendering.edges, np.isin(rendering.lexemes, silent))
-              for rendering in renderings if rendering.edges is not None]
-    return Measured(stats.mean_interval(values, groups=list(groups)), f"{len(silent)} silent lexemes")
+              for rendering in renderings]
+    return Measured(stats.mean_interval(values, groups=groups), f"{len(silent)} silent lexemes")
 
 
 # ------------------------------------------------------------------------------------------------------------- group
@@ -223,8 +211,7 @@ def held_out(bundle: Bundle, store: Store) -> list[HeldOut]:
             joints = [moved.skeleton.index(joint) for joint in CHARACTER.names]
             return positions_of(moved)[:, joints].reshape(*poses.shape[:2], len(joints), 3)
 
-        out.append(HeldOut(info.name, features, torch.as_tensor(blocks.durations, dtype=torch.float32), start,
-                           positions))
+        out.append(HeldOut(features, torch.as_tensor(blocks.durations, dtype=torch.float32), start, positions))
     return out
 
 
@@ -236,8 +223,8 @@ def measure(system: BundleSystem, store: Store | None, voices: Sequence[Acceptan
     recordings, decode = held_out(bundle, store), decoder(bundle.block_lexicon)
     decoded = [decode(held.motion, held.pasts()) for held in recordings]
     played = [system.render(voice, k % renderings) for k, voice in enumerate(voices)]
-    speakers = [system.gesticulator.resolver.speaker(system.speaker(voice)) for voice in voices]
-    ranks = [encode(bundle, rendering, speaker) for rendering, speaker in zip(played, speakers, strict=True)]
+    speaker = system.gesticulator.resolver.speaker(system.speaker)
+    ranks = [encode(bundle, rendering, speaker) for rendering in played]
     return {**lexicon_figures(recordings, decoded),
             ("absent", ""): absent_figure(decoded, bundle.statistics.present),
             **obedience_figures(ranks, [rendering.lexemes for rendering in played], groups),

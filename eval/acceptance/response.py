@@ -18,16 +18,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
-from data_module.controls import FEATURES, LEVELS, UNITS
+from data_module.controls import FEATURES, LEVELS, per_frame
 from data_module.errors import InputError
 from data_module.types import Array, Speech
 from eval import stats
-from eval.ablate.style_editing import realised
 from eval.acceptance.bounds import Measured, Results
 from eval.acceptance.stimuli import (
     EXPORTS,
@@ -49,7 +47,6 @@ from eval.metrics.eye.together import hand_speeds
 from eval.metrics.eye.units import gesture_units
 from eval.renderings import AcceptanceVoice, BundleSystem, Rendering
 from eval.stats import Interval
-from eval.table import Cell, Column, Table
 
 SIZE, SPEED = "eye_stroke_amplitude", "eye_speech_speed"
 CLIPS, SECONDS = 6, 20.0
@@ -60,13 +57,6 @@ NEEDED = ("lstm", "cql", "statistical")
 """Interpreters that a bundle should have."""
 LONGEST = 40.0
 """Seconds of a voice in the group `stability`."""
-COLUMNS = {
-    "hands": Column("hands apart", "cm", 2, "low"), "joints": Column("joints apart", "cm", 2, "low"),
-    "lexemes": Column("other lexemes", "% of time", 1, "low"),
-    "apart": Column("a hand over 2 cm apart", "% of time", 1, "low"),
-    "healed": Column("together again within 5 s", "%", 0, "high"), "first": Column("first parting", "s", 2),
-    "speed": Column("hand speeds, r", "", 2, "high")}
-
 
 # ------------------------------------------------------------------------------------------------------------- effort
 
@@ -87,7 +77,7 @@ def effort_figures(values: Array, apart: Sequence[float]) -> Results:
             ("hands_apart", "a reading 6 dB quieter"): Measured(stats.mean_interval(apart))}
 
 
-def effort(system: BundleSystem, speaker: str | None, renderings: int) -> Results:
+def effort(system: BundleSystem, renderings: int) -> Results:
     """The group `effort`; two seeds of every reading."""
     try:
         import parselmouth  # noqa: F401 - fail before anything is rendered
@@ -100,7 +90,7 @@ def effort(system: BundleSystem, speaker: str | None, renderings: int) -> Result
     seeds = range(min(2, renderings))
 
     def voice(name: str, speech: Speech) -> AcceptanceVoice:
-        return AcceptanceVoice(name, replace(speech, words=None), "derived", None, speaker, name)
+        return AcceptanceVoice(name, replace(speech, words=None))
 
     def size_and_speed(name: str, speech: Speech) -> list[float]:
         rows = [eye.figures(system.render(voice(name, speech), seed).motion, hear(speech)) for seed in seeds]
@@ -123,50 +113,33 @@ def order_figures(values: Mapping[tuple[str, str], Array]) -> Results:
     """(Feature, level) -> the realised value of each clip [n], to how far each level lies over the one below it."""
     results: Results = {}
     for feature in FEATURES:
+        low, mid, high = (values[feature, level] for level in LEVELS)
         shown = ", ".join(f"{level} {values[feature, level].mean():.3f}" for level in LEVELS)
+        remark = f"{shown}; in order in {100.0 * float(np.mean((low < mid) & (mid < high))):.0f} % of clips"
         for lower, upper in itertools.pairwise(LEVELS):
             results[f"control_{feature}", f"{upper} over {lower}"] = Measured(
-                stats.paired(values[feature, upper], values[feature, lower]), shown)
+                stats.paired(values[feature, upper], values[feature, lower]), remark)
     return results
 
 
-def order_table(values: Mapping[tuple[str, str], Array]) -> Table:
-    """(Feature, level) -> the realised value of each clip [n], as a table with the share of clips whose own three
-    values rise."""
-    columns = {**{level: Column(f"realised {level}", digits=3) for level in LEVELS},
-               "in_order": Column("clips in order", "%", 0)}
-    rows: dict[str, dict[str, Cell]] = {}
-    for feature in FEATURES:
-        low, mid, high = (values[feature, level] for level in LEVELS)
-        rows[f"hand {feature}, {UNITS[feature]}"] = {
-            **{level: stats.mean_interval(values[feature, level]) for level in LEVELS},
-            "in_order": 100.0 * float(np.mean((low < mid) & (mid < high)))}
-    return Table("Style controls", columns, rows, "feature")
-
-
-def controls(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> tuple[Results, list[Table]]:
-    """The group `controls`: style controls, words, interpreters, size and cost."""
+def controls(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Results:
+    """The group `controls`: style controls, words, interpreters, size."""
     short = [derived(voice, "short", middle_of(voice, SECONDS)) for voice in spread_out(voices, CLIPS)]
-    results, tables = _style_controls(system, short)
-    results |= _words(system, voices)
+    results = _style_controls(system, short) | _words(system, voices)
     for name in sorted({*NEEDED, *system.gesticulator.bundle.interpreters}):
         results["interpreter", name] = _interpreter(system, short[0], name)
     results["megabytes", ""] = Measured(Interval.exact(system.megabytes, 1))
-    return results, tables
+    return results
 
 
-def _style_controls(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> tuple[Results, list[Table]]:
+def _style_controls(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Results:
     if system.bundle.levels is None:
-        return {("controls_work", ""): Measured(Interval.exact(0.0, 1),
-                                                "the bundle was trained without style editing")}, []
-    values = {}
-    for column, feature in enumerate(FEATURES):
-        for level in LEVELS:
-            # The same seed at every level: only the request differs.
-            request: dict[str, Any] = {f"hand_{feature}": level}
-            values[feature, level] = np.array([realised(system.render(voice, 0, **request).motion)[column]
-                                               for voice in voices])
-    return order_figures(values), [order_table(values)]
+        return {("controls_work", ""): Measured(Interval.exact(0.0, 1), "the bundle was trained without style editing")}
+    # The same seed at every level: only the request differs.
+    return order_figures({(feature, level): np.array([
+        per_frame(system.render(voice, 0, **{f"hand_{feature}": level}).motion).mean(axis=0)[column]
+        for voice in voices])
+        for (column, feature), level in itertools.product(enumerate(FEATURES), LEVELS)})
 
 
 def _words(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Results:
@@ -180,9 +153,8 @@ def _words(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Results:
     spoken = spread_out(spoken, CLIPS)
     changed, fainter = [], []
     for voice, other in zip(spoken, [*spoken[1:], spoken[0]], strict=True):
-        swapped = replace(voice, name=f"{voice.name} reworded",
-                          speech=other_words(voice.speech, other.speech.words or ()))
-        quiet = replace(voice, name=f"{voice.name} fainter", speech=replace(
+        swapped = replace(voice, speech=other_words(voice.speech, other.speech.words or ()))
+        quiet = replace(voice, speech=replace(
             voice.speech, samples=np.float32(10.0 ** (-FAINTER / 20.0)) * voice.speech.samples))
         right, wrong, again = (system.render(sound, 0).lexemes for sound in (voice, swapped, quiet))
         changed.append(float((right != wrong).mean()))
@@ -205,37 +177,30 @@ def _interpreter(system: BundleSystem, voice: AcceptanceVoice, name: str) -> Mea
 
 # ---------------------------------------------------------------------------------------------------------- stability
 
-def moved(first: Rendering, again: Rendering) -> dict[str, float]:
-    """The figures of `COLUMNS` of a rendering against the first one."""
-    assert first.edges is not None and again.edges is not None
-    figures = asdict(stability.difference(common_body(first.motion), common_body(again.motion)))
-    lexemes = stability.other_lexemes((first.edges, first.lexemes), (again.edges, again.lexemes))
-    return {key: lexemes if key == "lexemes" else figures[key] for key in COLUMNS}
+def moved(first: Rendering, again: Rendering) -> list[float]:
+    """Of a rendering against the first one: cm between the hands, % of the time with other lexemes, % of partings after
+    which both come together."""
+    apart = stability.difference(common_body(first.motion), common_body(again.motion))
+    return [apart.hands, stability.other_lexemes((first.edges, first.lexemes), (again.edges, again.lexemes)),
+            apart.healed]
 
 
-def same_take(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings: int
-              ) -> tuple[Results, list[Table]]:
+def same_take(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings: int) -> Results:
     """The group `stability`, on the readings of GESTICULATOR_DATA or, without them, on some of the voices."""
-    speaker, seeds = voices[0].performer, range(min(2, renderings))
-    sounds = [AcceptanceVoice(name, speech, "derived", None, speaker, name) for name, speech in readings()] or [
+    seeds = range(min(2, renderings))
+    sounds = [AcceptanceVoice(name, speech) for name, speech in readings()] or [
         derived(voice, "exported", middle_of(voice, LONGEST)) for voice in spread_out(voices, CLIPS)]
-    values: dict[str, list[dict[str, float]]] = {name: [] for name in (*EXPORTS, "another seed")}
+    values: dict[str, list[list[float]]] = {name: [] for name in (*EXPORTS, "another seed")}
     for voice, seed in itertools.product(sounds, seeds):
         first = system.render(voice, seed)
-        for name, change in EXPORTS.items():
-            again = system.render(replace(voice, name=f"{voice.name}, {name}", speech=change(voice.speech)), seed)
-            values[name].append(moved(first, again))
         # How far apart two takes of one sound are: without it "2 cm apart" says nothing.
         values["another seed"].append(moved(first, system.render(voice, seed + len(seeds))))
-    rows = {name: {key: stats.mean_interval([row[key] for row in variants]) for key in COLUMNS}
-            for name, variants in values.items()}
-    results: Results = {}
-    for name in EXPORTS:
-        for figure, key in (("hands_apart", "hands"), ("lexemes_apart", "lexemes"), ("healed", "healed")):
-            results[figure, name] = Measured(rows[name][key])
-    note = f"{len(sounds)} sounds, {len(seeds)} seeds each. A first parting is left out where there is none."
-    table = Table("The same sound exported again, against its first rendering", COLUMNS, dict(rows), "sound", [note])
-    return results | _word_changed(system, voices, seeds), [table]
+        for name, change in EXPORTS.items():
+            values[name].append(moved(first, system.render(replace(voice, speech=change(voice.speech)), seed)))
+    results: Results = {(figure, name): Measured(stats.mean_interval(column)) for name, rows in values.items()
+                        for figure, column in zip(("hands_apart", "lexemes_apart", "healed"), zip(*rows, strict=True),
+                                                  strict=True)}
+    return results | _word_changed(system, voices, seeds)
 
 
 def units_of(body: CommonBody) -> list[tuple[float, float]]:
@@ -250,7 +215,6 @@ def units_of(body: CommonBody) -> list[tuple[float, float]]:
 def moved_by_word(first: Rendering, again: Rendering, time: float) -> tuple[float, float]:
     """After a change of the word at a time: cm between the hands before its gesture unit, and % of other lexemes from
     the second unit after it on. NaN for what the motion is too short for."""
-    assert first.edges is not None and again.edges is not None
     body, other = common_body(first.motion), common_body(again.motion)
     units, changed = units_of(body), units_of(other)
     at, new = _unit_at(units, time), _unit_at(changed, time)
@@ -279,7 +243,7 @@ def _word_changed(system: BundleSystem, voices: Sequence[AcceptanceVoice], seeds
             speech, time = word_changed(voice.speech)
         except ValueError:
             continue
-        swapped = replace(voice, name=f"{voice.name}, one word changed", speech=speech)
+        swapped = replace(voice, speech=speech)
         pairs += [moved_by_word(system.render(voice, seed), system.render(swapped, seed), time) for seed in seeds]
     if not pairs or not system.gesticulator.reads_text:
         return {}

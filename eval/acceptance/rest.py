@@ -20,6 +20,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,27 +62,26 @@ VOICES = 4
 PAUSES, QUIET, UNBROKEN, FAINT, CLEAN, CORPUS = (
     "with pauses", ("in silence", "in noise"), "without pauses", "faint", "clean", "corpus")
 """Sets of stimuli."""
-Flags = NDArray[np.bool_]
 
 
 # ----------------------------------------------------------------------------------------------------------- figures
 
 @dataclass(frozen=True)
 class Rested:
-    """A rendering beside its sound. speed: [T - 1] mean of both hands, fastest: [T - 1] of either, m/s at 60 Hz;
-    pauses: [n, 2] s."""
+    """A rendering beside its sound. pauses: [n, 2] s."""
 
     body: CommonBody
-    speed: Array
-    fastest: Array
     pauses: Array
 
     @classmethod
     def of(cls, motion: Motion, speech: Speech) -> Rested:
         """Measured."""
-        body = common_body(motion)
-        speed = body.hand_speed
-        return cls(body, speed.mean(axis=1), speed.max(axis=1), pauses_in(speech))
+        return cls(common_body(motion), pauses_in(speech))
+
+    @cached_property
+    def speed(self) -> Array:
+        """[T - 1] mean of both hands, m/s at 60 Hz."""
+        return np.asarray(self.body.hand_speed.mean(axis=1))
 
     def between(self, start: float, stop: float) -> Array:
         """The speeds from one time to another, s."""
@@ -135,41 +135,30 @@ def twitches(body: CommonBody) -> float:
     return 60.0 * short / body.duration
 
 
-def exact_rest(body: CommonBody) -> float:
-    """Percentage of frames in which some hand does not move at all."""
-    return 100.0 * float((body.hand_speed < MOTIONLESS).any(axis=1).mean())
-
-
-def head_freeze(body: CommonBody) -> float:
-    """Seconds of the longest freeze of the head."""
-    return trunk.longest(trunk.smoothed_speed(body.points["Head"][:, None])[:, 0] < trunk.STILL)
-
-
 # ------------------------------------------------------------------------------------------------- sets of recordings
 
 def pause_figures(rested: Sequence[Rested], groups: Sequence[str]) -> Results:
     """Rest and life of renderings of voices with pauses; groups: one name for each rendering."""
-    at_rest = stats.mean_interval([rendering.at_rest() for rendering in rested], groups=list(groups))
+    at_rest = stats.mean_interval([rendering.at_rest() for rendering in rested], groups=groups)
     return {("at_rest", PAUSES): Measured(at_rest),
             **life_figures([rendering.body for rendering in rested], groups, PAUSES)}
 
 
 def life_figures(bodies: Sequence[CommonBody], groups: Sequence[str], on: str) -> Results:
     """The longest freeze of the head of all renderings, s, and frames in which a hand does not move at all, %."""
-    freezes = [head_freeze(body) for body in bodies]
+    freezes = [trunk.longest(trunk.smoothed_speed(body.points["Head"][:, None])[:, 0] < trunk.STILL) for body in bodies]
+    stopped = [100.0 * float((body.hand_speed < MOTIONLESS).any(axis=1).mean()) for body in bodies]
     # One frozen rendering is a fault, whatever the others do, so the longest is judged.
-    mean = stats.mean_interval(freezes, groups=list(groups))
-    worst = Interval(max(freezes), float("nan"), float("nan"), mean.n)
-    return {("longest_freeze", on): Measured(worst, f"of all; on average {mean.text()}"),
-            ("exact_rest", on): Measured(stats.mean_interval([exact_rest(body) for body in bodies],
-                                                             groups=list(groups)))}
+    mean = stats.mean_interval(freezes, groups=groups)
+    return {("longest_freeze", on): Measured(Interval.exact(max(freezes), mean.n), f"of all; on average {mean.text()}"),
+            ("exact_rest", on): Measured(stats.mean_interval(stopped, groups=groups))}
 
 
 def variation(bodies: Sequence[CommonBody], groups: Sequence[str]) -> Interval:
     """How much hand speed varies over 4 s, relative to its mean, in speech without pauses."""
     values = [together.variation(together.hand_speeds(body).mean(axis=1), np.ones(len(body), bool))
               for body in bodies]
-    return stats.mean_interval(values, groups=list(groups))
+    return stats.mean_interval(values, groups=groups)
 
 
 def waking_figures(wakes: Array, usual: Array | None) -> Results:
@@ -192,7 +181,8 @@ def quiet_figures(rested: Sequence[Rested], on: str) -> Results:
     """Speed of the hands and time in which one moves, %, while nothing is said; the first second is left out."""
     # The first second is the way from the initial pose into rest.
     speed = [stats.mean(rendering.between(1.0, rendering.body.duration)) for rendering in rested]
-    moving = [100.0 * float((rendering.fastest[round(HZ):] > hands.MOVES).mean()) for rendering in rested]
+    moving = [100.0 * float((rendering.body.hand_speed[round(HZ):].max(axis=1) > hands.MOVES).mean())
+              for rendering in rested]
     return {("quiet_speed", on): Measured(stats.mean_interval(speed)),
             ("quiet_moving", on): Measured(stats.mean_interval(moving)),
             **life_figures([rendering.body for rendering in rested], [str(k) for k in range(len(rested))], on)}
@@ -221,9 +211,8 @@ def _rank(values: Array) -> float:
     return 0.0 if np.ptp(values) < 1e-9 else float(spearmanr(ACTIVITIES, values).statistic)
 
 
-def shares_of(rendering: Rendering, silent: NDArray[np.int64], spoken: Flags) -> tuple[float, float]:
+def shares_of(rendering: Rendering, silent: NDArray[np.int64], spoken: NDArray[np.bool_]) -> tuple[float, float]:
     """Shares of the time of spoken blocks [N]: with a lexeme that is not silent, and with a hand over 0.3 m/s."""
-    assert rendering.edges is not None
     lasting = np.diff(rendering.edges) * spoken
     gesturing = ~np.isin(rendering.lexemes, silent)
     fastest = common_body(rendering.motion).hand_speed.max(axis=1)
@@ -239,18 +228,17 @@ def shares_of(rendering: Rendering, silent: NDArray[np.int64], spoken: Flags) ->
 def measure(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings: int) -> Results:
     """The group `rest`, on four of the voices with two seeds each."""
     chosen, seeds = spread_out(voices, VOICES), range(min(2, renderings))
-    pairs = [(voice, Rested.of(system.render(voice, seed).motion, voice.speech))
-             for voice in (derived(voice, PAUSES, with_pauses(middle_of(voice, PAUSED))) for voice in chosen)
-             for seed in seeds]
-    groups, paused = [voice.group for voice, _ in pairs], [rendering for _, rendering in pairs]
     corpus = [seconds_of(voice.own) for voice in voices if voice.own is not None and voice.place != TAKE]
-    results = pause_figures(paused, groups) | waking_figures(
-        np.concatenate([rendering.wakes() for rendering in paused]), np.concatenate(corpus) if corpus else None)
 
     def rendered(voice: AcceptanceVoice, name: str, speech: Speech) -> list[Rested]:
         sound = derived(voice, name, speech)
         return [Rested.of(system.render(sound, seed).motion, sound.speech) for seed in seeds]
 
+    groups = [voice.group or voice.name for voice in chosen for _ in seeds]
+    paused = [rendering for voice in chosen
+              for rendering in rendered(voice, PAUSES, with_pauses(middle_of(voice, PAUSED)))]
+    results = pause_figures(paused, groups) | waking_figures(
+        np.concatenate([rendering.wakes() for rendering in paused]), np.concatenate(corpus) if corpus else None)
     # Silence and noise do not depend on a voice, so one speaker's renderings are enough.
     first = chosen[0]
     # Digital silence and hiss: the first has no level at all, the second could be taken for breath.

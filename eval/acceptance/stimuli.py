@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import soundfile
 from numpy.typing import NDArray
 from scipy.signal import resample_poly
 
 from data_module.corpora.folder import SOUNDS
-from data_module.errors import InputError
 from data_module.speech.audio import SAMPLE_RATE, amplified, load_speech, resample
 from data_module.speech.silence import FRAME, frame_levels, pauses, silent_frames
 from data_module.types import Array, Speech, Word
@@ -48,8 +48,10 @@ _TILT_FROM, _TILT_TO = 500.0, 4000.0
 """Hertz between which the spectrum is tilted."""
 _LOUD = 25.0
 """Decibels under the loudest frame that count for the level."""
-_STUDIO_RATE, _MP3_RATE = 48000, 192000
-"""Hertz of the second sampling rate, and bits a second."""
+_STUDIO_RATE = 48000
+"""Hertz of the second sampling rate."""
+_MP3_LEVEL = 0.4
+"""The compression of soundfile that gives 192 kbit/s at that rate."""
 _EXPORT_NOISE = -60.0
 """Level of the noise of an export, dBFS."""
 
@@ -115,17 +117,20 @@ def _spliced(pieces: Sequence[NDArray[np.float32]], fade: int) -> NDArray[np.flo
     return out.astype(np.float32)
 
 
+def in_noise(speech: Speech, level: float) -> Speech:
+    """A voice with white noise of that level, dBFS, and without its words."""
+    background = noise(speech.duration, level, speech.sample_rate)[:len(speech.samples)]
+    return replace(speech, samples=np.clip(speech.samples + background, -1.0, 1.0).astype(np.float32), words=None)
+
+
 def faint(speech: Speech) -> Speech:
     """A voice 46 dB too low, in noise."""
-    low = amplified(speech, FAINT_GAIN)
-    background = noise(low.duration, FAINT_NOISE, low.sample_rate)[:len(low.samples)]
-    return replace(low, samples=(low.samples + background).astype(np.float32), words=None)
+    return in_noise(amplified(speech, FAINT_GAIN), FAINT_NOISE)
 
 
 def derived(voice: AcceptanceVoice, name: str, speech: Speech) -> AcceptanceVoice:
-    """A sound made of a voice, as a voice of its own in the habits of the same performer; without words."""
-    return AcceptanceVoice(f"{voice.name} {name}", replace(speech, words=None), "derived", None, voice.performer,
-                           voice.group or voice.name)
+    """A sound made of a voice, as a voice of its own; without words."""
+    return AcceptanceVoice(f"{voice.name} {name}", replace(speech, words=None), group=voice.group or voice.name)
 
 
 def spread_out(voices: Sequence[AcceptanceVoice], count: int) -> list[AcceptanceVoice]:
@@ -203,59 +208,25 @@ def readings() -> list[tuple[str, Speech]]:
 
 # ----------------------------------------------------------------------------------------------------- second exports
 
-def _quieter(decibels: float) -> Callable[[Speech], Speech]:
-    return lambda speech: amplified(speech, -decibels)
-
-
-def _resampled(speech: Speech) -> Speech:
-    """At 48 kHz and back, by a polyphase filter that the product does not use."""
+def _at_studio_rate(speech: Speech, mp3: bool = False) -> Speech:
+    """At 48 kHz and back, by a polyphase filter that the product does not use; there as an MP3 of 192 kbit/s or not."""
     # In double precision there and back, so that what is left is the filter and no rounding.
-    up = resample_poly(speech.samples.astype(np.float64), _STUDIO_RATE // SAMPLE_RATE, 1)
-    return replace(speech, samples=resample_poly(up, 1, _STUDIO_RATE // SAMPLE_RATE).astype(np.float32))
-
-
-def _noisy(speech: Speech) -> Speech:
-    level = 10.0 ** (_EXPORT_NOISE / 20.0)
-    noise = level * np.random.default_rng(0).standard_normal(len(speech.samples))
-    return replace(speech, samples=np.clip(speech.samples + noise, -1.0, 1.0).astype(np.float32))
-
-
-def _as_mp3(speech: Speech) -> Speech:
-    """Encoded at 48 kHz and 192 kbit/s and decoded again; the delay of the encoder is taken off."""
-    try:
-        import av
-    except ImportError:
-        raise InputError("acceptance", "needs av for MP3", 'pip install "gesticulator[video]"') from None
-    up = resample_poly(speech.samples.astype(np.float64), _STUDIO_RATE // SAMPLE_RATE, 1).astype(np.float32)
-    file = io.BytesIO()
-    with av.open(file, "w", format="mp3") as output:
-        stream = output.add_stream("mp3", rate=_STUDIO_RATE, layout="mono")
-        stream.bit_rate = _MP3_RATE
-        frame = av.AudioFrame.from_ndarray(np.clip(up, -1.0, 1.0)[None], format="fltp", layout="mono")
-        frame.sample_rate = _STUDIO_RATE
-        for packet in (*stream.encode(frame), *stream.encode(None)):
-            output.mux(packet)
-    file.seek(0)
-    with av.open(file, "r") as source:
-        decoded = np.concatenate([frame.to_ndarray()[0] for frame in source.decode(audio=0)])
-    back = resample_poly(decoded.astype(np.float64), 1, _STUDIO_RATE // SAMPLE_RATE)
-    return replace(speech, samples=_aligned(back, speech.samples).astype(np.float32))
-
-
-def _aligned(samples: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Samples moved to where they fit the reference best, and cut or padded to its length."""
-    size = len(reference) + len(samples)
-    # The peak of the cross-correlation is the delay of the encoder.
-    spectrum = np.fft.rfft(samples, size) * np.conj(np.fft.rfft(reference, size))
-    shift = int(np.fft.irfft(spectrum, size).argmax())
-    shift -= size if shift > size // 2 else 0
-    moved = samples[shift:] if shift >= 0 else np.concatenate([np.zeros(-shift), samples])
-    return np.pad(moved, (0, max(len(reference) - len(moved), 0)))[:len(reference)]
+    ratio, file = _STUDIO_RATE // SAMPLE_RATE, io.BytesIO()
+    samples = resample_poly(speech.samples.astype(np.float64), ratio, 1)
+    if mp3:
+        soundfile.write(file, np.clip(samples, -1.0, 1.0), _STUDIO_RATE, format="MP3", bitrate_mode="CONSTANT",
+                        compression_level=_MP3_LEVEL)
+        file.seek(0)
+        # libsndfile takes the delay of the encoder off.
+        samples = soundfile.read(file)[0]
+    return replace(speech, samples=resample_poly(samples, 1, ratio).astype(np.float32))
 
 
 EXPORTS: Mapping[str, Callable[[Speech], Speech]] = {
-    "0.1 dB quieter": _quieter(0.1), "1 dB quieter": _quieter(1.0), "6 dB quieter": _quieter(6.0),
-    "resampled from 48 kHz": _resampled, "MP3, 192 kbit/s": _as_mp3, "noise at -60 dB": _noisy}
+    "0.1 dB quieter": lambda speech: amplified(speech, -0.1), "1 dB quieter": lambda speech: amplified(speech, -1.0),
+    "6 dB quieter": lambda speech: amplified(speech, -6.0), "resampled from 48 kHz": _at_studio_rate,
+    "MP3, 192 kbit/s": lambda speech: _at_studio_rate(speech, mp3=True),
+    "noise at -60 dB": lambda speech: in_noise(speech, _EXPORT_NOISE)}
 """Changes that a tool may make to a sound that it exports again."""
 
 

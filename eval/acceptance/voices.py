@@ -1,125 +1,134 @@
-"""The group `motion`: does it read as a person? One bundle beside the corpus, other systems and a real take.
+"""The group `motion`: does it read as a person? The bundle beside itself without the sound, and beside real motion.
 
 Everything is a mean over renderings: of the real take's voice with several seeds, and of every voice of the test split.
-The corpus is the test split's own motion for those voices. The figures are those of `eval.metrics.eye` and `timing`;
-the bounds that they must keep stand in `bounds.toml`.
+Real motion is the take itself, and the corpus: the test split's own motion. The figures are those of `eval.metrics.eye`
+and two that one recording has too few pauses and too little pitch for, pooled and held against chance:
+
+- First movement: the share of pauses in which a hand starts before the voice returns (`eval.metrics.eye.units.leads`),
+  and the share of circular shifts of the motions in which at least as many do. A hand that never waits is early, too,
+  and chance says how often.
+- Pitch with trunk: the correlation of pitch and trunk speed at once (`eval.metrics.eye.pitch`), and the share of
+  exchanges of the sounds among the recordings that do as well.
+
+A motion that is laid under another recording's sound is at chance in both. What fools them: of a corpus whose links
+between speech and motion were planted by rules they tell that a model has learned the rules, not that people do so.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 from data_module.blocks import cut
-from eval.acceptance import timing
-from eval.acceptance.bounds import Measured, Results, bounds_of, mark
-from eval.acceptance.timing import Timed
-from eval.metrics import EYE_METRICS, eye
-from eval.metrics.eye import ReferenceSpace
-from eval.metrics.eye.sample import CORPUS, POOLED, TO_CORPUS, EyeSample, heading
-from eval.renderings import TEST, AcceptanceVoice, Pair, RenderedSystem
+from data_module.types import Array, Motion
+from eval.acceptance.bounds import Measured, Results
+from eval.metrics.eye import ReferenceSpace, common_body, pitch
+from eval.metrics.eye.pitch import Coupling
+from eval.metrics.eye.sample import CORPUS, EyeSample
+from eval.metrics.eye.units import Leads, leads
+from eval.renderings import TEST, AcceptanceVoice, BundleSystem
 from eval.stats import Interval
-from eval.table import Cell, Column, Table
 
-OURS, REAL, WITHOUT_SOUND = "ours", "real take", "statistical"
+OURS, SPEAKERS, WITHOUT_SOUND = "ours", "speakers", "statistical"
 """`WITHOUT_SOUND`: the bundle with an interpreter that ignores the sound."""
 ON_TAKE, ON_TEST = "BEAT voice", "test split"
 """Sets of stimuli: the voice of the real take, and those of the store's test split."""
-SHOWN = ("eye_hand_height_correlation", "eye_hand_speed_correlation", "eye_one_handed", "eye_one_hanging", "eye_head",
-         "eye_chest", *(f"eye_speed_{percent}" for percent in eye.hands.PERCENTILES), "eye_stroke_amplitude",
-         "eye_stroke_amplitude_90", "eye_seam", TO_CORPUS, POOLED, "eye_frechet", "eye_above_1", "eye_rolled_1",
-         "eye_above_2", "eye_rolled_2", "eye_silence_speed", "eye_drift", "eye_repetition", "eye_hand_in_torso")
-"""Rows of the comparison below those with a bound."""
-Intervals = dict[str, Interval]
+
+SHIFTS = 200
+"""Circular shifts of a motion, and exchanges of the sounds."""
+FEWEST = 5
+"""Recordings without which an exchange of their sounds is too often none."""
+FIRST_P, PITCH_P = "first_p", "pitch_p"
 
 
-def sample_of(pairs: Sequence[tuple[AcceptanceVoice, Pair]], space: ReferenceSpace | None) -> EyeSample:
-    """Renderings measured; the interval draws those of one group of voices together."""
-    sample = EyeSample()
-    for spoken, (rendering, late) in pairs:
-        sample.add(rendering.motion, spoken.heard, rendering.edges, space, group=spoken.group or spoken.name,
-                   rolled=None if late is None else late.motion)
-    return sample
+@dataclass(frozen=True)
+class Timed:
+    """A rendering beside its sound. speed: of the trunk, for `pitch.lagged`."""
+
+    name: str
+    first: Leads
+    pitch: Array
+    speed: Array
+
+    @classmethod
+    def of(cls, motion: Motion, voice: AcceptanceVoice) -> Timed:
+        """Measured."""
+        body = common_body(motion)
+        return cls(voice.name, leads(body, voice.heard, SHIFTS), voice.pitch, pitch.trunk_speed(body))
+
+    @property
+    def voiced(self) -> bool:
+        """True if enough is voiced for a correlation with no lag."""
+        return math.isfinite(float(pitch.lagged(self.pitch, self.speed)[pitch.LAGS == 0][0]))
+
+
+def timing_figures(timed: Sequence[Timed]) -> dict[str, Measured]:
+    """p of the first movement, undefined for renderings of a single voice, and of pitch with trunk, undefined for fewer
+    than `FEWEST`."""
+    if not timed:
+        return {}
+    # The same voice several times is one draw of its sound: p-values need different voices.
+    pooled, voices = Leads.pooled([clip.first for clip in timed]), len({clip.name for clip in timed})
+    coupled, count = coupling(timed), len(pooled.seconds)
+    first = Interval.exact(pooled.p if voices > 1 else math.nan, count)
+    shares = [Interval.exact(share, count).text(0) for share in (pooled.before, pooled.chance)]
+    out = {FIRST_P: Measured(first, f"{shares[0]} % of {count}, shifted {shares[1]} %"), PITCH_P: Measured()}
+    if coupled is not None:
+        # Of few voices most exchanges are the identity for some, and the test cannot reject.
+        p = coupled.p if voices >= FEWEST and len(coupled.chance) else math.nan
+        out[PITCH_P] = Measured(Interval.exact(p, len(timed)), f"r {coupled.best:.3f} at {coupled.lag:.2f} s")
+    return out
+
+
+def coupling(timed: Sequence[Timed]) -> Coupling | None:
+    """Of those with a voice that has pitch; None without any."""
+    voiced = [clip for clip in timed if clip.voiced]
+    return pitch.coupling([clip.pitch for clip in voiced], [clip.speed for clip in voiced], SHIFTS) if voiced else None
 
 
 def own_motion(voices: Sequence[AcceptanceVoice], space: ReferenceSpace | None) -> EyeSample:
     """The motion of the speakers themselves, with seams where a system would cut; a real take has no seams."""
     sample = EyeSample()
-    for spoken in voices:
-        if spoken.own is not None:
+    for voice in voices:
+        if voice.own is not None:
             # Nothing was joined in a real take; a corpus is judged at the seams that a system would have made.
-            edges = cut(spoken.speech).edges if spoken.place == TEST else None
-            sample.add(spoken.own, spoken.heard, edges, space, group=spoken.group or spoken.name)
+            edges = cut(voice.speech).edges if voice.place == TEST else None
+            sample.add(voice.own, voice.heard, edges, space, group=voice.group or voice.name)
     return sample
 
 
-def renderings_on(system: RenderedSystem, voices: Sequence[AcceptanceVoice], renderings: int
-                  ) -> list[tuple[AcceptanceVoice, Pair]]:
-    """The real take's voice with every seed; of the test split each voice once, with a seed of its own."""
-    return [(said, pair) for k, said in enumerate(voices)
-            for pair in system.pairs(said, [k % renderings] if said.place == TEST else range(renderings))]
+def rendered(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings: int, space: ReferenceSpace | None,
+             **options: Any) -> tuple[EyeSample, list[Timed]]:
+    """The bundle on the real take's voice with every seed, or on each voice of the test split with one of its own."""
+    sample, timed = EyeSample(), []
+    for number, voice in enumerate(voices):
+        for seed in [number % renderings] if voice.place == TEST else range(renderings):
+            rendering = system.render(voice, seed, **options)
+            # The interval draws the renderings of one group of voices together.
+            sample.add(rendering.motion, voice.heard, rendering.edges, space, group=voice.group or voice.name)
+            timed.append(Timed.of(rendering.motion, voice))
+    return sample, timed
 
 
-def comparison(on: str, figures: Mapping[str, Mapping[str, Interval]]) -> Table:
-    """The figures of all systems beside each other, those with a bound first; "!" where a system misses it."""
-    bounds = bounds_of("motion")
-    # First what is judged, then what is only shown, each figure once.
-    judged = [name for name in bounds if name in EYE_METRICS or name in timing.TITLES]
-    rows = [row for row in dict.fromkeys((*judged, *timing.TITLES, *SHOWN))
-            if any(row in values and math.isfinite(values[row].mean) for values in figures.values())]
-    cells: dict[str, dict[str, Cell]] = {}
-    for row in rows:
-        digits, limits = _digits(row), bounds.get(row)
-        # A limit that is relative to another set differs from column to column, so none is printed beside the row.
-        plain = limits is not None and not (limits.over or limits.limit)
-        cells[timing.TITLES.get(row) or heading(row)] = {
-            "bound": limits.bound.text(digits) if limits is not None and plain else "",
-            **{name: values[row].text(digits) + (mark(row, values[row]) if plain else "") if row in values else None
-               for name, values in figures.items()}}
-    columns = {"bound": Column("bound"), **{name: Column(name) for name in figures}}
-    return Table(f"Beside others, {on}", columns, cells, "figure", ['"!": outside of the bound.'],
-                 facts={"figures": {name: {row: values[row].to_dict() for row in rows if row in values}
-                                    for name, values in figures.items()}})
-
-
-def _digits(row: str) -> int:
-    return EYE_METRICS[row].digits if row in EYE_METRICS else timing.DIGITS.get(row, 1)
-
-
-def measure(systems: Sequence[RenderedSystem], voices: Sequence[AcceptanceVoice], renderings: int,
-            space: ReferenceSpace | None) -> tuple[Results, list[Table]]:
-    """The group `motion` of the first system, and tables of all beside each other."""
+def measure(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings: int, space: ReferenceSpace | None
+            ) -> dict[str, Results]:
+    """The figures of the bundle, of the bundle without the sound, and of the speakers themselves."""
     takes, tests = ([voice for voice in voices if (voice.place == TEST) == test] for test in (False, True))
-    corpus, real = own_motion(tests, space) if tests else None, own_motion(takes, space)
-    results: Results = {}
-    tables = []
+    corpus = own_motion(tests, space) if tests else None
+    figures = {} if corpus is None else corpus.figures(space)
+    beside = {(figure, CORPUS): Measured(value) for figure, value in figures.items()}
+    known = [name for name in (WITHOUT_SOUND,) if name in system.gesticulator.interpreters]
+    results: dict[str, Results] = {name: dict(beside) for name in (OURS, *known, SPEAKERS)}
     for on, chosen in ((ON_TAKE, takes), (ON_TEST, tests)):
         if not chosen:
             continue
-        figures: dict[str, Intervals] = {}
-        timed: dict[str, list[Timed]] = {}
-        for system in systems:
-            pairs = renderings_on(system, chosen, renderings)
-            if pairs:
-                timed[system.name] = [Timed.of(rendering.motion, voice) for voice, (rendering, _) in pairs]
-                figures[system.name] = {**sample_of(pairs, space).figures(space, corpus),
-                                        **timing.figures(timed[system.name])}
-        if corpus is not None:
-            figures[CORPUS] = _own_figures(tests, corpus, space, corpus)
-            results |= {(name, CORPUS): Measured(value) for name, value in figures[CORPUS].items()}
-        if real.windows:
-            figures[REAL] = _own_figures(takes, real, space, corpus)
-        # Without a store or a space some figures are not there at all: their rows say why instead of vanishing.
-        results |= {(name, on): Measured() for name in (timing.PITCH_P, POOLED, TO_CORPUS)}
-        results |= {(name, on): Measured(value) for name, value in figures[OURS].items()}
-        tables.append(comparison(on, figures))
-        if len(chosen) > 1:
-            tables.append(timing.paired_table(timed, OURS))
-    return results, tables
-
-
-def _own_figures(voices: Sequence[AcceptanceVoice], sample: EyeSample, space: ReferenceSpace | None,
-                 corpus: EyeSample | None) -> Intervals:
-    """The figures of the speakers' own motion."""
-    return {**sample.figures(space, corpus),
-            **timing.figures([Timed.of(voice.own, voice) for voice in voices if voice.own is not None])}
+        samples = {OURS: rendered(system, chosen, renderings, space),
+                   **{name: rendered(system, chosen, renderings, space, interpreter=name) for name in known},
+                   SPEAKERS: (own_motion(chosen, space),
+                              [Timed.of(voice.own, voice) for voice in chosen if voice.own is not None])}
+        for name, (sample, timed) in samples.items():
+            results[name] |= {(figure, on): Measured(value) for figure, value in sample.figures(space, corpus).items()}
+            results[name] |= {(figure, on): measured for figure, measured in timing_figures(timed).items()}
+    return results

@@ -1,1 +1,1 @@
-"""Baselines that any system must beat: motion known to be wrong, interpreters that know nothing, unit selection."""
+"""Baselines that any system must beat: motion known to be wrong and interpreters that know nothing."""

@@ -16,8 +16,6 @@ A metric is worth what it makes of these (mir_eval's rule that perfect input giv
   both, cannot see it; to the eye it is the first sign of a machine.
 - `bobbing`: the mean pose whose forearms go up and down in turn and stop at each onset of the sound. What rewards
   timing alone takes it for the best gesturer of all.
-- `splayed`: forearms turned outward. Distances between windows of joint positions do not move.
-- `frozen_in_pauses`: speech is untouched, and each silence is a photograph.
 
 Each takes clips and gives clips; the same seed gives the same clips. ValueError where there is nothing to choose from.
 """
@@ -27,17 +25,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_module.motion import kinematics, rotation
-from data_module.motion.skeletons import find_table
 from data_module.types import Array, Motion, Skeleton
-
-if TYPE_CHECKING:
-    from gesticulator.bundle.features import SpeechFeatures
 
 JITTER = 0.02
 """Metres: the standard deviation along each axis."""
@@ -50,35 +43,28 @@ _EPS = 1e-9
 Clips = Sequence[Motion]
 
 
-def split_halves(clips: Clips, seed: int, groups: Sequence[str] | None = None) -> tuple[list[Motion], list[Motion]]:
-    """Two halves of the clips, drawn at random; with `groups` (a name for each clip) a group stays together.
+def split_halves(clips: Clips, groups: Sequence[str], seed: int) -> tuple[list[int], list[int]]:
+    """The numbers of the clips in two halves, drawn at random; a group (a name for each clip) stays together.
 
     Halves are as equal in seconds as one pass allows: the groups, in random order, go each to the shorter half. Clips
     of one sound or text must share a group, or the halves are no strangers and the floor is too low.
     """
-    names = _groups(clips, groups)
     # Groups, not clips: clips of one sound in both halves would make the halves alike.
-    order = np.random.default_rng(seed).permutation(np.unique(names))
+    order = np.random.default_rng(seed).permutation(np.unique(groups))
     if len(order) < 2:
         raise ValueError("a split needs two groups of clips at least")
-    seconds = np.array([clip.duration for clip in clips])
     halves: tuple[list[int], list[int]] = ([], [])
-    length = [0.0, 0.0]
     for name in order:
-        members = np.flatnonzero(names == name)
-        side = int(length[1] < length[0])
         # The next group goes to the shorter half, so that both have about as many windows.
-        halves[side].extend(members.tolist())
-        length[side] += float(seconds[members].sum())
-    first, second = ([clips[k] for k in sorted(half)] for half in halves)
-    return first, second
+        shorter = min(halves, key=lambda half: sum(clips[k].duration for k in half))
+        shorter.extend(k for k, group in enumerate(groups) if group == name)
+    return sorted(halves[0]), sorted(halves[1])
 
 
-def donors(clips: Clips, seed: int, groups: Sequence[str] | None = None) -> NDArray[np.int64]:
+def donors(groups: Sequence[str], seed: int) -> NDArray[np.int64]:
     """[clips] whose motion each speech gets in `shuffled`: each clip gives once, and never to its own group."""
-    names = _groups(clips, groups)
     rng = np.random.default_rng(seed)
-    kinds, counts = np.unique(names, return_counts=True)
+    names, (kinds, counts) = np.array(groups), np.unique(groups, return_counts=True)
     largest = int(counts.max(initial=0))
     if len(names) < 2 or 2 * largest > len(names):
         raise ValueError(f"{len(names)} clips, {largest} of them of one group, cannot all have another's motion")
@@ -89,25 +75,13 @@ def donors(clips: Clips, seed: int, groups: Sequence[str] | None = None) -> NDAr
     return giver
 
 
-def shuffled(clips: Clips, seed: int, groups: Sequence[str] | None = None) -> list[Motion]:
-    """Each clip with the motion of another one (see `donors`), cut to its own length.
-
-    A donor that is shorter ends early: take `to_common_length` of both before frames are compared with frames.
-    """
-    if len({clip.fps for clip in clips}) > 1:
-        raise ValueError("the clips have different frame rates: resample them first")
-    return [clips[giver].crop(0, len(clip)) for clip, giver in zip(clips, donors(clips, seed, groups), strict=True)]
+def shuffled(clips: Clips, groups: Sequence[str], seed: int) -> list[Motion]:
+    """Each clip with the motion of another one (see `donors`), cut to its own length; a shorter donor ends early."""
+    return [clips[giver].crop(0, len(clip)) for clip, giver in zip(clips, donors(groups, seed), strict=True)]
 
 
-def to_common_length(first: Clips, second: Clips) -> tuple[list[Motion], list[Motion]]:
-    """Pairs of clips, each pair cut to the shorter of the two."""
-    lengths = [min(len(a), len(b)) for a, b in zip(first, second, strict=True)]
-    left, right = ([clip.crop(0, n) for clip, n in zip(clips, lengths, strict=True)] for clips in (first, second))
-    return left, right
-
-
-def reversed_in_time(clips: Clips, seed: int = 0) -> list[Motion]:
-    """Each clip played backwards (the seed is there so that all controls are called alike)."""
+def reversed_in_time(clips: Clips) -> list[Motion]:
+    """Each clip played backwards."""
     return [replace(clip, rotations=clip.rotations[::-1].copy(), root_positions=clip.root_positions[::-1].copy())
             for clip in clips]
 
@@ -120,8 +94,6 @@ def jittered(clips: Clips, seed: int, metres: float = JITTER) -> list[Motion]:
     a joint the first with a length leads. The root, and so what hangs on it, stays as it is: metrics look from there,
     and with a root that shakes the whole body would. A joint where nothing begins keeps its rotation in the world.
     """
-    if not (np.isfinite(metres) and metres >= 0):
-        raise ValueError(f"the jitter must be 0 metres or more, not {metres}")
     rng = np.random.default_rng(seed)
     return [_jittered(clip, rng, metres) for clip in clips]
 
@@ -138,9 +110,8 @@ def mean_pose(clips: Clips) -> list[Motion]:
     return out
 
 
-def mirrored(clips: Clips, seed: int = 0) -> list[Motion]:
-    """Each clip of the 16-joint character with the right arm's motion, mirrored, on the left arm as well (the seed is
-    there so that all controls are called alike)."""
+def mirrored(clips: Clips) -> list[Motion]:
+    """Each clip of the 16-joint character with the right arm's motion, mirrored, on the left arm as well."""
     out = []
     for clip in clips:
         turns = clip.rotations.copy()
@@ -150,38 +121,6 @@ def mirrored(clips: Clips, seed: int = 0) -> list[Motion]:
                 # A mirror at the plane of symmetry keeps the turn about X and reverses those about Y and Z.
                 turns[:, left] = right * np.array([1.0, 1.0, -1.0, -1.0])
         out.append(replace(clip, rotations=turns))
-    return out
-
-
-def splayed(clips: Clips, seed: int = 0, degrees: float = 20.0) -> list[Motion]:
-    """Both forearms turned outward by so many degrees about the vertical: the posture of a waiter with two trays, which
-    no distance between distributions of windows sees."""
-    out = []
-    for clip in clips:
-        skeleton, rotations = clip.skeleton, clip.rotations.copy()
-        joints = find_table(skeleton.names)
-        world = kinematics.global_rotations(skeleton, clip.rotations)
-        for side, sign in (("Left", 1.0), ("Right", -1.0)):
-            elbow = joints[side + "ForeArm"]
-            turn = rotation.from_exponential_map(np.array([0.0, sign * math.radians(degrees), 0.0]))
-            above = world[:, skeleton.parents[elbow]]
-            # The turn is about the world's vertical, and rotations are told in the parent's frame.
-            rotations[:, elbow] = rotation.multiply(
-                rotation.conjugate(above), rotation.multiply(turn, world[:, elbow]))
-        out.append(replace(clip, rotations=rotation.continuous(rotations)))
-    return out
-
-
-def frozen_in_pauses(clips: Clips, silent: Sequence[NDArray[np.bool_]]) -> list[Motion]:
-    """Each clip with its pose held through every silence; silent: of each clip, [F] at 100 Hz. A person prepares the
-    next phrase there."""
-    out = []
-    for clip, quiet in zip(clips, silent, strict=True):
-        # A clip may be a frame longer than its sound.
-        at = np.minimum((np.arange(len(clip)) / clip.fps * 100).astype(int), len(quiet) - 1)
-        frames, held = np.arange(len(clip)), quiet[at]
-        last = np.maximum.accumulate(np.where(held, 0, frames))
-        out.append(replace(clip, rotations=clip.rotations[last], root_positions=clip.root_positions[last]))
     return out
 
 
@@ -201,7 +140,7 @@ def bobbing(clips: Clips, onsets: Sequence[Array]) -> list[Motion]:
                 continue
             # A minimum-jerk movement brakes hardest when four fifths of it are done: that falls on the onset.
             u = np.clip((at - onset) / _BOB_LASTS + 0.8, 0.0, 1.0)
-            raised += sign * u ** 3 * (10.0 - 15.0 * u + 6.0 * u ** 2)
+            raised += sign * kinematics.minimum_jerk(u)
             last, sign = onset, -sign
         turns = clip.rotations.copy()
         for side, outward in (("Right", 1.0), ("Left", -1.0)):
@@ -212,9 +151,10 @@ def bobbing(clips: Clips, onsets: Sequence[Array]) -> list[Motion]:
     return out
 
 
-CONTROLS: Mapping[str, Callable[[Clips, int], list[Motion]]] = {
-    "shuffled": shuffled, "reversed": reversed_in_time, "jitter": jittered, "mirrored": mirrored,
-}
+CONTROLS: Mapping[str, Callable[[Clips, Sequence[str], int], list[Motion]]] = {
+    "shuffled": shuffled, "reversed": lambda clips, groups, seed: reversed_in_time(clips),
+    "jitter": lambda clips, groups, seed: jittered(clips, seed),
+    "mirrored": lambda clips, groups, seed: mirrored(clips)}
 """Those that make one set of clips of another, by the name they have in a table."""
 
 
@@ -258,48 +198,3 @@ def _shortest(begin: Array, end: Array) -> Array:
     real = lengths + np.sum(begin * end, axis=-1)
     turn = np.concatenate([real[:, None], np.cross(begin, end)], axis=-1)
     return rotation.normalise(np.where(real[:, None] > _EPS ** 2, turn, np.array([1.0, 0.0, 0.0, 0.0])))
-
-
-def _groups(clips: Clips, groups: Sequence[str] | None) -> NDArray[np.str_]:
-    """A name for each clip; each its own group when not told."""
-    if groups is None:
-        return np.array([str(k) for k in range(len(clips))], dtype=np.str_)
-    if len(groups) != len(clips):
-        raise ValueError(f"{len(clips)} clips have {len(groups)} groups")
-    return np.array(groups, dtype=np.str_)
-
-
-ROLLED = 60
-"""Blocks, some 20 s: by then no word, phrase or loudness is what it was."""
-
-
-def rolled(encoded: SpeechFeatures, by: int = ROLLED) -> SpeechFeatures:
-    """Shift the speech features `by` blocks (at most half the recording), wrapped around; the grid stays.
-
-    A system that follows the voice loses its timing by that; one that only moves on its grid keeps it. Durations
-    belong to the grid, so the tempo in the last column of the features stays, too.
-    """
-    # Half of a short recording is as far as a wrapped shift can go.
-    by = min(by, len(encoded.blocks) // 2)
-    blocks = replace(encoded.blocks, silent=np.roll(encoded.blocks.silent, by))
-
-    def late(features: NDArray[np.float32]) -> NDArray[np.float32]:
-        moved = np.roll(features, by, axis=0)
-        # The last column is the tempo of the grid, which stays.
-        moved[..., -1] = features[..., -1]
-        return moved
-
-    text = None if encoded.text is None else np.roll(encoded.text, by, axis=0)
-    return replace(encoded, blocks=blocks, low=late(encoded.low), high=late(encoded.high), text=text,
-                   onsets=_onsets_late(encoded, by))
-
-
-def _onsets_late(encoded: SpeechFeatures, by: int) -> tuple[Array, ...] | None:
-    """The onsets within the blocks that stood `by` blocks before, where they lie on the grid of the blocks' own."""
-    if encoded.onsets is None:
-        return None
-    edges, lengths = encoded.blocks.edges, np.diff(encoded.blocks.edges)
-    source = np.roll(np.arange(len(encoded)), by)
-    # An onset keeps its share of the block, however long the block is that it moves to.
-    return tuple(edges[block] + (encoded.onsets[k] - edges[k]) / lengths[k] * lengths[block]
-                 for block, k in enumerate(source))

@@ -35,18 +35,15 @@ class ClipSet:
         return sum(motion.duration for motion in self.motions[TRUTH])
 
 
-def common_clips(folders: Mapping[str, Mapping[str, Clip]], rate: float | None = None, piece: float | None = None
-                 ) -> ClipSet:
-    """The clips that all of truth and systems have, at one frame rate, each of one length, in pieces where asked.
-
-    rate: frames a second, the lowest of all where it is None. piece: seconds. InputError when no name is common.
-    """
+def common_clips(folders: Mapping[str, Mapping[str, Clip]]) -> ClipSet:
+    """The clips that all of truth and systems have, at one frame rate, each of one length; InputError when no name is
+    common."""
     names, notes = shared_names({row: list(clips) for row, clips in folders.items()})
     # The lowest rate of all: frames that were made up between two would have no acceleration.
-    fps = rate or min(clips[name].motion.fps for clips in folders.values() for name in names)
+    fps = min(clips[name].motion.fps for clips in folders.values() for name in names)
     clip_set = ClipSet([], [], [], {row: [] for row in folders}, fps, [*notes, *_body_notes(folders, names, fps)])
     for name in names:
-        _add(clip_set, {row: clips[name] for row, clips in folders.items()}, piece)
+        _add(clip_set, {row: clips[name] for row, clips in folders.items()})
     return clip_set
 
 
@@ -59,17 +56,10 @@ def shared_names(names: Mapping[str, Sequence[str]]) -> tuple[list[str], list[st
     if not common:
         raise InputError("truth and systems", "have no clip in common", "give files of one clip one name: "
                          + "; ".join(f"{row} has {listed(held, 3)}" for row, held in names.items()))
-    notes = []
-    for row, held in names.items():
-        over: dict[str, list[str]] = {}
-        for name in held:
-            lacking = ", ".join(other for other, theirs in names.items() if name not in theirs)
-            if lacking:
-                over.setdefault(lacking, []).append(name)
-        # A name that one row lacks is compared for none, and the reader is told which.
-        notes += [f"{row}: {listed(some, 4)} {'is' if len(some) == 1 else 'are'} not compared, because {lacking} "
-                  f"{'have' if ',' in lacking else 'has'} none of {'that name' if len(some) == 1 else 'these names'}"
-                  for lacking, some in over.items()]
+    # A name that one row lacks is compared for none, and the reader is told which.
+    over = {row: [name for name in held if name not in common] for row, held in names.items()}
+    notes = [f"{row}: {listed(some, 4)} not compared, because not every row has that name"
+             for row, some in over.items() if some]
     return common, notes
 
 
@@ -92,8 +82,8 @@ def _body_notes(folders: Mapping[str, Mapping[str, Clip]], names: Sequence[str],
     return notes
 
 
-def _add(joined: ClipSet, clips: Mapping[str, Clip], piece: float | None) -> None:
-    """One clip of all rows, cut to the shortest and into pieces."""
+def _add(joined: ClipSet, clips: Mapping[str, Clip]) -> None:
+    """One clip of all rows, cut to the shortest."""
     first, fps = clips[TRUTH], joined.fps
     speech = next((clip.speech for clip in clips.values() if clip.speech is not None), None)
     motions = {row: resample(clip.motion, fps) for row, clip in clips.items()}
@@ -103,19 +93,10 @@ def _add(joined: ClipSet, clips: Mapping[str, Clip], piece: float | None) -> Non
         frames = max(1, min(frames, int(speech.duration * fps + 1e-6)))
     joined.notes += [f"{first.name}: {row} lasts {motion.duration:.2f} s, and {frames / fps:.2f} s are compared"
                    for row, motion in motions.items() if motion.duration - frames / fps > _UNEVEN]
-    step = frames if piece is None else max(1, round(piece * fps))
-    for number in range(max(1, frames // step)):
-        begin, end = number * step, min((number + 1) * step, frames)
-        joined.names.append(first.name if frames // step < 2 else f"{first.name}, piece {number + 1}")
-        # Pieces of one clip share its group, so that an interval draws them together.
-        joined.groups.append(first.group or first.name)
-        joined.speeches.append(None if speech is None else _cropped(speech, begin / fps, end / fps))
-        for row, motion in motions.items():
-            joined.motions[row].append(motion.crop(begin, end))
-
-
-def _cropped(speech: Speech, begin: float, end: float) -> Speech:
-    """The sound from `begin` to `end` seconds, without its words."""
-    first = min(round(begin * speech.sample_rate), len(speech.samples) - 1)
-    last = max(first + 1, round(end * speech.sample_rate))
-    return replace(speech, samples=speech.samples[first:last], words=None)
+    joined.names.append(first.name)
+    joined.groups.append(first.group or first.name)
+    # The words go: the end of the last one may be cut off.
+    joined.speeches.append(None if speech is None else replace(
+        speech, samples=speech.samples[:max(1, round(frames / fps * speech.sample_rate))], words=None))
+    for row, motion in motions.items():
+        joined.motions[row].append(motion.crop(0, frames))

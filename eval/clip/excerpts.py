@@ -1,15 +1,26 @@
-"""Which recordings of a store are looked at, and which stretch of each."""
+"""Which recordings are looked at, and which stretch of each; the real take of GESTICULATOR_DATA."""
 
 from __future__ import annotations
 
+import os
+import warnings
 from dataclasses import replace
+from pathlib import Path
 from typing import cast
 
 import numpy as np
 
 from data_module.errors import InputError
+from data_module.motion import bvh, skeletons
+from data_module.motion.kinematics import resample
+from data_module.speech.audio import load_speech
 from data_module.store import Recording, RecordingInfo, Split, Store
-from data_module.types import Speech, Word
+from data_module.types import Motion, Speech, Word
+
+TAKE = Path("takes") / "beat_scott"
+"""In GESTICULATOR_DATA: a real take, one BVH and one WAV."""
+TAKE_FPS = 15.0
+"""Frame rate of the take (BEAT states 1/15 s in the file)."""
 
 
 def evenly(store: Store, split: str, limit: int | None = None) -> list[RecordingInfo]:
@@ -47,3 +58,18 @@ def _middle(speech: Speech, seconds: float) -> tuple[float, float]:
     """Where the middle `seconds` begin and end."""
     start = max(0.0, (speech.duration - seconds) / 2)
     return start, min(speech.duration, start + seconds)
+
+
+def real_take(fps: float, own_rig: bool = False) -> tuple[Motion, Speech] | None:
+    """The real take that lies in GESTICULATOR_DATA at this frame rate; None without it. It is on our character, or on
+    its own rig with its fingers."""
+    place = os.environ.get("GESTICULATOR_DATA")
+    folder = Path(place) / TAKE if place else None
+    if folder is None or not folder.is_dir():
+        return None
+    with warnings.catch_warnings():
+        # The file's header contradicts itself; `TAKE_FPS` is what its authors state.
+        warnings.simplefilter("ignore", bvh.BvhWarning)
+        motion = bvh.read_bvh(next(iter(sorted(folder.glob("*.bvh")))), fps=TAKE_FPS)
+    motion = motion if own_rig else skeletons.to_character(motion)
+    return resample(motion, fps), load_speech(next(iter(sorted(folder.glob("*.wav")))))

@@ -1,17 +1,15 @@
-"""Motion that others made, read so that it can be judged beside ours: BVH, SMPL-X, joint positions; with its speech.
+"""Motion that others made, read so that it can be judged beside ours: BVH, SMPL-X, TED's joints; with its speech.
 
 A folder holds one motion file for each clip, and, unless another folder is told, the speech under the same name:
 
 - `NAME.bvh`: any rig whose joints have known names (`skeletons.NAME_TABLES`);
 - `NAME.npz`: SMPL-X poses (`data_module.motion.smplx`);
-- `NAME.npy`: positions [T, J, 3] of joints in space, with `NAME.json` beside it, or `joints.json` for all:
-  {"joints": [J names], "fps": 15, "up": "+Y"}. The names are those of a known rig, or TED's ten; up is the axis that
-  points up (+Y when not told, -Y for pictures, +Z). The unit does not count.
+- `NAME.npy`: positions [T, 10, 3] of TED's joints (`representation.TED_JOINTS`), Y up, in any unit, at 15 fps.
 
-All become motion of the 16-joint character, so that bodies are not compared, only what they do. What that costs: of
-positions only the directions of bones are known, no turn of a limb about its length; the head is known where the names
-tell a nose and a crown ("Nose", "HeadTop"), and is else masked. Positions do not say where the hips face: that is
-taken from both hip joints in each frame where they are named, else from the shoulders over the whole clip.
+`{"fps": 25}` in NAME.json, or in motion.json for all files of the folder, goes before the rate of the files. All become
+motion of the 16-joint character, so that bodies are not compared, only what they do. What that costs: of positions only
+the directions of bones are known, no turn of a limb about its length. Nor do they say where the hips face: that is
+taken from the shoulders over the whole clip.
 """
 
 from __future__ import annotations
@@ -20,37 +18,31 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
 from data_module.arrays import as_floats, read_npy
 from data_module.errors import InputError, shown
-from data_module.files import read_json, read_object
+from data_module.files import read_json
 from data_module.motion import rotation
 from data_module.motion.bvh import FRAME_RATE_ADVICE, BvhWarning, read_bvh
-from data_module.motion.representation import TED_JOINTS, rotations_from_positions, ted_positions
-from data_module.motion.skeletons import CHARACTER, FINGER_JOINTS, FINGERED, find_table, to_character
+from data_module.motion.representation import TED_JOINTS, rotations_from_positions
+from data_module.motion.skeletons import FINGER_JOINTS, FINGERED, to_character
 from data_module.motion.smplx import read_smplx
 from data_module.speech.audio import SOUNDS, load_speech
 from data_module.store import RecordingInfo, Split, Store
-from data_module.types import Array, Motion, Speech
+from data_module.types import Motion, Speech
 
 MOTIONS = (".bvh", ".npz", ".npy")
 """Endings of motion files; where a name has several, the first of these is read."""
-SHARED, STORE = "joints.json", "store.json"
-"""Files that tell the joints of all positions of a folder, and that a folder is a store."""
-
-_UP = {"+Y": np.eye(3), "-Y": np.diag([-1.0, -1.0, 1.0]),
-       "+Z": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), "-Z": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])}
-_HIP_JOINTS = (("leftupleg", "rightupleg"), ("left_hip", "right_hip"), ("lhip", "rhip"), ("thigh_l", "thigh_r"),
-               ("leftupperleg", "rightupperleg"), ("left hip", "right hip"))
-_NOSES = ("nose",)
-_CROWNS = ("headtop", "head_top", "headend", "head_end", "headtop_end", "crown")
+SHARED, STORE = "motion.json", "store.json"
+"""Files that tell the frame rate of a folder's motions, and that a folder is a store."""
 _EPS = 1e-9
 _FARTHEST = 1e9
 """Units, whichever they are, of a position: a thousand kilometres in millimetres."""
-_RATE_ADVICE = 'give the frame rate: {"fps": RATE} in NAME.json beside it, or --fps NAME=RATE of a command that has it'
+TED_FPS = 15.0
+_RATE_ADVICE = 'give the frame rate: {"fps": RATE} in NAME.json beside it'
 
 
 @dataclass(frozen=True)
@@ -98,12 +90,12 @@ def names_in(folder: Path, split: str = "test") -> list[str]:
     return list(find_motions(folder)[0])
 
 
-def read_folder(folder: Path, speech: Path | None = None, fps: float | None = None,
-                only: Sequence[str] | None = None, split: str = "test") -> tuple[dict[str, Clip], list[str]]:
+def read_folder(folder: Path, speech: Path | None = None, only: Sequence[str] | None = None, split: str = "test"
+                ) -> tuple[dict[str, Clip], list[str]]:
     """The clips of a folder, or of a store's split ("all" for every one), by name; and what was left out.
 
-    speech: where the sounds lie, beside the motion when not told. fps: where the files have none or a wrong one. only:
-    names to read (None: all). InputError for a file that cannot be read, and for a speech folder that is none.
+    speech: where the sounds lie, beside the motion when not told. only: names to read (None: all). InputError for a
+    file that cannot be read, and for a speech folder that is none.
     """
     if speech is not None and not speech.is_dir():
         raise InputError(speech, "is not a folder", f"name one that holds NAME{' or NAME'.join(SOUNDS)}")
@@ -120,7 +112,7 @@ def read_folder(folder: Path, speech: Path | None = None, fps: float | None = No
     for name, file in files.items():
         if only is None or name in only:
             sound = find_sound(speech or folder, name)
-            clips[name] = Clip(name, read_motion(file, fps), load_speech(sound) if sound else None, name)
+            clips[name] = Clip(name, read_motion(file), load_speech(sound) if sound else None, name)
     return clips, notes
 
 
@@ -138,9 +130,9 @@ def read_motion(path: Path, fps: float | None = None, fingers: bool = False) -> 
     kind = path.suffix.lower()
     if kind not in MOTIONS:
         raise InputError(path, "is not a known motion format", f"give one of {', '.join(MOTIONS)}")
+    rate = fps if fps is not None else told_rate(path)
     if kind == ".npy":
-        return read_positions(path, fps)
-    rate = fps if fps is not None else _rate(sidecar(path), path)
+        return read_positions(path, TED_FPS if rate is None else rate)
     with warnings.catch_warnings():
         # A rate that is told answers the warning of a header that contradicts itself.
         warnings.simplefilter("ignore", BvhWarning)
@@ -157,110 +149,34 @@ def read_motion(path: Path, fps: float | None = None, fingers: bool = False) -> 
             raise InputError(subject, error.wrong, advice) from None
 
 
-def sidecar(path: Path) -> dict[str, Any]:
-    """The content of NAME.json, else of joints.json, beside a motion file; empty without either."""
+def told_rate(path: Path) -> float | None:
+    """Frames a second by NAME.json, else motion.json, beside a motion file; None without either."""
     for place in (path.with_suffix(".json"), path.with_name(SHARED)):
-        if place.is_file():
-            document = read_json(place, "repair it")
-            if isinstance(document, dict):
-                return document
-    return {}
+        document = read_json(place, "repair it") if place.is_file() else None
+        # A plan of that name may lie there, too.
+        rate = document.get("fps") if isinstance(document, dict) else None
+        if rate is not None and (type(rate) not in (int, float) or not 0 < rate < 1000):
+            raise InputError(place, f"tells a frame rate of {shown(rate)!r}", "give frames a second")
+        if rate is not None:
+            return float(rate)
+    return None
 
 
-def _rate(document: dict[str, Any], path: Path) -> float | None:
-    rate = document.get("fps")
-    if rate is None:
-        return None
-    if isinstance(rate, bool) or not isinstance(rate, int | float) or not 0 < rate < 1000:
-        raise InputError(path.with_suffix(".json"), f"tells a frame rate of {shown(rate)!r}",
-                         "give frames a second")
-    return float(rate)
-
-
-def read_positions(path: Path, fps: float | None = None) -> Motion:
-    """Positions [T, J, 3] as motion of the 16-joint character (see the chapter's head).
-
-    InputError for a file or a sidecar that is missing or says something else.
-    """
-    document, beside = sidecar(path), path.with_suffix(".json")
-    names, rate = document.get("joints"), fps if fps is not None else _rate(document, path)
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names) or rate is None:
-        raise InputError(beside, "does not name joints and fps", 'write {"joints": [...], "fps": ..., "up": "+Y"}')
-    up = document.get("up", "+Y")
-    if not isinstance(up, str) or up not in _UP:
-        raise InputError(beside, f"has up {shown(up)!r}", f"choose among {', '.join(_UP)}")
+def read_positions(path: Path, fps: float) -> Motion:
+    """Positions [T, 10, 3] of TED's joints as motion of the 16-joint character; InputError for anything else."""
     points = read_npy(path)
-    if points.dtype.kind not in "fiu" or points.shape[1:] != (len(names), 3) or len(points) == 0:
-        raise InputError(path, f"has {points.dtype} of shape {points.shape}, and its sidecar names {len(names)} joints",
-                         f"it should be numbers, [T, {len(names)}, 3]")
+    if points.dtype.kind not in "fiu" or points.shape[1:] != (len(TED_JOINTS), 3) or len(points) == 0:
+        raise InputError(path, f"has {points.dtype} of shape {points.shape}",
+                         f"it should be numbers, [T, {len(TED_JOINTS)}, 3], of {', '.join(TED_JOINTS)}")
     points = as_floats(points)
     # NaN fails the comparison, too. Joints in one place have no bones.
-    if not (np.abs(points) < _FARTHEST).all() or not (len(names) < 2 or (np.ptp(points, axis=1) > _EPS).any(1).all()):
+    if not (np.abs(points) < _FARTHEST).all() or not (np.ptp(points, axis=1) > _EPS).any(1).all():
         raise InputError(path, "has positions that are not numbers, far too large or all in one place",
                          "fill or cut these frames")
-    try:
-        return from_positions(points @ _UP[up].T, names, rate)
-    except InputError as error:
-        raise InputError(beside, error.wrong, error.advice) from None
-
-
-def from_positions(points: Array, names: Sequence[str], fps: float) -> Motion:
-    """Motion of the 16-joint character from points [T, J, 3] of named joints, Y up, facing anywhere."""
-    # Names may carry a prefix of the tool that wrote them, such as mixamorig:.
-    plain = {name.rsplit(":", 1)[-1].lower(): k for k, name in enumerate(names)}
-    if all(joint in plain for joint in TED_JOINTS):
-        ten = points[:, [plain[joint] for joint in TED_JOINTS]]
-        return rotations_from_positions(_faced(ten, ten[:, 4] - ten[:, 7], plain, points), fps)
-    table = find_table(names)
-    spine = next(table[joint] for joint in ("Spine2", "Spine1", "Spine") if joint in table)
-    arms = [table[side + joint] for side in ("Left", "Right") for joint in ("Arm", "ForeArm", "Hand")]
-    # Two points of the head tell its turn; one tells only where it leans.
-    nose = next((plain[name] for name in _NOSES if name in plain), None)
-    crown = next((plain[name] for name in _CROWNS if name in plain), None)
-    across = points[:, table["LeftArm"]] - points[:, table["RightArm"]]
-    if nose is None or crown is None:
-        head = _resting_head(points[:, table["Neck"]], points[:, table["Head"]], across)
-    else:
-        head = points[:, [nose, crown]]
-    ten = np.concatenate([points[:, [spine, table["Neck"]]], head, points[:, arms]], axis=1)
-    motion = rotations_from_positions(_faced(ten, across, plain, points), fps)
-    if nose is not None and crown is not None:
-        return motion
-    # Of a head without a face no turn is known: it holds the identity and is masked.
-    motion.rotations[:, CHARACTER.index("Head")] = (1.0, 0.0, 0.0, 0.0)
-    return replace(motion, absent=(*motion.absent, "Head"))
-
-
-def _faced(ten: Array, across: Array, plain: dict[str, int], points: Array) -> Array:
-    """The ten points turned about the vertical so that the hips, else the shoulders on the whole, lie along X."""
-    pair = next((pair for pair in _HIP_JOINTS if pair[0] in plain and pair[1] in plain), None)
-    line = across.mean(axis=0, keepdims=True) if pair is None else points[:, plain[pair[0]]] - points[:, plain[pair[1]]]
-    # A line without a length has the angle 0, which keeps the frame as it is.
-    half = np.unwrap(np.arctan2(line[:, 2], line[:, 0])) / 2
-    turn = np.zeros((len(ten), 1, 4))
-    turn[:, 0, 0], turn[:, 0, 2] = np.cos(half), np.sin(half)
-    return rotation.rotate(turn, ten)
-
-
-def _resting_head(neck: Array, head: Array, across: Array) -> Array:
-    """[T, 2, 3] where nose and crown would be if the head kept its resting place on the neck, in metres."""
-    rest = ted_positions(Motion(CHARACTER, np.tile([1.0, 0, 0, 0], (1, len(CHARACTER), 1)), np.zeros((1, 3)), 1.0))[0]
-    # Where nose and crown are at rest, carried along with the neck.
-    up = CHARACTER.offsets[CHARACTER.index("Neck1")] + CHARACTER.offsets[CHARACTER.index("Head")]
-    resting = _frames(up[None], np.array([[1.0, 0.0, 0.0]]))[0]
-    turned = _frames(head - neck, across) @ resting.T
-    offsets = rest[[2, 3]] - rest[1]
-    places: Array = neck[:, None] + np.einsum("tij,kj->tki", turned, offsets)
-    return places
-
-
-def _frames(along: Array, across: Array) -> Array:
-    """[T, 3, 3] orthonormal columns: along, what of across is at right angles to it, and their product."""
-    first = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), _EPS)
-    # Gram and Schmidt: what is left of across at a right angle to along.
-    second = across - np.sum(across * first, axis=-1, keepdims=True) * first
-    second = second / np.maximum(np.linalg.norm(second, axis=-1, keepdims=True), _EPS)
-    return np.stack([first, second, np.cross(first, second)], axis=-1)
+    # Turned about the vertical so that the shoulders on the whole lie along X.
+    across = (points[:, 4] - points[:, 7]).mean(axis=0)
+    yaw = rotation.from_exponential_map(np.array([0.0, np.arctan2(across[2], across[0]), 0.0]))
+    return rotations_from_positions(rotation.rotate(yaw, points), fps)
 
 
 def named(entries: Sequence[str], what: str) -> dict[str, str]:
@@ -274,19 +190,3 @@ def named(entries: Sequence[str], what: str) -> dict[str, str]:
             raise InputError(f"{what} {entry}", "has a name that was given before", "choose another")
         table[name] = value
     return table
-
-
-def edges_of_plan(plan: Path) -> Array | None:
-    """[N + 1] seconds of the blocks of a plan (`infer --explain`, or {"edges": [...]}); None where there is none."""
-    if not plan.is_file():
-        return None
-    try:
-        document = read_object(plan, "write it with infer --explain, or take it away", 1 << 26)
-        edges = np.array(document["edges"] if "edges" in document else
-                         [*(block["start"] for block in document["blocks"]), document["blocks"][-1]["end"]],
-                         dtype=np.float64)
-    except (ValueError, KeyError, TypeError, IndexError):
-        raise InputError(plan, "tells no block edges", "write it with infer --explain, or take it away") from None
-    if edges.ndim != 1 or not np.isfinite(edges).all() or (np.diff(edges) <= 0).any():
-        raise InputError(plan, "has edges that do not rise", "write it again")
-    return edges

@@ -122,6 +122,12 @@ def distance(first: Array, second: Array) -> float:
     return frechet_distance(gaussian(first), gaussian(second))
 
 
+def of_clips(first: Sequence[Array], second: Sequence[Array]) -> float:
+    """FGD between the features [n, E] of clips, all windows together; NaN for fewer than two windows on a side."""
+    sides = _joined(first), _joined(second)
+    return distance(*sides) if min(map(len, sides)) > 1 else math.nan
+
+
 def sampling_bias(of: Gaussian, first: int, second: int) -> float:
     """About what the distance is between samples of these sizes from one Gaussian (see the chapter's head)."""
     # The formula of the chapter's head, term by term.
@@ -148,13 +154,10 @@ def measure(generated: Sequence[Array], real: Sequence[Array], by: Features, *, 
     if min(counts) < 2:
         return Figure(math.nan, Interval.undefined(), math.nan, counts, needed, by)
 
-    def apart(*chosen: stats.Indices) -> float:
-        # Paired clips are of one speech: redrawing them apart would widen the interval by what speeches differ.
-        first, second = _joined([generated[k] for k in chosen[0]]), _joined([real[k] for k in chosen[-1]])
-        return distance(first, second) if min(len(first), len(second)) > 1 else math.nan
-
+    # Paired clips are of one speech: redrawing them apart would widen the interval by what speeches differ.
     sizes = [len(generated)] if paired else [len(generated), len(real)]
-    interval = stats.of_set(apart, *sizes, seed=seed, draws=draws, least=0.0)
+    interval = stats.of_set(lambda *chosen: of_clips([generated[k] for k in chosen[0]], [real[k] for k in chosen[-1]]),
+                            *sizes, seed=seed, draws=draws, least=0.0)
     return Figure(interval.mean, interval, sampling_bias(gaussian(_joined(real)), *counts), counts, needed, by)
 
 
@@ -167,9 +170,8 @@ def difference(first: Sequence[Array], second: Sequence[Array], real: Sequence[A
     whole = np.flatnonzero([min(map(len, clips)) > 0 for clips in zip(first, second, real, strict=True)])
 
     def apart(chosen: stats.Indices) -> float:
-        first_set, second_set, real_set = (np.concatenate([clips[k] for k in whole[chosen]])
-                                           for clips in (first, second, real))
-        return distance(first_set, real_set) - distance(second_set, real_set)
+        one, other, truth = ([clips[k] for k in whole[chosen]] for clips in (first, second, real))
+        return of_clips(one, truth) - of_clips(other, truth)
 
     return stats.of_set(apart, len(whole), draws=DRAWS) if len(whole) > 1 else Interval.undefined(len(whole))
 

@@ -22,8 +22,8 @@ from data_module.motion.skeletons import FINGERED
 from data_module.speech.audio import load_speech
 from data_module.store import Recording, Store
 from data_module.types import Speech
+from eval.clip.excerpts import real_take
 from eval.clip.foreign import read_motion
-from eval.clip.measure import real_take
 from eval.pictures.strips import Source, draw_page, page_times, save_strip
 
 BEAT_CREDIT = ("real take: BEAT, speaker Scott (Liu et al., ECCV 2022; pantomatrix.github.io/BEAT), CC BY-NC 4.0: "

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from eval.clip.clip_set import TRUTH
-from eval.metrics import Metric, fgd
+from eval.metrics import Metric
 from eval.metrics.mismatch import Mismatch
 from eval.table import Cell, Column, Marked, Table, shown_cell
 
 FEW = 10
 """Clips below which intervals are too narrow."""
 FLOOR, STILL, BOBBING = "truth, half against half", "still", "bobbing"
-NO_FLOOR = "a floor is of distances between sets"
 
 Figures = dict[str, dict[str, Marked]]
 """row -> metric -> a figure, with the reason where it is undefined or not to be trusted."""
@@ -32,10 +31,7 @@ class Flag:
 
 @dataclass(frozen=True)
 class Scores:
-    """All that was measured. metrics: by column, FGD by network; kinds: row -> "truth", "system", "control", "floor".
-
-    distances: row -> network -> an FGD with what it depends on.
-    """
+    """All that was measured. metrics: by column, FGD by network; kinds: row -> truth, system, control or floor."""
 
     clips: Sequence[str]
     seconds: float
@@ -44,7 +40,6 @@ class Scores:
     kinds: Mapping[str, str]
     figures: Figures
     differences: Figures
-    distances: Mapping[str, Mapping[str, fgd.Figure]]
     mismatch: Mapping[str, Mapping[str, Mismatch]]
     flags: Sequence[Flag]
     notes: Sequence[str]
@@ -65,8 +60,8 @@ _ROWS = {TRUTH: "the speakers' own motion", STILL: "the truth's mean pose, clip 
          "mirrored": "the truth with the right arm's motion on both arms",
          BOBBING: "the truth's mean pose whose forearms stop at every onset"}
 _LEGEND = (
-    "[low, high]: 95 % interval over clips. -: undefined, for the reason given below. (!): a metric that a control "
-    "beats, see below. (?): a distance of a set too small for it, see \"FGD of\".",
+    "[low, high]: 95 % interval over clips. -: undefined; the JSON says why. (!): a metric that a control beats, see "
+    "below. (?): a distance of a set too small for it.",
     "PMB: share of motion beats with an onset of the speech within the given number of seconds. Beats A: greatest "
     "deceleration of the arms; B: least speed. Chance: the same motion with the speech shifted in time.")
 
@@ -80,12 +75,13 @@ def tables(scores: Scores) -> list[Table]:
         # The floor is of distances between sets; in the other parts its row would be empty.
         rows = {name: row for name, row in scores.figures.items() if part in ("sets", "fgd") or name != FLOOR}
         if metrics:
+            # The mark goes with the title, wherever a figure is quoted.
             columns = {name: Column(f"{metric.title}{' (!)' if name in flagged else ''}",
                                     f"{metric.unit}{', ' if metric.unit else ''}{_GOOD[metric.good]}", metric.digits,
                                     metric.good) for name, metric in metrics.items()}
             out.append(Table(title, columns, {name: {key: row[key] for key in columns if key in row}
                                               for name, row in {**rows, **scores.differences}.items()}, "row"))
-    return [*out, _mismatch_table(scores), _fgd_table(scores), _flag_table(scores), *_reason_tables(scores)]
+    return [*out, _mismatch_table(scores), _flag_table(scores)]
 
 
 def _about(scores: Scores) -> Table:
@@ -119,29 +115,9 @@ def _mismatch_table(scores: Scores) -> Table:
                 "p": test.reason or f"{test.p_value:.3g}"}
     clips = len(scores.clips)
     notes = [f"With {clips} clips p cannot be below {1 / math.factorial(clips):.3g}: look at the differences, or take "
-             "more clips (or --piece)."] if 1 < clips < 5 else []
-    facts = {name: {metric: test.to_dict() for metric, test in tests.items()}
-             for name, tests in scores.mismatch.items()}
+             "more clips."] if 1 < clips < 5 else []
     return Table("Mismatch test", {"right": Column("right speech"), "wrong": Column("others'"),
-                                   "difference": Column("difference"), "p": Column("p")}, rows, "row, metric", notes,
-                 facts)
-
-
-def _fgd_table(scores: Scores) -> Table:
-    """Is each distance of enough windows?"""
-    rows: dict[str, dict[str, Any]] = {}
-    for name, distances in scores.distances.items():
-        for key, figure in distances.items() if name != TRUTH else ():
-            rows[f"{name}, {key}"] = {
-                "network": f"{figure.by.name} ({figure.by.sha256[:12]})",
-                "window": f"{figure.by.frames} at {figure.by.fps:g} fps",
-                "windows": f"{figure.windows[0]} / {figure.windows[1]}", "needed": figure.needed,
-                "bias": f"{figure.bias:.2g}" if math.isfinite(figure.bias) else None, "enough": figure.verdict}
-    heads = {"network": "network (SHA-256)", "window": "window", "windows": "windows of it / of the truth",
-             "needed": "needed", "bias": "bias of the sample", "enough": "enough?"}
-    return Table("FGD of", {key: Column(title) for key, title in heads.items()}, rows, "row, network", [
-        "Sampling bias: the expected distance between two samples of this size of the same motion if windows were "
-        "independent; windows of one clip are not, so the bias is larger."])
+                                   "difference": Column("difference"), "p": Column("p")}, rows, "row, metric", notes)
 
 
 def _flag_table(scores: Scores) -> Table:
@@ -153,17 +129,3 @@ def _flag_table(scores: Scores) -> Table:
     return Table(title, column if lines else {}, {name: {"says": ". ".join(says)} for name, says in lines.items()},
                  "metric", [] if lines else ["None."],
                  {"flags": [vars(flag) | {"title": scores.metrics[flag.metric].heading} for flag in scores.flags]})
-
-
-def _reason_tables(scores: Scores) -> list[Table]:
-    """Why figures are undefined, if any are; by reason."""
-    # By reason and rows first: one line for twenty metrics that lack the same speech.
-    lacking: dict[tuple[str, str], list[str]] = {}
-    for metric, column in scores.metrics.items():
-        cells = {name: row[metric] for name, row in scores.figures.items() if metric in row and column.part != "fgd"}
-        for reason in dict.fromkeys(cell.reason for cell in cells.values() if cell.reason not in ("", NO_FLOOR)):
-            rows = ", ".join(name for name, cell in cells.items() if cell.reason == reason)
-            lacking.setdefault((reason, rows), []).append(column.heading)
-    return [Table("Undefined", {"rows": Column("rows"), "why": Column("why")}, {
-        "; ".join(titles): {"rows": rows, "why": reason} for (reason, rows), titles in lacking.items()}, "metrics")
-    ] if lacking else []

@@ -10,11 +10,8 @@ answer to everything is named.
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,19 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from data_module.errors import InputError, shown
-from data_module.files import read_json, read_text
+from data_module.errors import InputError
+from data_module.files import read_json
 from data_module.types import Array
-from eval.stats import LEVEL, Interval, crossed_means, limits, mean
+from eval.stats import Interval, crossed_means, limits, mean
 from eval.table import Cell, Column, Table
 
-COLUMNS = ("study", "rater", "item", "aspect", "rating")
-"""Of a CSV file of ratings, one rating a row; others are ignored."""
 _CONSTANT = 5
 """So many answers or more, all alike, name a rater."""
-_LOWEST, _MOST_STEPS = 0, 100
-"""The first step of a scale at least, and how many follow: each is a column of the tables."""
-_SHARE = (LEVEL[1] - LEVEL[0]) / 100
+SCALE = (1, 5)
+"""1 is worst, 3 average, 5 best (RG 7.3.3)."""
 
 
 class KeyItem(msgspec.Struct, frozen=True):
@@ -54,19 +48,22 @@ class Key(msgspec.Struct, frozen=True):
     systems: Annotated[tuple[str, ...], msgspec.Meta(min_length=2)]
     aspects: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
     clips: tuple[Any, ...]
-    scale: tuple[int, int]
     items: dict[str, KeyItem]
 
 
-@dataclass(frozen=True)
-class Answer:
-    """One rating, and the file it came in."""
+class RatedItem(msgspec.Struct, frozen=True):
+    """An opaque id, and a rating for each aspect."""
 
-    rater: str
     item: str
-    aspect: str
-    rating: int
-    source: str
+    ratings: dict[str, Annotated[int, msgspec.Meta(ge=SCALE[0], le=SCALE[1])]]
+
+
+class RatingFile(msgspec.Struct, frozen=True):
+    """What the page saves of one rater."""
+
+    study: str
+    rater: Annotated[str, msgspec.Meta(min_length=1)]
+    answers: Annotated[tuple[RatedItem, ...], msgspec.Meta(min_length=1)]
 
 
 @dataclass(frozen=True)
@@ -91,121 +88,62 @@ def read_key(path: Path) -> Key:
             raise ValueError("an item is missing, or a name is there twice")
     except (msgspec.ValidationError, ValueError):
         raise InputError(path, "is not the key of a study", "give the key.json that `study make` wrote") from None
-    low, high = key.scale
-    if not _LOWEST <= low < high <= _LOWEST + _MOST_STEPS:
-        raise InputError(path, f"has a scale from {shown(low, 12)} to {shown(high, 12)}",
-                         f"give whole numbers from {_LOWEST} to {_LOWEST + _MOST_STEPS}, the lesser first")
     return key
 
 
-def read_answers(paths: Sequence[Path], key: Key) -> list[Answer]:
-    """The answers of all files, .json or .csv as the page saves them; InputError names the first that cannot be."""
-    return [_answer(row, key, path) for path in paths for row in _rows(path)]
+def read_ratings(paths: Sequence[Path], key: Key) -> Ratings:
+    """The answers of all files as the page saved them, as a table; InputError names the first that cannot be used."""
+    files = {}
+    for path in paths:
+        try:
+            files[str(path)] = file = msgspec.convert(read_json(path, "give the file that was saved"), RatingFile)
+        except msgspec.ValidationError as error:
+            raise InputError(path, f"is not a file of ratings: {error}", "give what the page saved") from None
+        if file.study != key.study:
+            raise InputError(path, f"belongs to study {file.study!r}, and the key to {key.study!r}",
+                             "give ratings and key of one study")
+    return gather(files, key)
 
 
-def _rows(path: Path) -> list[dict[str, Any]]:
-    try:
-        if path.suffix.lower() == ".csv":
-            table = csv.DictReader(io.StringIO(read_text(path, "give the file that was saved")))
-            return [{name: row[name] for name in COLUMNS} for row in table]
-        document = read_json(path, "give the file that was saved")
-        return [{"study": document["study"], "rater": document["rater"], "item": str(answer["item"]), "aspect": aspect,
-                 "rating": rating} for answer in document["answers"] for aspect, rating in answer["ratings"].items()]
-    except (KeyError, TypeError, AttributeError, csv.Error):
-        raise InputError(path, "is not a file of ratings",
-                         f"give what the page saved; the columns of a table are {', '.join(COLUMNS)}") from None
-
-
-def _answer(row: Mapping[str, Any], key: Key, path: Path) -> Answer:
-    if row["study"] != key.study:
-        raise InputError(path, f"belongs to study {row['study']!r}, and the key to {key.study!r}",
-                         "give ratings and key of one study")
-    if row["item"] not in key.items or row["aspect"] not in key.aspects:
-        raise InputError(path, f"rates {row['item']!r} for {row['aspect']!r}, which the key does not know")
-    rater, (low, high) = str(row["rater"] or "").strip(), key.scale
-    if not rater:
-        raise InputError(path, "has an answer without a rater", "each answer needs the rater's number")
-    try:
-        rating = float(row["rating"])
-    except (TypeError, ValueError, OverflowError):
-        rating = math.nan
-    if not (rating.is_integer() and low <= rating <= high):
-        raise InputError(path, f"rater {rater} gives {row['item']} {row['rating']!r} for {row['aspect']}",
-                         f"ratings are whole numbers from {low} to {high}")
-    return Answer(rater, row["item"], row["aspect"], int(rating), str(path))
-
-
-def gather(answers: Sequence[Answer], key: Key, without: Sequence[str] = ()) -> Ratings:
-    """The answers as a table, checked.
+def gather(files: Mapping[str, RatingFile], key: Key) -> Ratings:
+    """Files of ratings by their names as a table, checked.
 
     A rating that is there twice, alike, counts once; twice and different is an InputError, for two raters must have
-    used one number. Missing answers and raters who say one thing throughout are noted; the latter stay in unless
-    `without` names them.
+    used one number. Missing answers and raters who say one thing throughout are noted, and stay in.
     """
-    unknown = sorted(set(without) - {answer.rater for answer in answers})
-    if unknown:
-        raise InputError("--without", f"rater {unknown[0]} gave no answer", "name raters that are in the files")
-    counted = [answer for answer in answers if answer.rater not in without]
-    if not counted:
-        raise InputError("ratings", "hold no answer", "give what the raters saved")
     # By length first, so that rater 10 comes after rater 9.
-    raters = tuple(sorted({answer.rater for answer in counted}, key=lambda name: (len(name), name)))
+    raters = tuple(sorted({file.rater for file in files.values()}, key=lambda name: (len(name), name)))
     values = np.full((len(raters), len(key.clips), len(key.systems), len(key.aspects)), np.nan)
-    doubled: Counter[str] = Counter()
-    for answer in counted:
-        item = key.items[answer.item]
-        place = (raters.index(answer.rater), item.clip, key.systems.index(item.system),
-                 key.aspects.index(answer.aspect))
-        known = bool(np.isfinite(values[place]))
-        doubled[answer.rater] += known
-        if known and values[place] != answer.rating:
-            raise InputError(answer.source, f"rater {answer.rater} rates {answer.item} twice and differently",
-                             "give each rater a number of their own, or one file")
-        values[place] = answer.rating
-    notes = [f"left out on demand: rater {name}" for name in without]
-    notes += [f"rater {name}: {n} answers are there twice and count once" for name, n in doubled.items() if n]
-    wanted = len(key.items) * len(key.aspects)
-    for name, given_by in zip(raters, values, strict=True):
-        given = given_by[np.isfinite(given_by)]
+    for source, file in files.items():
+        rated = [(answer.item, aspect, rating) for answer in file.answers for aspect, rating in answer.ratings.items()]
+        for name, aspect, rating in rated:
+            if name not in key.items or aspect not in key.aspects:
+                raise InputError(source, f"rates {name!r} for {aspect!r}, which the key does not know")
+            item = key.items[name]
+            place = (raters.index(file.rater), item.clip, key.systems.index(item.system), key.aspects.index(aspect))
+            if np.isfinite(values[place]) and values[place] != rating:
+                raise InputError(source, f"rater {file.rater} rates {name} twice and differently",
+                                 "give each rater a number of their own, or one file")
+            values[place] = rating
+    notes, wanted = [], len(key.items) * len(key.aspects)
+    for name, by_rater in zip(raters, values, strict=True):
+        given = by_rater[np.isfinite(by_rater)]
         if len(given) < wanted:
             notes.append(f"rater {name}: {wanted - len(given)} of {wanted} answers are missing")
         if len(given) >= _CONSTANT and len(np.unique(given)) == 1:
-            notes.append(f"rater {name}: gives {given[0]:g} to everything; consider --without {name}")
+            notes.append(f"rater {name}: gives {given[0]:g} to everything; consider leaving that file out")
     return Ratings(key, raters, values, tuple(notes))
 
 
 # ---------------------------------------------------------------- statistics
 
-@dataclass(frozen=True)
-class Anova:
-    """One-way ANOVA: F, its p and both degrees of freedom, eta squared; NaN where `reason` says they are undefined."""
-
-    f: float
-    p: float
-    df: tuple[int, int]
-    eta_squared: float
-    reason: str = ""
-
-    def line(self) -> str:
-        """For a table's notes."""
-        if self.reason:
-            return f"One-way ANOVA is not defined: {self.reason}."
-        return (f"One-way ANOVA: F({self.df[0]}, {self.df[1]}) = {self.f:.2f}, p {_p(self.p, '= ')}, eta squared "
-                f"{self.eta_squared:.3f}.")
-
-
-def one_way(groups: Sequence[Array]) -> Anova:
-    """One-way ANOVA of one array of ratings per system."""
-    df = len(groups) - 1, sum(map(len, groups)) - len(groups)
-    if min(map(len, groups)) < 2:
-        return Anova(math.nan, math.nan, df, math.nan, "a system has fewer than two ratings")
+def one_way(groups: Sequence[Array]) -> tuple[float, float]:
+    """F and p of a one-way ANOVA of one array of ratings per system; NaN where it is undefined."""
     # Without spread inside the systems F is infinite and says nothing.
-    within = sum(float(((group - group.mean()) ** 2).sum()) for group in groups)
-    if within == 0:
-        return Anova(math.nan, math.nan, df, math.nan, "no system's ratings differ among themselves")
-    pooled = np.concatenate(list(groups))
+    if min(map(len, groups)) < 2 or not any(np.ptp(group) for group in groups):
+        return math.nan, math.nan
     f, p = stats.f_oneway(*groups)
-    return Anova(float(f), float(p), df, 1.0 - within / float(((pooled - pooled.mean()) ** 2).sum()))
+    return float(f), float(p)
 
 
 def rank_counts(values: Array) -> NDArray[np.int64]:
@@ -222,65 +160,52 @@ def rank_counts(values: Array) -> NDArray[np.int64]:
     return np.stack([np.bincount(places[:, k], minlength=systems) for k in range(systems)])
 
 
-def _t_interval(ratings: Array) -> Interval:
-    """Student's interval of the mean, every rating taken as a draw of its own, as Figure 12's bars seem to be."""
-    middle = mean(ratings)
-    if len(ratings) < 2:
-        return Interval.exact(middle, len(ratings))
-    # Answers of one rater are alike, so this interval is too narrow: the bootstrap stands beside it.
-    half = float(stats.t.ppf(0.5 + _SHARE / 2, len(ratings) - 1) * ratings.std(ddof=1) / math.sqrt(len(ratings)))
-    return Interval(middle, middle - half, middle + half, len(ratings))
-
-
 # ---------------------------------------------------------------- tables
 
-def tables(ratings: Ratings, seed: int = 0) -> list[Table]:
+def tables(ratings: Ratings) -> list[Table]:
     """For each aspect its systems and their pairs."""
     key, out = ratings.key, list[Table]()
     about = (f"Study {key.study}: {len(ratings.raters)} raters, {len(key.clips)} clips, {len(key.systems)} systems, "
-             f"ratings from {key.scale[0]} (worst) to {key.scale[1]} (best). Intervals are of 95 %: t takes every "
-             "rating as independent, the bootstrap draws raters and clips anew.")
+             f"ratings from {SCALE[0]} (worst) to {SCALE[1]} (best). Intervals are of 95 %: the bootstrap draws raters "
+             "and clips anew, Tukey's test takes every rating as independent.")
     for number, aspect in enumerate(key.aspects):
         values = ratings.values[..., number]
         groups = [of_system[np.isfinite(of_system)] for of_system in np.moveaxis(values, 2, 0)]
-        title, means, anova = aspect.replace("_", " "), crossed_means(values, seed), one_way(groups)
+        title, means, (f, p) = aspect.replace("_", " "), crossed_means(values), one_way(groups)
         notes = [] if out else [about, *(f"To be looked at: {note}." for note in ratings.notes)]
-        out += [_systems(title, key, values, groups, means, [*notes, anova.line()]),
+        within = sum(map(len, groups)) - len(groups)
+        notes.append("One-way ANOVA is not defined." if math.isnan(f) else
+                     f"One-way ANOVA: F({len(groups) - 1}, {within}) = {f:.2f}, p {_p(p, '= ')}.")
+        out += [_systems(title, key, values, groups, means, notes),
                 _pairs(f"{title}, pairs", key.systems, groups, means, len(ratings.raters))]
     return out
 
 
 def _systems(title: str, key: Key, values: Array, groups: Sequence[Array], means: Array, notes: Sequence[str]) -> Table:
-    """Of each system its mean by both intervals, and how often it got each rating and took each place."""
-    low, high = key.scale
-    columns = {"ratings": Column("ratings"), "t": Column("mean, t"), "bootstrap": Column("mean, bootstrap"),
-               **{f"rated {score}": Column(f"rated {score}") for score in range(low, high + 1)},
-               "total": Column("total"),
-               **{f"place {place + 1}": Column(f"place {place + 1}") for place in range(len(groups))}}
-    ranks = rank_counts(values)
+    """Of each system its mean, and how often it took each place."""
+    places, ranks = [f"place {place + 1}" for place in range(len(groups))], rank_counts(values)
+    columns = {name: Column(name) for name in ("ratings", "mean, bootstrap", *places)}
     rows: dict[str, dict[str, Cell]] = {name: {
-        "ratings": len(group), "t": _t_interval(group), "bootstrap": limits(mean(group), means[:, k], len(group)),
-        "total": int(group.sum()), **{f"rated {score}": int((group == score).sum()) for score in range(low, high + 1)},
-        **{f"place {place + 1}": int(count) for place, count in enumerate(ranks[k])}}
+        "ratings": len(group), "mean, bootstrap": limits(mean(group), means[:, k], len(group)),
+        **dict(zip(places, ranks[k].tolist(), strict=True))}
         for k, (name, group) in enumerate(zip(key.systems, groups, strict=True))}
     return Table(title, columns, rows, "system", notes)
 
 
 def _pairs(title: str, names: Sequence[str], groups: Sequence[Array], means: Array, raters: int) -> Table:
     """Tukey's test for each pair of systems, and the bootstrap interval of their difference from means [draws, K]."""
-    columns = {"tukey": Column("difference, Tukey"), "p": Column("p"), "bootstrap": Column("difference, bootstrap")}
     # Where the analysis of variance is undefined Tukey's test is too; the bootstrap is not.
-    test = None if one_way(groups).reason else stats.tukey_hsd(*groups)
+    test = None if math.isnan(one_way(groups)[0]) else stats.tukey_hsd(*groups)
     rows: dict[str, dict[str, Cell]] = {}
     for a, b in itertools.combinations(range(len(groups)), 2):
         apart = mean(groups[a]) - mean(groups[b])
         tukey, p = Interval.exact(apart, raters), math.nan
         if test is not None:
-            bounds, p = test.confidence_interval(_SHARE), float(test.pvalue[a, b])
+            bounds, p = test.confidence_interval(0.95), float(test.pvalue[a, b])
             tukey = Interval(apart, float(bounds.low[a, b]), float(bounds.high[a, b]), raters)
-        rows[f"{names[a]} - {names[b]}"] = {"tukey": tukey, "p": _p(p), "bootstrap": limits(
+        rows[f"{names[a]} - {names[b]}"] = {"Tukey": tukey, "p": _p(p), "bootstrap": limits(
             apart, means[:, a] - means[:, b], raters)}
-    return Table(title, columns, rows, "pair")
+    return Table(title, {name: Column(name) for name in ("Tukey", "p", "bootstrap")}, rows, "difference")
 
 
 def _p(value: float, sign: str = "") -> str:

@@ -1,4 +1,4 @@
-"""Motion for a clip: mirrored, repeated without a seam, in place, of the upper body alone, additive.
+"""Motion for a clip: mirrored, repeated without a seam, of the upper body alone, additive.
 
 **Loops**: the last frame of a clip is followed by its first. Their difference in pose and velocity is taken out on
 both sides of the seam by corrections that fade over `REACH` seconds, so that the rest of the clip and its duration
@@ -136,12 +136,6 @@ def replanted(motion: Motion, ankles: Array, feet: Array) -> Motion:
             rotations[:, place] = rotation.multiply(rotation.conjugate(above), turn)
             above = turn
     return replace(motion, rotations=rotation.continuous(rotations))
-
-
-def in_place(motion: Motion) -> Motion:
-    """The motion with the hips at the middle of their path; the feet stay where they were."""
-    still = replace(motion, root_positions=np.tile(motion.root_positions.mean(axis=0), (len(motion), 1)))
-    return replanted(still, *feet_of(motion)) if has_legs(motion) else still
 
 
 def upper_alone(motion: Motion) -> Motion:

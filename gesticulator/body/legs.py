@@ -20,16 +20,15 @@ stand on one leg and change legs less often than that, so the leg changes only w
 
     s_n = sign(p_n) if |p_n| > c, else s_(n-1)         w_n = s_n (a + b min(|p_n|, p_max))
 
-They change legs while the trunk moves, so a shift advances with the movement of the trunk. It runs on a clock of its
-own, C(t), the integral of a rate that is low while the trunk is still and grows with its speed:
+They change legs while the trunk moves, so a shift runs on a clock C(t) of its own, the integral of a rate that is low
+while the trunk is still and grows with its speed:
 
     w(t) = w_-1 + sum over n of (w_n - w_(n-1)) f((C(t) - C(t_n)) / tau),    f(a) = 1 - (1 + a + a^2 / 2) exp(-a)
 
-Which shifts there are depends on the seed and the time alone. The motion decides only how fast each runs, and that
-continuously, so that a small change of the motion is a small change of the weight and is forgotten with the shift.
+The motion decides only how fast each shift runs, so that a small change of the motion is a small change of the weight
+and is forgotten with the shift.
 
-**Feet** are placed, and a foot that is free is set down elsewhere in a small step: a function of the seed and the time
-alone. The ball of a foot is placed; the ankle is behind and above it.
+**Feet** are placed by seed and time alone. The ball of a foot is placed; the ankle is behind and above it.
 """
 
 from __future__ import annotations
@@ -38,16 +37,17 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_module.motion import rotation
 from data_module.motion.skeletons import LEG_JOINTS, WHOLE_BODY, resized
 from data_module.motion.standing_legs import bent_leg, leg_lengths
-from data_module.types import Array, Motion, Skeleton
+from data_module.types import Array, Motion
 from gesticulator.body.life import Shifts, breath, eased, noise, normal, uniform, weight_shifts
 from gesticulator.contacts.lap import SEAT_SPREAD
+from gesticulator.contacts.limbs import pose_of
 
 __all__ = ["Stance", "seated", "with_legs"]
 
@@ -149,25 +149,25 @@ _STEP_CHANNEL, _PLACE_CHANNEL = _CHANNEL, _CHANNEL + 1
 
 
 @dataclass(frozen=True)
-class FootPath:
-    """A foot over time. ankles: [T, 3] metres; yaw, heel: [T] radians of the toes to the character's left, and of the
-    heel raised over the ball; middle: [T, 2] metres along X and Z, the foot's place as the hips follow it."""
+class Feet:
+    """Both feet over time. ankles: [T, 2, 3] metres; yaw, heel: [T, 2] radians of the toes to the character's left, and
+    of the heel raised over the ball; middles: [T, 2, 2] metres along X and Z, their places as the hips follow them."""
 
     ankles: Array
     yaw: Array
     heel: Array
-    middle: Array
+    middles: Array
 
 
 class Steps:
     """Placement of the feet over time, a function of seed and time."""
 
-    def __init__(self, seed: int, shifts: Shifts, skeleton: Skeleton) -> None:
-        """shifts: `weight_shifts` of the seed; lengths scale with the legs of the skeleton."""
+    def __init__(self, seed: int, shifts: Shifts) -> None:
+        """shifts: `weight_shifts` of the seed."""
         self.seed, self._weight = seed, shifts
-        self.scale = sum(leg_lengths(skeleton, "Left")) / _LEG
-        socket, ball = (skeleton.offsets[skeleton.index("Left" + part)] for part in ("UpLeg", "ToeBase"))
-        self._socket, self._to_ball = abs(float(socket[0])), np.array([0.0, ball[1], ball[2]])
+        ball = WHOLE_BODY.offsets[WHOLE_BODY.index("LeftToeBase")]
+        self._socket = abs(float(WHOLE_BODY.offsets[WHOLE_BODY.index("LeftUpLeg")][0]))
+        self._to_ball = np.array([0.0, ball[1], ball[2]])
         self._next_shift = 0
         self._placed = [[(-1, self._places(foot, -1)[0])] for foot in range(len(SIDES))]
 
@@ -189,26 +189,26 @@ class Steps:
                 held[near], side[near] = way, -sign
         return held, side
 
-    def path(self, foot: int, times: Array) -> FootPath:
-        """Foot 0 (left) or 1 (right) at rising `times` [T], seconds."""
+    def feet(self, times: Array) -> Feet:
+        """Both feet at rising `times` [T], seconds."""
         self._extend(float(times.max()))
-        placed = self._placed[foot]
-        ball = np.tile(placed[0][1], (len(times), 1))  # along X and Z, yaw
-        slow, lift, heel = ball.copy(), np.zeros(len(times)), np.zeros(len(times))
-        for (_, before), (shift, after) in zip(placed[:-1], placed[1:], strict=True):
-            begin = self.begins(shift)
-            s = (times - begin) / _STEP_LASTS
-            flight = (s - _LIFTED) / (_LANDED - _LIFTED)
-            ball += eased(flight)[:, None] * (after - before)
-            slow += eased((times - begin) / (_STEP_LASTS + _OVER_OUT))[:, None] * (after - before)
-            lift += _bump(flight)
-            heel += _bump(s / _HEEL_DOWN)
-        yaw, heel = np.radians(ball[:, 2]), np.radians(_HEEL) * heel
-        turn = rotation.multiply(abouts(UP, yaw), abouts(np.array([1.0, 0.0, 0.0]), heel))
-        flat = np.stack([ball[:, 0], SOLE * self.scale + _LIFT * self.scale * lift, ball[:, 1]], -1)
+        ball = np.tile([placed[0][1] for placed in self._placed], (len(times), 1, 1))  # along X and Z, yaw
+        slow, lift, heel = ball.copy(), np.zeros(ball.shape[:2]), np.zeros(ball.shape[:2])
+        for foot, placed in enumerate(self._placed):
+            for (_, before), (shift, after) in pairwise(placed):
+                since = times - self.begins(shift)
+                s = since / _STEP_LASTS
+                flight = (s - _LIFTED) / (_LANDED - _LIFTED)
+                ball[:, foot] += eased(flight)[:, None] * (after - before)
+                slow[:, foot] += eased(since / (_STEP_LASTS + _OVER_OUT))[:, None] * (after - before)
+                lift[:, foot] += _bump(flight)
+                heel[:, foot] += _bump(s / _HEEL_DOWN)
+        yaw, heel = np.radians(ball[..., 2]), np.radians(_HEEL) * heel
+        turn = rotation.multiply(abouts(UP, yaw), abouts(_LEFTWARD, heel))
+        flat = np.stack([ball[..., 0], SOLE + _LIFT * lift, ball[..., 1]], -1)
         # The ball is placed; the ankle is behind and above it, higher with the heel raised.
-        return FootPath(flat - rotation.rotate(turn, self._to_ball), yaw, heel,
-                        slow[:, :2] - rotation.rotate(abouts(UP, np.radians(slow[:, 2])), self._to_ball)[:, [0, 2]])
+        behind = rotation.rotate(abouts(UP, np.radians(slow[..., 2])), self._to_ball)[..., [0, 2]]
+        return Feet(flat - rotation.rotate(turn, self._to_ball), yaw, heel, slow[..., :2] - behind)
 
     def forget(self, before: float) -> None:
         """Drop steps completed before this time in seconds, so that memory stays bounded."""
@@ -230,7 +230,7 @@ class Steps:
             foot = 1 if weight > 0 else 0
             before = self._placed[foot][-1][1]
             tries = self._places(foot, shift)
-            away = np.linalg.norm((tries - before)[:, :2], axis=1) / self.scale
+            away = np.linalg.norm((tries - before)[:, :2], axis=1)
             fits = np.flatnonzero((away >= _NEAR) & (away <= _WIDE))
             if len(fits):
                 self._placed[foot].append((shift, tries[fits[0]]))
@@ -241,8 +241,8 @@ class Steps:
         where = (2 * (number + 1) + foot) * _TRIES + np.arange(_TRIES)
         offsets = np.clip(normal(self.seed, _PLACE_CHANNEL, where[:, None] * 3 + np.arange(3)), -2.0, 2.0) * _SPREAD
         yaw = sign * (_TOES_OUT + offsets[:, 2])
-        ankle = np.stack([sign * (self._socket + self.scale * (_FOOT_OUT + offsets[:, 0])), np.zeros(_TRIES),
-                          self.scale * (offsets[:, 1] - FOOT_BACK)], axis=-1)
+        ankle = np.stack([sign * (self._socket + (_FOOT_OUT + offsets[:, 0])), np.zeros(_TRIES),
+                          offsets[:, 1] - FOOT_BACK], axis=-1)
         ball = ankle + rotation.rotate(abouts(UP, np.radians(yaw)), self._to_ball)
         return np.stack([ball[:, 0], ball[:, 2], yaw], axis=-1)
 
@@ -260,8 +260,6 @@ def abouts(axis: Array, angles: Array) -> Array:
 
 # --------------------------------------------------------------------------------------------------- the legs
 
-_LEG = 0.825
-"""Distance from hip to ankle of the character that the lengths below are for, metres; others are scaled."""
 _BENT = 0.9988
 """Largest used share of a leg's length: the knee is then bent by 6 degrees."""
 _SOFT = 0.004
@@ -320,24 +318,21 @@ _SEAT_TOES = 12.0
 _SWAY_CHANNEL = (1 << 10) + 8
 _NOISE_STEPS = np.array([seconds for _, seconds in (*_SWAY, *_STIRS, _ROLLS)] + [_GIVES[2]])
 _AHEAD, _LEFTWARD = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
-_TRUNK = np.array([[WHOLE_BODY.index(name)] for name in ("Spine", "Spine1", "Spine2", "Spine3")])
-_ARMS, _LEGS = (np.array([[WHOLE_BODY.index(side + part) for side, _ in SIDES] for part in parts]) for parts in (
-    ("Shoulder", "Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot", "ToeBase")))
-_SPINE = int(_TRUNK[0, 0])
+_LEGS = np.array([[WHOLE_BODY.index(side + part) for side, _ in SIDES] for part in ("UpLeg", "Leg", "Foot", "ToeBase")])
+_SPINE = WHOLE_BODY.index("Spine")
 
 
-def with_legs(motion: Motion, seed: int, skeleton: Skeleton = WHOLE_BODY) -> Motion:
+def with_legs(motion: Motion, seed: int) -> Motion:
     """The motion on standing legs: travel and small turns of the hips and all leg joints are synthesised.
 
     motion: on the default skeleton in any of its sizes, facing +Z as generated; the rotation of the hips is used, the
-    path of the root is not. seed: the same as for the performance, so that legs and idle motion agree. skeleton: with
-    the joint names of `WHOLE_BODY` and leg bones that hang straight down; all lengths scale with its legs. The floor is
+    path of the root is not. seed: the same as for the performance, so that legs and idle motion agree. The floor is
     Y = 0. Every joint from the chest up keeps its world rotation.
     """
-    return Stance(seed, motion.fps, skeleton).step(motion)
+    return Stance(seed, motion.fps).step(motion)
 
 
-def seated(motion: Motion, skeleton: Skeleton = WHOLE_BODY) -> Motion:
+def seated(motion: Motion) -> Motion:
     """The motion on seated legs: thighs level, shins vertical, feet flat on the floor, hips still.
 
     See `with_legs` for the input. The spine takes the rotation of the hips, so the upper body keeps its pose.
@@ -345,14 +340,14 @@ def seated(motion: Motion, skeleton: Skeleton = WHOLE_BODY) -> Motion:
     body = resized(motion, WHOLE_BODY)
     rotations = _with_hips(body.rotations, np.tile([1.0, 0.0, 0.0, 0.0], (len(body), 1)))
     root = np.zeros((len(body), 3))
-    ankle = sum(leg_lengths(skeleton, "Left")) / _LEG * SOLE - skeleton.offsets[skeleton.index("LeftToeBase")][1]
-    root[:, 1] = ankle + leg_lengths(skeleton, "Left")[1] - skeleton.offsets[skeleton.index("LeftUpLeg")][1]
+    socket, ball = (WHOLE_BODY.offsets[WHOLE_BODY.index("Left" + part)][1] for part in ("UpLeg", "ToeBase"))
+    root[:, 1] = SOLE - ball + leg_lengths(WHOLE_BODY, "Left")[1] - socket
     # Thighs level and a little apart; shins, feet and toes upright and turned out.
     level = abouts(_LEFTWARD, np.radians(np.array([-90.0])))
     knees, toes = (abouts(UP, np.radians(np.array([sign * out for _, sign in SIDES])))
                    for out in (SEAT_SPREAD, _SEAT_TOES))
     _hang(rotations, [np.tile(turn, (len(body), 1, 1)) for turn in (rotation.multiply(knees, level), toes, toes, toes)])
-    return _on_legs(body, rotations, root, skeleton, rotations[:0])
+    return _on_legs(body, rotations, root, rotations[:0])
 
 
 # ---------------------------------------------------------------------------------------------------- the body
@@ -377,7 +372,7 @@ class _LowPass:
 
 @dataclass(frozen=True)
 class _Drives:
-    """What the generated body does, frame by frame, in metres of the reference character and degrees.
+    """What the generated body does, frame by frame, in metres and degrees.
 
     roll: [T] of the hips; slow_roll, habit: [T] that the weight follows, and that is habitual; yaw: [T] of the chest;
     quick, lean: [T, 3] of the chest over the hips; speed: [T] m/s of the chest; energy: [T] of the hands, (m/s)^2;
@@ -397,23 +392,21 @@ class _Drives:
 class _Follower:
     """Follows the generated body in pieces."""
 
-    def __init__(self, fps: float, skeleton: Skeleton, scale: float) -> None:
-        """scale: of all lengths relative to the reference character."""
-        self._fps, self._skeleton, self._scale = fps, skeleton, scale
+    def __init__(self, fps: float) -> None:
+        self._fps = fps
         self._roll, self._habit = _LowPass(_FOLLOWS, fps), _LowPass(_HABIT, fps)
         self._quick, self._slow = _LowPass(_QUICKLY, fps), _LowPass(_SLOWLY, fps)
         self._last: Array | None = None
 
     def step(self, body: Motion) -> _Drives:
         """The drives in the next frames of a body on the skeleton of the whole body."""
-        left = rotation.rotate(body.rotations[:, 0], _LEFTWARD)
-        roll = np.degrees(np.arcsin(np.clip(left[:, 1], -1.0, 1.0)))
-        chest, place = self._along(body, body.rotations[:, :1], _TRUNK)
-        hands = place + self._along(body, chest, _ARMS)[1]
-        rest = self._skeleton.offsets[_TRUNK].sum(axis=(0, 1))
-        places = np.concatenate([place - rest, hands], axis=1) / self._scale
-        left = rotation.rotate(chest[:, 0], _LEFTWARD)
+        pose = pose_of(replace(body, root_positions=np.zeros((len(body), 3))), ("Spine3", "LeftHand", "RightHand"))
+        # The first column of a turn is where the body's left points to.
+        roll = np.degrees(np.arcsin(np.clip(pose.turns["Hips"][:, 1, 0], -1.0, 1.0)))
+        left = pose.turns["Spine3"][..., 0]
         yaw = np.degrees(np.arctan2(-left[:, 2], left[:, 0]))
+        rest = sum(WHOLE_BODY.offsets[WHOLE_BODY.index(name)] for name in ("Spine", "Spine1", "Spine2", "Spine3"))
+        places = np.stack([pose.places["Spine3"] - rest, pose.places["LeftHand"], pose.places["RightHand"]], axis=1)
         slow = self._roll(roll[:, None])
         # The frame before is kept, so that pieces of any length give the same speeds.
         moves = np.diff(places, axis=0, prepend=places[:1] if self._last is None else self._last) * self._fps
@@ -425,35 +418,22 @@ class _Follower:
         return _Drives(roll, slow[:, 0], self._habit(slow)[:, 0], smooth[:, 0], smooth[:, 1:4] - lean[:, :3],
                        lean[:, :3], smooth[:, 4], smooth[:, 5], lean[:, 3] / (lean[:, 3] + _ACTIVE))
 
-    def _along(self, body: Motion, world: Array, chains: NDArray[np.int64]) -> tuple[Array, Array]:
-        """[T, C, 4] the rotations and [T, C, 3] the places of the last joints of chains [M, C] of joints, under a joint
-        with the rotation `world` [T, 1, 4] and from the place of that."""
-        place = np.zeros((len(body), 1, 3))
-        for joints in chains:
-            place = place + rotation.rotate(world, self._skeleton.offsets[joints])
-            world = rotation.multiply(world, body.rotations[:, joints])
-        return world, place
-
 
 class Stance:
     """Legs for one performance in pieces: `step` takes frames as they come."""
 
-    def __init__(self, seed: int, fps: float, skeleton: Skeleton = WHOLE_BODY) -> None:
-        if skeleton.names != WHOLE_BODY.names:
-            raise ValueError(f"the legs' skeleton has {len(skeleton)} joints, not those of the whole body")
-        self.skeleton, self.seed, self.fps = skeleton, seed, fps
+    def __init__(self, seed: int, fps: float) -> None:
+        self.seed, self.fps = seed, fps
         self._shifts = weight_shifts(seed)
-        self._steps, self._weight = Steps(seed, self._shifts, skeleton), LegWeight(seed, self._shifts)
-        self._follower = _Follower(fps, skeleton, self._steps.scale)
-        lengths = np.array([leg_lengths(skeleton, side) for side, _ in SIDES])
-        self._lengths = lengths[:, :1], lengths[:, 1:]
+        self._steps, self._weight = Steps(seed, self._shifts), LegWeight(seed, self._shifts)
+        self._follower = _Follower(fps)
         self._frames = 0
         self._last = np.zeros((0, len(WHOLE_BODY), 4))
 
     def fork(self) -> Stance:
         """A copy that continues independently."""
         # The shifts depend on the seed alone, so copies may share what was computed of them.
-        return copy.deepcopy(self, {id(shared): shared for shared in (self.skeleton, self._shifts)})
+        return copy.deepcopy(self, {id(self._shifts): self._shifts})
 
     def step(self, motion: Motion) -> Motion:
         """The next frames [T] of the body with legs, see `with_legs`."""
@@ -463,7 +443,7 @@ class Stance:
         self._frames += len(body)
         random = noise(self.seed, _SWAY_CHANNEL + np.arange(len(_NOISE_STEPS)), times, _NOISE_STEPS)
         held, side = self._steps.over(times)
-        feet = self._steps.path(0, times), self._steps.path(1, times)
+        feet = self._steps.feet(times)
         drives = self._follower.step(body)
         # g as in the module's equation, but over the standing leg during a step.
         u = (self._weight.step(times, drives.speed) + (drives.slow_roll - drives.habit) / _ROLL_UNIT) / _BOTH
@@ -475,27 +455,26 @@ class Stance:
         rotations = _with_hips(body.rotations, hips)
         root = np.zeros((len(body), 3))
         root[:, [0, 2]] = self._travelled(times, g, drives, random, feet, held, side)
-        self._stand(rotations, root, feet, self._given(times, drives, random))
-        motion = _on_legs(body, rotations, root, self.skeleton, self._last)
+        _stand(rotations, root, feet, self._given(times, drives, random))
+        motion = _on_legs(body, rotations, root, self._last)
         self._last = motion.rotations[-1:]
         return motion
 
-    def _travelled(self, times: Array, g: Array, drives: _Drives, random: Array, feet: Sequence[FootPath], held: Array,
-                   side: Array) -> Array:
+    def _travelled(self, times: Array, g: Array, drives: _Drives, random: Array, feet: Feet, held: Array, side: Array
+                   ) -> Array:
         """[T, 2] position of the hips along X and Z. g: see the module; held, side: see `Steps.over`."""
-        scale = self._steps.scale
         sway = random[:, :6] * np.array([size for size, _ in (*_SWAY, *_STIRS)])
         sway[:, 4:] *= drives.active[:, None]
         across, ahead = sway[:, [0, 1, 4]].sum(axis=1), sway[:, [2, 3, 5]].sum(axis=1)
         leans = np.array(_WITH_LEAN) * drives.lean[:, [0, 2]] - np.array(_COUNTERS) * drives.quick[:, [0, 2]]
         # Between the feet by the weight, or over one of them while the other steps.
-        both = (feet[0].middle + feet[1].middle) / 2.0
-        both[:, 0] += scale * _within(_TRAVEL * g + across + leans[:, 0], _FAR)
-        one = np.where(side[:, None] > 0, feet[0].middle, feet[1].middle)
-        one[:, 0] += scale * (across - _INSIDE * side)
+        left, right = feet.middles[:, 0], feet.middles[:, 1]
+        both, one = (left + right) / 2.0, np.where(side[:, None] > 0, left, right)
+        both[:, 0] += _within(_TRAVEL * g + across + leans[:, 0], _FAR)
+        one[:, 0] += across - _INSIDE * side
         way = both + held[:, None] * (one - both)
         pitch = self._shifts.at(times)[:, 1]
-        way[:, 1] += scale * (FOOT_BACK + _within(ahead + leans[:, 1] - _PITCHED_BACK * pitch, _LEANS))
+        way[:, 1] += FOOT_BACK + _within(ahead + leans[:, 1] - _PITCHED_BACK * pitch, _LEANS)
         return way
 
     def _given(self, times: Array, drives: _Drives, random: Array) -> Array:
@@ -503,23 +482,21 @@ class Stance:
         strokes = _STROKE * drives.energy / (drives.energy + _STROKE_ENERGY)
         give = _GIVEN + (_GIVES[0] + _GIVES[1] * drives.active) * random[:, 7] + strokes - _DIPS * drives.quick[:, 1]
         breathed = _BREATH_DIPS * (1.0 - breath(self.seed, times)) / 2.0
-        return self._steps.scale * (_SOFTLY * np.logaddexp(0.0, give / _SOFTLY) + breathed)
+        return np.asarray(_SOFTLY * np.logaddexp(0.0, give / _SOFTLY) + breathed)
 
-    def _stand(self, rotations: Array, root: Array, feet: Sequence[FootPath], give: Array) -> None:
-        """Set the hips' height in `root` [T, 3] and the legs in `rotations` [T, J, 4]."""
-        hips, ankles = rotations[:, 0], np.stack([foot.ankles for foot in feet], axis=1)
-        socket = rotation.rotate(hips[:, None], self.skeleton.offsets[_LEGS[0]])
-        longest = _BENT * (self._lengths[0] + self._lengths[1])[:, 0]
-        # Pythagoras: how high a leg of full length holds the hips, given how far its foot is aside.
-        level = np.sum((root[:, None] + socket - ankles)[..., [0, 2]] ** 2, axis=-1)
-        reach = ankles[..., 1] + np.sqrt(np.maximum(longest**2 - level, 0.0)) - socket[..., 1]
-        soft = _SOFT * self._steps.scale
-        # A soft minimum of the heights that the two legs reach.
-        root[:, 1] = -soft * np.logaddexp(*(-reach / soft).T) - give
-        toes = abouts(UP, np.stack([foot.yaw for foot in feet], axis=1))
-        thigh, shin = bent_leg(ankles - root[:, None] - socket, rotation.rotate(toes, _AHEAD), self._lengths)
-        raised = rotation.multiply(toes, abouts(_LEFTWARD, np.stack([foot.heel for foot in feet], axis=1)))
-        _hang(rotations, [thigh, shin, raised, toes])
+
+def _stand(rotations: Array, root: Array, feet: Feet, give: Array) -> None:
+    """Set the hips' height in `root` [T, 3] and the legs in `rotations` [T, J, 4]."""
+    socket = rotation.rotate(rotations[:, :1], WHOLE_BODY.offsets[_LEGS[0]])
+    lengths = leg_lengths(WHOLE_BODY, "Left")
+    # Pythagoras: how high a leg of full length holds the hips, given how far its foot is aside.
+    level = np.sum((root[:, None] + socket - feet.ankles)[..., [0, 2]] ** 2, axis=-1)
+    reach = feet.ankles[..., 1] + np.sqrt(np.maximum((_BENT * sum(lengths))**2 - level, 0.0)) - socket[..., 1]
+    # A soft minimum of the heights that the two legs reach.
+    root[:, 1] = -_SOFT * np.logaddexp(*(-reach / _SOFT).T) - give
+    toes = abouts(UP, feet.yaw)
+    thigh, shin = bent_leg(feet.ankles - root[:, None] - socket, rotation.rotate(toes, _AHEAD), lengths)
+    _hang(rotations, [thigh, shin, rotation.multiply(toes, abouts(_LEFTWARD, feet.heel)), toes])
 
 
 def _within(values: Array, most: float) -> Array:
@@ -544,11 +521,11 @@ def _hang(rotations: Array, world: Sequence[Array]) -> None:
         above = turn
 
 
-def _on_legs(body: Motion, rotations: Array, root: Array, skeleton: Skeleton, before: Array) -> Motion:
+def _on_legs(body: Motion, rotations: Array, root: Array, before: Array) -> Motion:
     """The body with these rotations and root positions; its legs are marked as filled in. before: [0 or 1, J, 4] the
     previous frame, for continuous quaternion signs."""
     filled = {*body.filled, *LEG_JOINTS}
     rotations = rotation.continuous(np.concatenate([before, rotations]))[len(before):]
-    return replace(body, skeleton=skeleton, rotations=rotations, root_positions=root,
+    return replace(body, rotations=rotations, root_positions=root,
                    absent=tuple(name for name in body.absent if name not in LEG_JOINTS),
                    filled=tuple(name for name in WHOLE_BODY.names if name in filled))

@@ -21,7 +21,6 @@ from __future__ import annotations
 import copy
 import math
 from bisect import bisect_left, bisect_right, insort
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,8 +80,6 @@ _REPAY = 6.0
 """Surplus or deficit of gestured speech that decides the next phrase for certain, seconds."""
 _TRUSTED = 4.0
 """Number of phrases after which the gate's ranking counts as much as the random number."""
-_RANKED = 1000
-"""Number of previous phrases that a phrase is ranked among: most of an hour, with bounded memory."""
 _PATH = 9
 """Places on the way to rest at which the speed of the hands is measured."""
 _SINKS_IN = 2.0
@@ -146,49 +143,36 @@ class Phrases:
 
     A phrase gets a number q in (0, 1): the rank of the gate's probability at its first block among those of earlier
     phrases, mixed with a random number keyed by the seed and the phrase's start. It is gestured if q >= 1 - a, with a =
-    activity + (activity x speech so far - gestured so far) / `_REPAY`. Activity 0 is none and 1 is all; where it
-    changes, the product is a sum over the speech so far.
+    activity + (activity x speech so far - gestured so far) / `_REPAY`. Activity 0 is none and 1 is all.
     """
 
     def __init__(self, activity: float, seed: int) -> None:
         self.activity, self.seed = activity, seed
         self._ranked: list[float] = []
-        self._order: deque[float] = deque()
         self._spoken = self._gestured = self._phrase = 0.0
-        self._owed = 0.0
         self._speaks, self._open = False, False
 
     def fork(self) -> Phrases:
         twin = copy.copy(self)
-        twin._ranked, twin._order = list(self._ranked), self._order.copy()
+        twin._ranked = list(self._ranked)
         return twin
 
-    def step(self, span: Span, rests: Flags, score: float, activity: float | None = None) -> bool:
+    def step(self, span: Span, rests: Flags, score: float) -> bool:
         """Whether the speech in this block is gestured; what holds for the phrase that its last speech belongs to.
 
-        rests: [K] of `Pauses`; score: the gate's probability, NaN where there is no gate; activity: from this block on,
-        None for as before. Where it becomes none or all, or ceases to be none, a phrase begins.
+        rests: [K] of `Pauses`; score: the gate's probability, NaN where there is no gate.
         """
-        turns = activity is not None and self._changes(activity)
         speech = span.duration * float((~rests).mean())
         if speech == 0:
             self._speaks = False
             return False
-        if not self._speaks or rests[0] or self._phrase >= LONGEST_PHRASE or turns:
+        if not self._speaks or rests[0] or self._phrase >= LONGEST_PHRASE:
             self._open, self._phrase = self._begins(span.start, score), 0.0
         self._speaks = not rests[-1]
         self._phrase += speech
         self._spoken += speech
         self._gestured += speech * self._open
         return self._open
-
-    def _changes(self, activity: float) -> bool:
-        """Take another activity; True where the phrase cannot go on with it. What was spoken until now counts with the
-        activity of then."""
-        before, self.activity = self.activity, activity
-        # Speech so far keeps the activity of its time: the balance stays continuous.
-        self._owed += (before - activity) * self._spoken
-        return before != activity and (activity in (0.0, 1.0) or before == 0.0)
 
     def _begins(self, start: float, score: float) -> bool:
         # In milliseconds: the block's start on the clock of the audio.
@@ -202,13 +186,10 @@ class Phrases:
                 # A rank among few phrases says little: trust grows as n / (n + 4).
                 weight = len(self._ranked) / (len(self._ranked) + _TRUSTED)
             insort(self._ranked, score)
-            self._order.append(score)
-            if len(self._order) > _RANKED:
-                del self._ranked[bisect_left(self._ranked, self._order.popleft())]
         q = weight * rank + (1.0 - weight) * chance
         if self.activity in (0.0, 1.0):
             return self.activity == 1.0
-        return q >= 1.0 - self.activity - (self.activity * self._spoken + self._owed - self._gestured) / _REPAY
+        return q >= 1.0 - self.activity - (self.activity * self._spoken - self._gestured) / _REPAY
 
 
 # ---------------------------------------------------------------------------------------------------- the body
@@ -432,12 +413,11 @@ class Rest:
         self._parts = other.fork()._parts
         self._life.stand_as(other._life)
 
-    def analyse(self, span: Span, score: float = math.nan, still: Flags | None = None, activity: float | None = None
-                ) -> bool:
+    def analyse(self, span: Span, score: float = math.nan, still: Flags | None = None) -> bool:
         """Analyse a block; True if the hands rest for half of it or more. score: the gate's probability; still: [K]
-        frames in which the hands must rest; activity: from this block on, None for as before."""
+        frames in which the hands must rest."""
         pause = self._pauses.step(span)
-        gestured = self._phrases.step(span, pause, score, activity)
+        gestured = self._phrases.step(span, pause, score)
         self._span = span
         # In a phrase that is not gestured the hands rest as in a pause.
         hands = pause if gestured else np.ones_like(pause)

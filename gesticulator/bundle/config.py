@@ -75,8 +75,7 @@ class FrontEndConfig:
     """The audio front end and its size."""
 
     name: str = "mel"
-    """"mel"; "vqwav2vec", the model trained by the speech stages; "fairseq:PATH", a published checkpoint of it;
-    "hf:NAME", hidden layers of a speech model of transformers."""
+    """"mel"; "vqwav2vec", the model trained by the speech stages; "fairseq:PATH", a published checkpoint of it."""
     bands: Width = 80
     """Number of mel bands, for "mel" only."""
     robust: bool = False

@@ -167,7 +167,7 @@ class Weights:
             raise InputError(file, f"does not fit the settings ({_difference(found, shapes)})", "train it again")
         if tied is not None and made_with.get(TIED) != tied:
             raise InputError(file, "was trained over another lexicon than the bundle's",
-                             f"train it again (gesticulator train --redo {name})")
+                             "train it again")
         return _finite(file, tensors)
 
 

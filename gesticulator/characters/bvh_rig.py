@@ -21,29 +21,15 @@ PLACES = ("Xposition", "Yposition", "Zposition")
 def read_bvh_character(path: str | os.PathLike[str]) -> Character:
     """The skeleton of a BVH file, in the file's units and axes. `InputError` if the file is not BVH.
 
-    The rest pose has all angles zero, as the format defines it. If that is not a pose of a body (some tools write every
-    offset along one axis, and only the angles of the first frame make the body stand), the first frame is used as the
-    pose to align with (`Character.bind`).
+    The rest pose has all angles zero, as the format defines it.
     """
     motion, channels = bvh.read_hierarchy(path)
     skeleton = motion.skeleton
     n = len(skeleton)
     rest = np.zeros((n, 4))
     rest[:, 0] = 1.0
-    character = Character(skeleton.names, skeleton.parents, skeleton.offsets, rest, np.ones((n, 3)), Path(path), "bvh",
-                          np.ones(n, dtype=bool), tips=dict(skeleton.end_sites), channels=channels)
-    if _is_a_line(character.world_matrices()[:, :3, 3]):
-        bind = character.world_matrices(motion.rotations[0], {0: motion.root_positions[0]})
-        if not _is_a_line(bind[:, :3, 3]):
-            character = Character(**{**vars(character), "bind": bind})
-    return character
-
-
-def _is_a_line(places: Array) -> bool:
-    """Whether all nodes lie near a line: a body with hanging arms is three times as wide as the limit, single-axis
-    offsets half."""
-    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-    return bool(spread[1] < 0.15 * spread[0])
+    return Character(skeleton.names, skeleton.parents, skeleton.offsets, rest, np.ones((n, 3)), Path(path), "bvh",
+                     np.ones(n, dtype=bool), tips=dict(skeleton.end_sites), channels=channels)
 
 
 def write_character_bvh(path: str | os.PathLike[str], character: Character, rotations: Array,

@@ -22,7 +22,6 @@ from data_module.types import Array
 from gesticulator.characters import shape
 from gesticulator.characters.bvh_rig import turns_of
 from gesticulator.characters.mapping import SIDES, RigMapping, ancestors
-from gesticulator.characters.names import labels
 from gesticulator.characters.rig import UPS, Character
 
 _UPRIGHT = np.radians(30.0)
@@ -39,8 +38,6 @@ _LENGTH = 0.6
 """Distance from hips to head of an adult, metres."""
 _SUNK = 0.2
 """Share of the height that the feet of a BVH character must be below 0 for the character to be lifted onto 0."""
-_AHEAD, _DOWN = float(np.cos(np.radians(50.0))), float(np.cos(np.radians(60.0)))
-"""Cosines between the thighs and straight ahead, and the shins and down, above which a character sits."""
 _KNUCKLES = (("Index", "Pinky"), ("Index", "Ring"), ("Middle", "Pinky"), ("Index", "Middle"), ("Middle", "Ring"))
 """Pairs of fingers whose first joints give the direction across the palm, the best first."""
 
@@ -85,24 +82,6 @@ class Body:
     bind_axes: Array
     ankles: Array
 
-    @property
-    def sits(self) -> bool:
-        """Whether the character sits in the rest pose of its file: thighs ahead and about level, shins down."""
-        hips = self.mapping.joints["Hips"]
-        bound = self.rest_turns[hips]
-        if self.character.bind is not None:
-            bound = self.bind_axes @ turns_of(self.character.bind[hips])
-        # The turn of the hips from rest back to the bind pose: the lean of the whole body.
-        upright = bound @ self.rest_turns[hips].T  # a body that leans as a whole does not sit
-
-        def way(above: str, below: str) -> Array:
-            bone = self.rest_places[self.mapping.joints[below]] - self.rest_places[self.mapping.joints[above]]
-            return np.asarray(upright @ bone / max(float(np.linalg.norm(bone)), 1e-9))
-
-        return self.mapping.legs and all(
-            way(side + "UpLeg", side + "Leg")[2] > _AHEAD and way(side + "Leg", side + "Foot")[1] < -_DOWN
-            for side in SIDES)
-
     def place(self, turns: Mapping[int, Array], node: int) -> Array:
         """[T, 3] position of a node below the hips, relative to the hips, metres; turns: node -> [T, 3, 3] its axes to
         the source's. Nodes not in `turns` keep their rest rotation relative to their parents."""
@@ -132,14 +111,17 @@ def measure(character: Character, mapping: RigMapping) -> Body:
     parents = np.maximum(character.parents, 0)
     # Row vectors: v @ M is the transpose of M times v.
     offsets = unit * np.einsum("ni,nij->nj", rest - rest[parents], turns[parents])
-    rig = _Rig(character, mapping, bind_axes @ (turns if character.bind is None else turns_of(bind)), offsets)
+    bound = bind_axes @ (turns if character.bind is None else turns_of(bind))
+    rig = _Rig(character, mapping, bound, (places, axes @ turns, offsets))
     segments = (*rig.trunk(), *rig.arms(), *rig.legs())
     legs = frozenset(mapping.joints[name] for name in skeletons.LEG_JOINTS if name in mapping.joints)
     lift, ratio = 0.0, 1.0
     if mapping.legs:
         # The hips travel in proportion to the legs, so that steps fit the character.
-        ratio = float(np.mean([rig.length(side + "Leg") + rig.length(side + "Foot") for side in SIDES])
-                      / (np.linalg.norm(_SOURCE["LeftLeg"]) + np.linalg.norm(_SOURCE["LeftFoot"])))
+        bones = [places[mapping.joints[side + below]] - places[mapping.joints[side + above]]
+                 for side in SIDES for above, below in (("UpLeg", "Leg"), ("Leg", "Foot"))]
+        ratio = float(np.linalg.norm(bones, axis=1).sum()
+                      / (2.0 * (np.linalg.norm(_SOURCE["LeftLeg"]) + np.linalg.norm(_SOURCE["LeftFoot"]))))
         lowest = min(float(places[node, 1]) for node in legs)
         height = float(places[mapping.joints["Head"], 1]) - lowest
         if character.kind == "bvh" and lowest < -_SUNK * height:
@@ -272,26 +254,22 @@ def _angle(a: Array, b: Array) -> float:
 class _Rig:
     """The bones of a character in the bind pose, in our axes, compared with the default skeleton at rest."""
 
-    def __init__(self, character: Character, mapping: RigMapping, bind: Array, offsets: Array) -> None:
-        self.character, self.mapping, self.joints = character, mapping, mapping.joints
-        self.bind, self._offsets, self._local = bind, offsets, character.local_turns()
+    def __init__(self, character: Character, mapping: RigMapping, bind: Array, rest: tuple[Array, Array, Array]
+                 ) -> None:
+        """bind: [N, 3, 3] from the nodes' axes to ours in the bind pose; rest: `rest_places`, `rest_turns` and
+        `offsets` of a `Body`."""
+        self.character, self.mapping, self.joints, self.bind = character, mapping, mapping.joints, bind
+        self._rest_places, self._rest_turns, self._offsets = rest
+        self._places = np.zeros((len(character), 3))  # in the bind pose, from its root
+        for node, parent in enumerate(character.parents):
+            if parent >= 0:
+                self._places[node] = self._places[parent] + bind[parent] @ self._offsets[node]
 
     def way(self, above: int, below: int) -> Array | None:
         """[3] metres from a node to a descendant, in the axes of the first; None if it is not a descendant."""
-        line = [below, *ancestors(self.character.parents, below)]
-        if above not in line:
+        if above not in (below, *ancestors(self.character.parents, below)):
             return None
-        place, turn = np.zeros(3), np.eye(3)
-        for at in reversed(line[:line.index(above)]):
-            place = place + turn @ self._offsets[at]
-            turn = turn @ self._local[at]
-        return place
-
-    def length(self, name: str) -> float:
-        """Metres from the parent joint to the joint `name`."""
-        above = WHOLE_BODY.names[WHOLE_BODY.parents[WHOLE_BODY.index(name)]]
-        way = self.way(self.joints[above], self.joints[name])
-        return 0.0 if way is None else float(np.linalg.norm(way))
+        return np.asarray(self._rest_turns[above].T @ (self._rest_places[below] - self._rest_places[above]))
 
     def bone(self, name: str, below: str) -> Array:
         """[3] metres from joint to joint in the bind pose, in our axes."""
@@ -346,20 +324,13 @@ class _Rig:
         return [float(step / steps[-1]) if steps[-1] > 0 else place / max(len(chain) - 1, 1)
                 for place, step in enumerate(steps)]
 
-    def _bind_place(self, node: int) -> Array:
-        """[3] metres from the hips in the bind pose."""
-        line = [node, *ancestors(self.character.parents, node)]
-        line = line[:line.index(self.joints["Hips"]) + 1]
-        return np.sum([self.bind[above] @ self._offsets[below]
-                       for below, above in zip(line, line[1:], strict=False)], axis=0) if len(line) > 1 else np.zeros(3)
-
     def _chest_change(self) -> Array:
         """[3] rotation vector from the bind pose of the chest to the source at rest; zero if the character is
         upright."""
         top = self.mapping.neck[0] if self.mapping.neck else self.joints["Head"]
         # Spine and shoulders together define the chest's orientation, as two directions of a frame.
-        spine = self._bind_place(top)
-        across = self._bind_place(self.joints["LeftArm"]) - self._bind_place(self.joints["RightArm"])
+        spine = self._places[top] - self._places[self.joints["Hips"]]
+        across = self._places[self.joints["LeftArm"]] - self._places[self.joints["RightArm"]]
         source = np.sum([_SOURCE[name] for name in ("Spine", "Spine1", "Spine2", "Spine3", "Neck")], axis=0)
         turn = frame(source, np.array([1.0, 0.0, 0.0])) @ frame(spine, across).T
         # The rotation vector: the turn can be divided among the spine's joints.
@@ -369,7 +340,7 @@ class _Rig:
     def _head_change(self) -> Array:
         if not self.mapping.neck:
             return np.eye(3)
-        neck = self._bind_place(self.joints["Head"]) - self._bind_place(self.mapping.neck[0])
+        neck = self._places[self.joints["Head"]] - self._places[self.mapping.neck[0]]
         source = _SOURCE["Neck1"] + _SOURCE["Head"]
         return _turn(neck, source) if np.linalg.norm(neck) > 1e-6 and _angle(neck, source) > _LOOKS else np.eye(3)
 
@@ -398,18 +369,8 @@ class _Rig:
                 # A hand without fingers has the roll of its forearm.
                 hand = _turn(fore @ along, source_along) @ fore
             out += [self._segment(side + "ForeArm", fore), self._segment(side + "Hand", hand)]
-            out += [BoneSegment(node, side + "Hand", hand @ self.bind[node]) for node in self._rest_of_hand(side)]
             out += self._fingers(side, along, back, source_back, hand)
         return out
-
-    def _rest_of_hand(self, side: str) -> list[int]:
-        """The nodes beside the hand's that are parts of it, in characters with one bone for each finger's palm."""
-        parents, hand = self.character.parents, self.joints[side + "Hand"]
-        node_labels = labels(self.character.names)
-        taken = {*self.joints.values(), *self.mapping.spine, *self.mapping.neck}
-        return [node for node, parent in enumerate(parents) if parent == parents[hand] and node not in taken
-                and not node_labels[node].aid and not node_labels[node].tip
-                and (node_labels[node].parts[:1] == ("Hand",) or node_labels[node].finger)]
 
     def _palm(self, side: str, sign: float, forearm: Array) -> tuple[Array, Array | None, Array, Array]:
         """Direction along the hand and out of its back in the bind pose (None without fingers), and those of the

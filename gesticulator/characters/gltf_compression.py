@@ -36,18 +36,20 @@ def decoder(name: str, subject: object) -> Any:
         ) from None
 
 
+def _extension(row: dict[str, Any], name: str) -> dict[str, Any] | None:
+    extensions = row.get("extensions")
+    extension = extensions.get(name) if isinstance(extensions, dict) else None
+    return extension if isinstance(extension, dict) else None
+
+
 def compressed_view(view: dict[str, Any]) -> dict[str, Any] | None:
     """The meshopt extension of a buffer view; None if it is not compressed."""
-    extensions = view.get("extensions")
-    extension = extensions.get(MESHOPT) if isinstance(extensions, dict) else None
-    return extension if isinstance(extension, dict) else None
+    return _extension(view, MESHOPT)
 
 
 def is_fallback(buffer: dict[str, Any]) -> bool:
     """Whether a buffer has no data in the file, because all its views are compressed."""
-    extensions = buffer.get("extensions")
-    extension = extensions.get(MESHOPT) if isinstance(extensions, dict) else None
-    return isinstance(extension, dict) and "uri" not in buffer
+    return _extension(buffer, MESHOPT) is not None and "uri" not in buffer
 
 
 def unpacked_view(extension: dict[str, Any], data: bytes, size: int, subject: object) -> bytes:
@@ -84,9 +86,8 @@ def draco_attributes(document: dict[str, Any]) -> dict[int, tuple[int, int]]:
     attributes_at: dict[int, tuple[int, int]] = {}
     for mesh in document.get("meshes", []):
         for primitive in mesh.get("primitives", []):
-            extensions = primitive.get("extensions")
-            extension = extensions.get(DRACO) if isinstance(extensions, dict) else None
-            if not isinstance(extension, dict) or not isinstance(extension.get("attributes"), dict):
+            extension = _extension(primitive, DRACO)
+            if extension is None or not isinstance(extension.get("attributes"), dict):
                 continue
             view = extension.get("bufferView")
             for name, number in extension["attributes"].items():

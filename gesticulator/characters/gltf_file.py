@@ -7,11 +7,11 @@ objects, every index is valid, every accessor lies in its view, every view in it
 from __future__ import annotations
 
 import base64
-import binascii
 import math
 import os
 import re
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
 from urllib.parse import unquote
@@ -92,12 +92,14 @@ class GltfFile:
     def __init__(self, path: Path, document: dict[str, Any], binary: memoryview | None) -> None:
         """`InputError` for an invalid document. binary: the binary chunk of a GLB."""
         self.path, self.document, self._binary = path, document, binary
-        self._beside: dict[Path, bytes] = {}
-        self._embedded: dict[int, bytes] = {}
+        self._loaded: dict[str | Path, bytes] = {}
         self._unpacked: dict[int, bytes] = {}
         self._meshes: dict[int, dict[int, NDArray[Any]]] = {}
-        for name in _LISTS:
-            self._check_list(name)
+        for name, most in _LISTS.items():
+            rows = document.get(name, [])
+            self._require(_is_objects(rows), name, rows)
+            if len(rows) > most:
+                raise self.error(f"has {len(rows):,} {name}, and {most:,} are read at most", "leave some out")
         self._check_extensions()
         self._check_buffers()
         self._check_nodes()
@@ -114,12 +116,25 @@ class GltfFile:
         """An error that names the file."""
         return InputError(self.path, wrong, advice)
 
-    def _check_list(self, name: str) -> None:
-        rows = self.document.get(name, [])
-        if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-            raise self.error(f"{name} is not a list of objects")
-        if len(rows) > _LISTS[name]:
-            raise self.error(f"has {len(rows):,} {name}, and {_LISTS[name]:,} are read at most", "leave some out")
+    def _require(self, good: bool, where: str, value: object) -> None:
+        if not good:
+            raise self.error(f"{where} is {shown(value)}")
+
+    def _named(self, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
+        """The entries of a list with their places in the document."""
+        return ((f"{name}[{number}]", row) for number, row in enumerate(self.rows(name)))
+
+    def _number(self, row: dict[str, Any], key: str, where: str, below: int = 1 << 40, default: int | None = None
+                ) -> int:
+        """The index or the size under `key`."""
+        value = row.get(key, default)
+        self._require(_is_index(value, below), f"{where}.{key}", value)
+        return cast("int", value)
+
+    def _indices(self, values: Any, count: int, where: str) -> int:
+        """The length of a list of indices, which must all be below `count`."""
+        self._require(isinstance(values, list) and all(_is_index(value, count) for value in values), where, values)
+        return len(values)
 
     def _check_extensions(self) -> None:
         required = self.document.get("extensionsRequired", [])
@@ -131,125 +146,83 @@ class GltfFile:
         if not isinstance(self.document.get("extensions", {}), dict):
             raise self.error("extensions is not an object")
 
-    def _index(self, row: dict[str, Any], key: str, count: int, where: str) -> int:
-        """The index under `key`, which must be below `count`."""
-        value = row.get(key)
-        if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < count:
-            raise self.error(f"{where}.{key} is {shown(value)}, and there are {count}")
-        return value
-
-    def _size(self, row: dict[str, Any], key: str, where: str, default: int | None = 0) -> int:
-        """The size under `key`; without `default` it is required."""
-        value = row.get(key, default)
-        if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= 1 << 40:
-            raise self.error(f"{where}.{key} is {shown(value)}")
-        return value
-
     def _check_buffers(self) -> None:
-        for number, buffer in enumerate(self.rows("buffers")):
-            self._size(buffer, "byteLength", f"buffers[{number}]", None)
-            if not isinstance(buffer.get("uri", ""), str):
-                raise self.error(f"buffers[{number}].uri is {shown(buffer['uri'])}")
-        for number, view in enumerate(self.rows("bufferViews")):
-            where = f"bufferViews[{number}]"
-            buffer = self.rows("buffers")[self._index(view, "buffer", len(self.rows("buffers")), where)]
-            end = self._size(view, "byteOffset", where) + self._size(view, "byteLength", where, None)
-            if end > buffer["byteLength"]:
-                raise self.error(f"{where} lies beyond its buffer")
-            self._size(view, "byteStride", where)
-            packed = compressed_view(view)
-            if packed is not None:
-                buffer = self.rows("buffers")[self._index(packed, "buffer", len(self.rows("buffers")), where)]
-                end = self._size(packed, "byteOffset", where) + self._size(packed, "byteLength", where, None)
+        buffers = self.rows("buffers")
+        for where, row in (*self._named("buffers"), *self._named("images")):
+            self._require(isinstance(row.get("uri", ""), str), f"{where}.uri", row.get("uri"))
+        for where, buffer in self._named("buffers"):
+            self._number(buffer, "byteLength", where)
+        for where, view in self._named("bufferViews"):
+            self._number(view, "byteStride", where, default=0)
+            for part in filter(None, (view, compressed_view(view))):
+                buffer = buffers[self._number(part, "buffer", where, len(buffers))]
+                end = self._number(part, "byteOffset", where, default=0) + self._number(part, "byteLength", where)
                 if end > buffer["byteLength"]:
                     raise self.error(f"{where} lies beyond its buffer")
-        for number, accessor in enumerate(self.rows("accessors")):
-            self._check_accessor(accessor, f"accessors[{number}]")
-        for number, image in enumerate(self.rows("images")):
-            if not isinstance(image.get("uri", ""), str):
-                raise self.error(f"images[{number}].uri is {shown(image['uri'])}")
+        for where, image in self._named("images"):
             if "bufferView" in image:
-                self._index(image, "bufferView", len(self.rows("bufferViews")), f"images[{number}]")
+                self._number(image, "bufferView", where, len(self.rows("bufferViews")))
+        for where, accessor in self._named("accessors"):
+            self._check_accessor(accessor, where)
 
     def _check_accessor(self, accessor: dict[str, Any], where: str) -> None:
         kind: Any = accessor.get("componentType")
         shape: Any = accessor.get("type")
-        if kind not in tuple(_TYPES) or shape not in tuple(_SHAPES):  # tuples, because the values may be unhashable
-            raise self.error(f"{where} holds numbers of kind {shown(kind)} and {shown(shape)}")
-        count = self._size(accessor, "count", where, None)
+        # Tuples, because the values may be unhashable.
+        self._require(kind in tuple(_TYPES), f"{where}.componentType", kind)
+        self._require(shape in tuple(_SHAPES), f"{where}.type", shape)
+        count = self._number(accessor, "count", where)
         if "bufferView" in accessor:
             self._check_part(accessor, where, count, _value_bytes(kind, shape))
         sparse = accessor.get("sparse")
         if sparse is None:
             return
-        if not isinstance(sparse, dict) or not all(isinstance(sparse.get(key), dict) for key in ("indices", "values")):
-            raise self.error(f"{where}.sparse is {shown(sparse)}")
-        few, places = self._size(sparse, "count", f"{where}.sparse", None), sparse["indices"]
-        if few > count or places.get("componentType") not in _UNSIGNED:
-            raise self.error(f"{where}.sparse has {few} of {count} values, by numbers of kind "
-                             f"{shown(places.get('componentType'))}")
+        parts = [sparse.get(key) for key in ("indices", "values")] if isinstance(sparse, dict) else None
+        self._require(_is_objects(parts), f"{where}.sparse", sparse)
+        few, places = self._number(sparse, "count", f"{where}.sparse", count + 1), sparse["indices"]
+        self._require(places.get("componentType") in _UNSIGNED, f"{where}.sparse.indices", places)
         self._check_part(places, f"{where}.sparse.indices", few, np.dtype(_TYPES[places["componentType"]]).itemsize)
         self._check_part(sparse["values"], f"{where}.sparse.values", few, _value_bytes(kind, shape))
 
     def _check_part(self, part: dict[str, Any], where: str, count: int, size: int) -> None:
         """`InputError` if `count` values of `size` bytes do not fit into the view of a part."""
         views = self.rows("bufferViews")
-        view = views[self._index(part, "bufferView", len(views), where)]
+        view = views[self._number(part, "bufferView", where, len(views))]
         # Stride 0 or none means tightly packed.
         step = view.get("byteStride", 0) or size
         # The last value need not be padded to the full stride.
-        need = self._size(part, "byteOffset", where) + (step * (count - 1) + size if count else 0)
+        need = self._number(part, "byteOffset", where, default=0) + (step * (count - 1) + size if count else 0)
         if need > view["byteLength"]:
             raise self.error(f"{where} asks for {need:,} bytes of a view that has {view['byteLength']:,}: it lies "
                              "beyond its buffer")
 
     def _check_nodes(self) -> None:
-        nodes = self.rows("nodes")
-        for number, node in enumerate(nodes):
-            where = f"nodes[{number}]"
-            self._check_indices(node.get("children", []), len(nodes), f"{where}.children")
+        nodes, accessors = self.rows("nodes"), self.rows("accessors")
+        for where, node in self._named("nodes"):
+            self._indices(node.get("children", []), len(nodes), f"{where}.children")
             for key, rows in (("mesh", "meshes"), ("skin", "skins")):
                 if key in node:
-                    self._index(node, key, len(self.rows(rows)), where)
+                    self._number(node, key, where, len(self.rows(rows)))
             for key, count in (("matrix", 16), ("translation", 3), ("rotation", 4), ("scale", 3)):
-                self._check_numbers(node.get(key, [0.0] * count), count, f"{where}.{key}")
+                values = node.get(key, [0.0] * count)
+                self._require(isinstance(values, list) and len(values) == count and all(map(_is_near, values)),
+                              f"{where}.{key}", values)
         joints = 0
-        for number, skin in enumerate(self.rows("skins")):
-            where = f"skins[{number}]"
-            joints += self._check_indices(skin.get("joints"), len(nodes), f"{where}.joints")
-            if joints > _MOST_JOINTS:
-                raise self.error(f"has more than {_MOST_JOINTS:,} joints in its skins", "leave some out")
+        for where, skin in self._named("skins"):
+            joints += self._indices(skin.get("joints"), len(nodes), f"{where}.joints")
             if "inverseBindMatrices" in skin:
-                accessors = self.rows("accessors")
-                accessor = accessors[self._index(skin, "inverseBindMatrices", len(accessors), where)]
-                if (accessor["type"], accessor["componentType"]) != ("MAT4", 5126):
-                    raise self.error(f"{where}.inverseBindMatrices are not matrices")
-        for number, mesh in enumerate(self.rows("meshes")):
-            self._check_mesh(mesh, f"meshes[{number}]")
-
-    def _check_mesh(self, mesh: dict[str, Any], where: str) -> None:
-        primitives = mesh.get("primitives")
-        if not isinstance(primitives, list) or not all(isinstance(entry, dict) for entry in primitives):
-            raise self.error(f"{where}.primitives is not a list of objects")
-        for number, primitive in enumerate(primitives):
-            attributes = primitive.get("attributes", {})
-            if not isinstance(attributes, dict):
-                raise self.error(f"{where}.primitives[{number}].attributes is not an object")
-            self._check_indices(list(attributes.values()), len(self.rows("accessors")),
-                                f"{where}.primitives[{number}].attributes")
-
-    def _check_indices(self, values: Any, count: int, where: str) -> int:
-        """The length of a list of indices, which must all be below `count`."""
-        if not isinstance(values, list) or not all(
-                isinstance(value, int) and not isinstance(value, bool) and 0 <= value < count for value in values):
-            raise self.error(f"{where} names what is not there ({shown(values)})")
-        return len(values)
-
-    def _check_numbers(self, values: Any, count: int, where: str) -> None:
-        if not isinstance(values, list) or len(values) != count or not all(
-                isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= FARTHEST
-                for value in values):
-            raise self.error(f"{where} is {shown(values)}: not {count} numbers up to {FARTHEST:g}")
+                accessor = accessors[self._number(skin, "inverseBindMatrices", where, len(accessors))]
+                self._require((accessor["type"], accessor["componentType"]) == ("MAT4", 5126),
+                              f"{where}.inverseBindMatrices", accessor)
+        if joints > _MOST_JOINTS:
+            raise self.error(f"has more than {_MOST_JOINTS:,} joints in its skins", "leave some out")
+        for where, mesh in self._named("meshes"):
+            primitives = mesh.get("primitives")
+            self._require(_is_objects(primitives), f"{where}.primitives", primitives)
+            for primitive in cast("list[dict[str, Any]]", primitives):
+                attributes = primitive.get("attributes", {})
+                self._require(isinstance(attributes, dict), f"{where}.attributes", attributes)
+                self._indices(list(attributes.values()), len(accessors), f"{where}.attributes")
 
     # ---------------------------------------------------------------------------------------------- numbers
 
@@ -257,30 +230,29 @@ class GltfFile:
         """The number of values of an accessor."""
         return cast("int", self.rows("accessors")[accessor]["count"])
 
-    def array(self, accessor: int, first: int = 0, step: int = 1, most: int | None = None) -> NDArray[np.float64]:
-        """[n, width] every `step`-th value of an accessor from `first` on, at most `most`, with sparse values applied;
-        normalised integers become fractions of 1."""
+    def array(self, accessor: int, rows: slice = slice(None)) -> NDArray[np.float64]:
+        """[n, width] the values of an accessor, or some of its rows, with sparse values applied; normalised integers
+        become fractions of 1."""
         source = self.rows("accessors")[accessor]
         kind, width = np.dtype(_TYPES[source["componentType"]]), math.prod(_SHAPES[source["type"]])
-        chosen = range(first, source["count"], step)[:most]
         if accessor in self._draco:
-            values = self._draco_values(accessor, width)[first::step][:most].astype(np.float64)
+            raw = self._draco_values(accessor, width)
         elif "bufferView" in source:
-            with np.errstate(invalid="ignore"):  # a signalling NaN; what takes the values checks that they are finite
-                values = self._numbers(source, source["count"], kind, width)[first::step][:most].astype(np.float64)
+            raw = self._numbers(source, source["count"], kind, width)
+        elif source["count"] * width > _MOST_ZEROS:
+            raise self.error(f"accessors[{accessor}] has {source['count']:,} values and no view")
         else:
-            if len(chosen) * width > _MOST_ZEROS:
-                raise self.error(f"accessors[{accessor}] has {source['count']:,} values and no view")
-            values = np.zeros((len(chosen), width))
+            raw = np.zeros((source["count"], width))
+        with np.errstate(invalid="ignore"):  # a signalling NaN; what takes the values checks that they are finite
+            values = (raw if "sparse" in source else raw[rows]).astype(np.float64)
         if "sparse" in source:
             few, places = source["sparse"]["count"], source["sparse"]["indices"]
             at = self._numbers(places, few, np.dtype(_TYPES[places["componentType"]]), 1)[:, 0].astype(np.int64)
             # The format requires rising indices; repeated ones would make the result depend on the order.
             if few and (at.max() >= source["count"] or (np.diff(at) <= 0).any()):
                 raise self.error(f"accessors[{accessor}].sparse.indices do not rise below {source['count']}")
-            # Only those sparse values whose rows were requested.
-            here = np.isin(at, np.array(chosen, dtype=np.int64)) if step > 1 or most is not None else at >= first
-            values[(at[here] - first) // step] = self._numbers(source["sparse"]["values"], few, kind, width)[here]
+            values[at] = self._numbers(source["sparse"]["values"], few, kind, width)
+            values = values[rows]
         if source.get("normalized") is True and kind.kind in "iu":
             # glTF 2.0, section 3.11: the smallest signed integer is clamped to -1.
             values = np.maximum(values / np.iinfo(kind).max, -1.0)
@@ -305,24 +277,25 @@ class GltfFile:
 
     def _numbers(self, part: dict[str, Any], count: int, kind: np.dtype[Any], width: int) -> NDArray[Any]:
         """[count, width] the data in the view of an accessor or of a sparse part, without copying."""
-        view = self.rows("bufferViews")[part["bufferView"]]
+        number, start = part["bufferView"], part.get("byteOffset", 0)
+        view = self.rows("bufferViews")[number]
         step = view.get("byteStride", 0) or kind.itemsize * width
         packed = compressed_view(view)
-        if packed is not None:
-            number = part["bufferView"]
+        if packed is None:
+            data: bytes | memoryview = self._buffer(view["buffer"])
+            start += view.get("byteOffset", 0)
+        else:
             if number not in self._unpacked:
                 self._unpacked[number] = unpacked_view(packed, self._view_bytes(packed), view["byteLength"], self.path)
-            return np.ndarray((count, width), kind, self._unpacked[number], part.get("byteOffset", 0),
-                              (step, kind.itemsize))
-        start = view.get("byteOffset", 0) + part.get("byteOffset", 0)
-        return np.ndarray((count, width), kind, self._buffer(view["buffer"]), start, (step, kind.itemsize))
+            data = self._unpacked[number]
+        return np.ndarray((count, width), kind, data, start, (step, kind.itemsize))
 
     def _buffer(self, index: int) -> bytes | memoryview:
         buffer = self.rows("buffers")[index]
         uri = buffer.get("uri")
         data: bytes | memoryview | None = self._binary
         if uri is not None:
-            data = self._embedded_data(index, uri) if uri.startswith("data:") else self.bytes_of(self.beside(uri))
+            data = self._embedded(index, uri) if uri.startswith("data:") else self.bytes_of(self.beside(uri))
         if data is None:
             raise self.error("lacks its binary part")
         if len(data) < buffer["byteLength"]:
@@ -330,13 +303,13 @@ class GltfFile:
                              "copy or export it again")
         return data
 
-    def _embedded_data(self, index: int, uri: str) -> bytes:
-        if index not in self._embedded:
+    def _embedded(self, index: int, uri: str) -> bytes:
+        if uri not in self._loaded:
             try:
-                self._embedded[index] = base64.b64decode(uri.partition(",")[2], validate=True)
-            except (binascii.Error, ValueError):
+                self._loaded[uri] = base64.b64decode(uri.partition(",")[2], validate=True)
+            except ValueError:
                 raise self.error(f"buffers[{index}] is not base64") from None
-        return self._embedded[index]
+        return self._loaded[uri]
 
     # ---------------------------------------------------------------------------------------------- files
 
@@ -356,11 +329,11 @@ class GltfFile:
 
     def bytes_of(self, place: Path) -> bytes:
         """A separate file of the document, read only once."""
-        if place not in self._beside:
+        if place not in self._loaded:
             # The limit is for all separate files together.
-            left = LARGEST - sum(map(len, self._beside.values()))
-            self._beside[place] = read_bytes(place, "leave out its textures", left)
-        return self._beside[place]
+            left = LARGEST - sum(map(len, self._loaded.values()))
+            self._loaded[place] = read_bytes(place, "leave out its textures", left)
+        return self._loaded[place]
 
     def one_buffer(self) -> bytes:
         """Joins all buffers into one, each file once, and updates the views and `buffers` accordingly."""
@@ -370,31 +343,43 @@ class GltfFile:
             return bytes(self._binary or b"")
         if len(buffers) == 1 and "uri" not in buffers[0]:
             return bytes(self._buffer(0))
-        joined, starts = bytearray(), list[int]()
+        joined, rows, starts = bytearray(), list[int](), list[int]()
         places: dict[str, int] = {}
         # Buffers without data stand for views that are compressed; they keep a row of their own.
-        empty = [index for index, buffer in enumerate(buffers) if is_fallback(buffer) and index]
-        rows = {index: empty.index(index) + 1 if index in empty else 0 for index in range(len(buffers))}
+        left: list[dict[str, Any]] = [{}]
         for index, buffer in enumerate(buffers):
-            if index in empty:
+            if index and is_fallback(buffer):
+                rows.append(len(left))
                 starts.append(0)
+                left.append(buffer)
                 continue
-            uri = buffer.get("uri", "")
+            uri, data = buffer.get("uri", ""), self._buffer(index)
             source = uri if not uri or uri.startswith("data:") else str(self.beside(uri))
             if source not in places:
                 # Accessors must stay aligned to 4 bytes.
                 joined += bytes(-len(joined) % 4)
                 places[source] = len(joined)
-                joined += self._buffer(index)
-            self._buffer(index)
+                joined += data
+            rows.append(0)
             starts.append(places[source])
         for view in self.rows("bufferViews"):
-            for part in (view, compressed_view(view)):
-                if part is not None:
-                    part["byteOffset"] = part.get("byteOffset", 0) + starts[part["buffer"]]
-                    part["buffer"] = rows[part["buffer"]]
-        self.document["buffers"] = [{}, *(buffers[index] for index in empty)]
+            for part in filter(None, (view, compressed_view(view))):
+                part["byteOffset"] = part.get("byteOffset", 0) + starts[part["buffer"]]
+                part["buffer"] = rows[part["buffer"]]
+        self.document["buffers"] = left
         return bytes(joined)
+
+
+def _is_objects(rows: Any) -> bool:
+    return isinstance(rows, list) and all(isinstance(row, dict) for row in rows)
+
+
+def _is_index(value: Any, below: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < below
+
+
+def _is_near(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= FARTHEST
 
 
 def _value_bytes(kind: int, shape: str) -> int:

@@ -146,7 +146,7 @@ def _inverse_matrices(file: GltfFile) -> dict[int, Array]:
         count = len(skin["joints"])
         matrices = np.tile(np.eye(4), (count, 1, 1))
         if "inverseBindMatrices" in skin:
-            numbers = file.array(skin["inverseBindMatrices"], most=count)
+            numbers = file.array(skin["inverseBindMatrices"], slice(count))
             if not (np.abs(numbers) <= FARTHEST).all():
                 raise InputError(file.path, "has inverse bind matrices that are not finite numbers", AGAIN)
             matrices[:len(numbers)] = numbers.reshape(-1, 4, 4).transpose(0, 2, 1)
@@ -288,7 +288,7 @@ def _flesh(file: GltfFile, place: Mapping[int, int], moves: Mapping[int, Array])
         if skin not in joints_of:
             joints_of[skin] = np.array([place[node] for node in file.rows("skins")[skin]["joints"]])
         joints = joints_of[skin]
-        where, which, weights = (file.array(attributes[name], first, step) for name in _SKINNED)
+        where, which, weights = (file.array(attributes[name], slice(first, None, step)) for name in _SKINNED)
         if where.shape[1] != 3 or which.shape != weights.shape or len(where) != len(which) or not which.shape[1]:
             raise InputError(file.path, "has a mesh whose positions, joints and weights do not match", AGAIN)
         most = np.take_along_axis(which, weights.argmax(axis=1)[:, None], axis=1)[:, 0]

@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from data_module.motion.skeletons import FINGERS, NAME_TABLES
+from data_module.motion.skeletons import FINGERS
 from data_module.types import Array
 from gesticulator.characters import shape
 from gesticulator.characters.mapping import ARM_PARTS, LACKS, LEG_PARTS, NEEDED, SIDES, SURE, RigMapping, ancestors
@@ -145,7 +145,7 @@ def _from_vrm(character: Character) -> RigMapping:
     joints = _turned_round(Search(character, (), shape.bind_matrices(character)[:, :3, 3], up), joints, True, exchanged)
     missing = [name for name in NEEDED if name not in joints]
     doubts = (*exchanged, *((f"its VRM table lacks {', '.join(missing)}",) if missing else ()))
-    return RigMapping(joints, spine, neck, "vrm humanoid", 0.0 if missing else 1.0, doubts)
+    return RigMapping(joints, spine, neck, 0.0 if missing else 1.0, doubts)
 
 
 # ---------------------------------------------------------------------------------------------------- by all else
@@ -157,7 +157,7 @@ def _found(search: Search) -> RigMapping:
     sure: dict[str, float] = {}
     doubts: list[str] = []
     joints |= _legs_without_feet(search, ends)
-    for kind, parts, least in (("Hand", ARM_PARTS, 3), ("Foot", LEG_PARTS, 3)):
+    for kind, parts in (("Hand", ARM_PARTS), ("Foot", LEG_PARTS)):
         pair = [ends.get(side + kind) for side in SIDES]
         if pair[0] is None or pair[1] is None:
             doubts.append(f"its {'arms' if kind == 'Hand' else 'legs'} cannot be identified")
@@ -166,33 +166,22 @@ def _found(search: Search) -> RigMapping:
         top = search.meeting(pair[0], pair[1])
         for side, end in zip(SIDES, pair, strict=True):
             assert end is not None
-            chosen, how = _limb(search, _below(search, top, end), side, parts, least)
+            chosen, how = _limb(search, _below(search, top, end), side, parts)
             joints |= chosen
             sure |= how
     trunk = _trunk(search, joints, ends.get("Head"), doubts)
     if trunk is not None:
         hips, spine, neck, head, how = trunk
         joints, sure = {"Hips": hips, "Head": head, **joints}, {**sure, **how}
-    else:  # not usable; joints known by name alone shorten the list of missing ones in the message
+    else:
         spine = neck = ()
-        joints = {**_by_name_alone(search), **joints}
     for side in SIDES:
         if side + "Hand" in joints:
             joints |= _fingers(search, side, joints[side + "Hand"])
     joints = _turned_round(search, joints, any(search.labels[node].side for name, node in ends.items()
                                                if name != "Head"), doubts)
     confidence = _confidence(search, joints, sure, doubts)
-    family = _family(search.character.names, [*joints.values(), *spine, *neck])
-    return RigMapping(joints, spine, neck, family, confidence, tuple(doubts))
-
-
-def _by_name_alone(search: Search) -> dict[str, int]:
-    """The joints of `NEEDED` for which exactly one node has the name."""
-    named: dict[str, list[int]] = {}
-    for node, entry in enumerate(search.labels):
-        if entry.parts and not entry.aid and not entry.tip:
-            named.setdefault(entry.side + entry.parts[0], []).append(node)
-    return {name: named[name][0] for name in NEEDED if len(named.get(name, ())) == 1}
+    return RigMapping(joints, spine, neck, confidence, tuple(doubts))
 
 
 def _legs_without_feet(search: Search, ends: Mapping[str, int]) -> dict[str, int]:
@@ -296,7 +285,7 @@ def _below(search: Search, top: int, end: int) -> list[int]:
         path.append(beyond)
 
 
-def _limb(search: Search, path: Sequence[int], side: str, parts: Sequence[str], least: int
+def _limb(search: Search, path: Sequence[int], side: str, parts: Sequence[str]
           ) -> tuple[dict[str, int], dict[str, float]]:
     """The best choice of nodes on a path for the four parts of a limb, with the confidence of each.
 
@@ -414,11 +403,11 @@ def _distinct(search: Search, chain: Sequence[int]) -> list[int]:
 
 def _fingers(search: Search, side: str, hand: int) -> dict[str, int]:
     """The finger joints under a hand: by name, else by position."""
-    under = [node for node in range(len(search.character)) if hand in ancestors(search.character.parents, node)]
-    chains: dict[str, list[int]] = {}
-    for finger in FINGERS:
-        chains[finger] = [node for node in under if search.labels[node].finger == finger and not search.labels[node].tip
-                          and not search.labels[node].aid and search.labels[node].side in ("", side)]
+    chains: dict[str, list[int]] = {finger: [] for finger in FINGERS}
+    for node in map(int, np.flatnonzero(search.character.under([hand]))):
+        entry = search.labels[node]
+        if entry.finger and not entry.tip and not entry.aid and entry.side in ("", side):
+            chains[entry.finger].append(node)
     if not any(chains.values()):
         chains = shape.finger_chains(search.character, search.places, hand)
     out: dict[str, int] = {}
@@ -468,14 +457,6 @@ def _confidence(search: Search, joints: Mapping[str, int], sure: Mapping[str, fl
         doubts.append(f"{LACKS}{', '.join(name for name in NEEDED if name not in joints)}")
         return 0.0
     value = float(np.mean([sure[name] for name in sure if name in joints]))
-    for upper, lower in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("UpLeg", "Leg"), ("Leg", "Foot")):
-        both = [search.length(joints[side + upper], joints[side + lower]) for side in SIDES
-                if side + upper in joints and side + lower in joints]
-        # Bodies are symmetric: very different lengths show that a wrong node was chosen on one side.
-        if len(both) == 2 and min(both) < 0.7 * max(both):
-            doubts.append(f"the bone from {upper} to {lower} is {max(both) / max(min(both), 1e-9):.1f} times as long "
-                          "on one side as on the other")
-            value *= 0.7
     arm, trunk = (search.length(joints["LeftArm"], joints["LeftForeArm"]),
                   abs(float((search.places[joints["Head"]] - search.places[joints["Hips"]]) @ search.up)))
     # About a half in an adult; the range leaves room for stylised proportions.
@@ -483,18 +464,4 @@ def _confidence(search: Search, joints: Mapping[str, int], sure: Mapping[str, fl
         doubts.append(f"an upper arm is {arm / trunk:.2f} of the height from hips to head" if trunk > 0.1 * arm else
                       "its head is no higher than its hips")
         value *= 0.7
-    ahead = shape.feet_ahead(search.character, search.places, search.up, joints)
-    if ahead is not None and ahead < -0.3:
-        doubts.append("its toes point backwards, given the sides in its names")
-        value *= 0.7
     return value
-
-
-def _family(names: Sequence[str], used: Sequence[int]) -> str:
-    """The table of `NAME_TABLES` that contains nearly all of the used names, or ""."""
-    plain = {names[node].rsplit(":", 1)[-1].replace(" ", "_").lower() for node in used}
-    share = {family: len(plain & {name.lower() for name in table.values()}) / max(len(plain), 1)
-             for family, table in NAME_TABLES.items()}
-    # Nearly all, as tools add bones of their own to a known convention.
-    best = max(share, key=lambda family: share[family])
-    return best if share[best] >= 0.8 else ""

@@ -7,6 +7,7 @@ import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Literal
 
 import msgspec
@@ -39,7 +40,6 @@ class RigMapping:
 
     joints: our joint (of `SINGLE`) -> node. spine: nodes from above the hips to the chest; neck: nodes from above the
     chest to below the head; both may be empty.
-    family: naming convention ("mixamo", "vrm humanoid"), "" if unknown.
     confidence: 0 to 1; 1 if written by the user. doubts: reasons against it, in words.
     given: whether it was read from a file that the user has checked.
     """
@@ -47,7 +47,6 @@ class RigMapping:
     joints: Mapping[str, int]
     spine: tuple[int, ...] = ()
     neck: tuple[int, ...] = ()
-    family: str = ""
     confidence: float = 1.0
     doubts: tuple[str, ...] = field(default=())
     given: bool = False
@@ -70,17 +69,10 @@ def check(mapping: RigMapping, character: Character) -> None:
     """`InputError` if the mapping lacks required joints, uses a node twice, or has too low a confidence."""
     missing = [name for name in NEEDED if name not in mapping.joints]
     if missing:
-        doubts = [doubt for doubt in mapping.doubts if not doubt.startswith(LACKS)]
-        # A missing arm is the commonest case and gets a message of its own.
-        for side, other in zip(SIDES, SIDES[::-1], strict=True):
-            if all(name.startswith(side) for name in missing):
-                raise InputError(character.path, f"has the {other.lower()} arm, but no joint that could be "
-                                 f"{', '.join(missing)}", "gestures need both arms: add these bones (they need no "
-                                 "mesh), or name them in a mapping (--save-mapping writes one to fill in, --mapping "
-                                 "reads it)")
+        doubts = "; ".join(doubt for doubt in mapping.doubts if not doubt.startswith(LACKS))
         raise InputError(character.path, f"has no joint that could be {', '.join(missing)}"
-                         + (f" ({'; '.join(doubts)})" if doubts else ""),
-                         "name its joints in a mapping (--save-mapping writes one to fill in, --mapping reads it)")
+                         + (f" ({doubts})" if doubts else ""), "name its joints in a mapping (--save-mapping writes "
+                         "one to fill in, --mapping reads it); gestures need both arms, and bones need no mesh")
     used: dict[int, str] = {}
     for name, node in [*mapping.joints.items(), *(("Spine", node) for node in mapping.spine),
                        *(("Neck", node) for node in mapping.neck)]:
@@ -88,18 +80,14 @@ def check(mapping: RigMapping, character: Character) -> None:
             raise InputError(character.path, f"has one node, {shown(character.names[node])}, for {used[node]} and "
                              f"{name}", _ADVICE)
         used[node] = name
-    for parts in (ARM_PARTS[1:], LEG_PARTS[:3]):
-        for side in SIDES:
-            chain = [mapping.joints[side + part] for part in parts if side + part in mapping.joints]
-            for above, below in zip(chain, chain[1:], strict=False):
-                # A joint that is not below the one before would not move with it.
-                if above not in ancestors(character.parents, below):
-                    raise InputError(character.path, f"does not have {shown(character.names[below])} under "
-                                     f"{shown(character.names[above])}", _ADVICE)
-    for name in ("Head", *(side + "Hand" for side in SIDES)):
-        if mapping.joints["Hips"] not in ancestors(character.parents, mapping.joints[name]):
-            raise InputError(character.path, f"does not carry {shown(character.names[mapping.joints[name]])} on its "
-                             f"hips, {shown(character.names[mapping.joints['Hips']])}", _ADVICE)
+    chains = [(side + above, side + below) for parts in (ARM_PARTS[1:], LEG_PARTS[:3]) for side in SIDES
+              for above, below in pairwise(parts)]
+    for above, below in (*chains, *(("Hips", name) for name in ("Head", "LeftHand", "RightHand"))):
+        top, low = mapping.joints.get(above), mapping.joints.get(below)
+        # A joint that is not below the one before would not move with it.
+        if top is not None and low is not None and top not in ancestors(character.parents, low):
+            raise InputError(character.path, f"does not have {shown(character.names[low])} under "
+                             f"{shown(character.names[top])}", _ADVICE)
     if mapping.confidence < SURE:
         raise InputError(character.path, f"has joints that can only be guessed, {mapping.confidence:.0%} sure: "
                          f"{'; '.join(mapping.doubts) or 'its names are unknown'}",
@@ -130,8 +118,8 @@ def to_json(mapping: RigMapping, character: Character) -> dict[str, Any]:
     """The mapping in plain values; joints that were not found are null, for the user to fill in."""
     keys = node_keys(character)
     joints: dict[str, Any] = {name: keys[mapping.joints[name]] if name in mapping.joints else None for name in SINGLE}
-    return {"format": 1, "character": character.path.name, "family": mapping.family,
-            "confidence": round(mapping.confidence, 3), "doubts": list(mapping.doubts),
+    return {"format": 1, "character": character.path.name, "confidence": round(mapping.confidence, 3),
+            "doubts": list(mapping.doubts),
             "spine": [keys[node] for node in mapping.spine], "neck": [keys[node] for node in mapping.neck],
             "joints": joints}
 
@@ -148,7 +136,6 @@ class _MappingFile(msgspec.Struct):
     joints: dict[str, str | None]
     spine: list[str] = []
     neck: list[str] = []
-    family: str = ""
 
 
 def load_mapping(path: str | os.PathLike[str], character: Character) -> RigMapping:
@@ -169,21 +156,15 @@ def load_mapping(path: str | os.PathLike[str], character: Character) -> RigMappi
     if unknown:
         raise InputError(path, f"has unknown joints {shown(', '.join(unknown), 100)}", _ADVICE)
     joints = {name: find(key) for name, key in stored.joints.items() if key is not None}
-    return RigMapping(joints, tuple(map(find, stored.spine)), tuple(map(find, stored.neck)), stored.family[:40],
-                      given=True)
+    return RigMapping(joints, tuple(map(find, stored.spine)), tuple(map(find, stored.neck)), given=True)
 
 
 def described(mapping: RigMapping, character: Character) -> str:
     """The mapping as text: our joints with the character's names."""
-    lines = [f"{character.path.name}: {len(character)} nodes, {len(mapping.joints)} joints found"
-             + (f", names like {mapping.family}" if mapping.family else "")]
-    lines += [f"  doubt: {doubt}" for doubt in mapping.doubts]
-
-    def row(name: str, nodes: Sequence[int]) -> str:
-        return f"  {name:<18} {', '.join(character.names[node] for node in nodes) or '-'}"
-
-    lines += [row("Hips", [mapping.joints["Hips"]] if "Hips" in mapping.joints else []), row("Spine", mapping.spine),
-              row("Neck", mapping.neck)]
-    lines += [row(name, [mapping.joints[name]] if name in mapping.joints else []) for name in SINGLE[1:]
-              if name in mapping.joints or name not in FINGER_JOINTS]
-    return "\n".join(lines)
+    nodes = {name: (mapping.joints[name],) if name in mapping.joints else () for name in SINGLE
+             if name in mapping.joints or name not in FINGER_JOINTS}
+    rows = {"Hips": nodes["Hips"], "Spine": mapping.spine, "Neck": mapping.neck, **nodes}
+    return "\n".join([
+        f"{character.path.name}: {len(character)} nodes, {len(mapping.joints)} joints found",
+        *(f"  doubt: {doubt}" for doubt in mapping.doubts),
+        *(f"  {name:<18} {', '.join(character.names[node] for node in some) or '-'}" for name, some in rows.items())])

@@ -1,8 +1,4 @@
-"""Parses bone names: side, body part and number, in the spellings of common tools and in other languages.
-
-Artists name bones in the language that they speak. `english` replaces words for body parts and sides in German, Dutch,
-French, Spanish, Italian, Portuguese, Russian, Japanese and Chinese by the English ones; a name in plain English stays
-as it is.
+"""Parses bone names: side, body part and number, in the spellings of common tools.
 
 A single name can mislead: Rigify numbers neck and head as joints of the spine, and an exported control rig has every
 part three times. So `character_labels` also reads the whole set of names of a character, in which a known convention is
@@ -19,109 +15,44 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gesticulator.characters.mapping import ARM_PARTS, LEG_PARTS, SIDES, ancestors
+from gesticulator.characters.mapping import ancestors
 from gesticulator.characters.rig import Character
 
-
-def split(*lines: str) -> frozenset[str]:
-    """The words of some lines."""
-    return frozenset(word for line in lines for word in line.split())
-
-
-LEFT = split("links linke linker linkes linkse gauche izquierda izquierdo izq sinistra sinistro sx esquerda esquerdo",
-             "esq hidari zuo")
-RIGHT = split("rechts rechte rechter rechtes rechtse droite droit derecha derecho dcha destra destro dx direita",
-              "direito dir migi you")
-"""Words for the sides, without accents."""
-
-_LATIN = {english: words.split() for english, words in {
-    "pelvis": "becken bassin bacino bacia bekken",
-    "hips": "hanches caderas fianchi quadril",
-    "hip": "hufte huefte hanche cadera anca heup",
-    "spine": "wirbelsaule wirbelsaeule ruckgrat colonne columna colonna coluna ruggengraat wervelkolom",
-    "back": "rucken ruecken dos espalda schiena costas rug",
-    "belly": "bauch ventre vientre addome buik",
-    "chest": "brust brustkorb poitrine pecho petto torace peito borst borstkas",
-    "torso": "oberkorper oberkoerper torse tronco romp",
-    "neck": "hals nacken cou cuello collo pescoco nek",
-    "head": "kopf tete cabeza testa cabeca hoofd",
-    "shoulder": "schulter epaule hombro spalla ombro schouder",
-    "clavicle": "schlusselbein schluesselbein clavicule clavicula clavicola sleutelbeen",
-    "upperarm": "oberarm bovenarm",
-    "arm": "bras brazo braccio braco",
-    "forearm": "unterarm avantbras antebrazo avambraccio antebraco onderarm",
-    "elbow": "ellbogen ellenbogen coude codo gomito cotovelo elleboog",
-    "hand": "main mano mao",
-    "wrist": "handgelenk poignet muneca polso pulso punho pols",
-    "thumb": "daumen pouce pulgar pollice polegar duim",
-    "index": "zeigefinger indice indicador wijsvinger",
-    "middle": "mittelfinger majeur medio corazon middelvinger",
-    "ring": "ringfinger annulaire anular anulare anelar ringvinger",
-    "pinky": "kleinerfinger auriculaire menique mignolo mindinho minimo pink",
-    "thigh": "oberschenkel cuisse muslo coscia coxa bovenbeen dij",
-    "leg": "bein jambe pierna gamba perna been",
-    "shin": "unterschenkel schienbein espinilla canela onderbeen scheenbeen",
-    "calf": "wade mollet pantorrilla polpaccio panturrilha kuit",
-    "knee": "knie genou rodilla ginocchio joelho",
-    "foot": "fuss pied pie piede pe voet",
-    "ankle": "knochel knoechel cheville tobillo caviglia tornozelo enkel",
-    "toe": "zeh zehe zehen orteil orteils dedospie ditapiede dedospe teen tenen",
-}.items()}
-WORDS = {word: english for english, words in _LATIN.items() for word in words}
-"""Word in the Latin alphabet, without accents -> the English word."""
-
-_RUSSIAN = {word: english for english, words in {
-    "left": "левая левый левое лев", "right": "правая правый правое прав", "pelvis": "таз", "hips": "бедра",
-    "thigh": "бедро", "spine": "позвоночник", "back": "спина", "chest": "грудь", "belly": "живот", "torso": "торс",
-    "neck": "шея", "head": "голова", "clavicle": "ключица", "shoulder": "плечо", "arm": "рука",
-    "forearm": "предплечье", "elbow": "локоть", "hand": "кисть ладонь", "wrist": "запястье", "thumb": "большой",
-    "index": "указательный", "middle": "средний", "ring": "безымянный", "pinky": "мизинец", "leg": "нога",
-    "shin": "голень", "knee": "колено", "foot": "стопа ступня", "ankle": "лодыжка", "toe": "носок", "": "палец",
-    "hair": "волосы",
-}.items() for word in words.split() or [""]}
-
-_EASTERN = {word: english for english, words in {
-    "left": "左", "right": "右",
-    "hips": "センター 臀部 臀", "hip": "髋 髋部", "pelvis": "骨盆 盆骨 骨盤", "lower body": "下半身",
-    "spine": "上半身 脊柱 脊椎 背骨", "waist": "腰 腰部", "belly": "腹 腹部", "chest": "胸 胸部",
-    "neck": "首 颈 頸 脖子 颈部", "head": "頭 头 头部", "shoulder": "肩 肩膀 肩部", "clavicle": "锁骨 鎖骨",
-    "upperarm": "上臂 大臂 上腕", "forearm": "前臂 小臂 下臂 前腕", "ude": "腕", "arm": "手臂",
-    "elbow": "ひじ 肘 手肘", "wrist": "手首 手腕", "hand": "手 手掌 手部",
-    "thumb": "親指 拇指 大拇指", "index": "人指 人差指 人差し指 食指", "middle": "中指", "ring": "薬指 无名指 無名指",
-    "pinky": "小指 小拇指", "": "手指", "thigh": "太もも 大腿", "ashi": "足", "leg": "腿",
-    "shin": "すね 小腿", "knee": "ひざ 膝 膝盖", "ankle": "足首 脚踝 踝", "foot": "脚 脚掌", "toe": "つま先 脚趾 趾",
-    "hair": "髪 头发 頭髮", "twist": "捩", "eye": "目 眼 眼睛", "helper": "キャンセル",
+_JAPANESE = {word: english for english, words in {
+    "left": "左", "right": "右", "hips": "センター", "pelvis": "骨盤", "lower body": "下半身", "spine": "上半身 背骨",
+    "waist": "腰", "belly": "腹", "chest": "胸", "neck": "首", "head": "頭", "shoulder": "肩", "clavicle": "鎖骨",
+    "upperarm": "腕 上腕", "forearm": "前腕", "elbow": "ひじ 肘", "wrist": "手首", "hand": "手", "thumb": "親指",
+    "index": "人指 人差指 人差し指", "middle": "中指", "ring": "薬指", "pinky": "小指", "thigh": "足 太もも",
+    "shin": "すね", "knee": "ひざ 膝", "ankle": "足首", "toe": "つま先", "hair": "髪", "twist": "捩", "eye": "目",
+    "helper": "キャンセル",
 }.items() for word in words.split()}
+"""Word in the bone names of MMD -> the English word."""
 # The longest words first, so that a compound is not read as its first character.
-_EAST = re.compile("|".join(sorted(map(re.escape, _EASTERN), key=len, reverse=True)))
-_CYRILLIC = re.compile("[а-яё]+", re.IGNORECASE)
+_JAPANESE_WORD = re.compile("|".join(sorted(map(re.escape, _JAPANESE), key=len, reverse=True)))
 
 
 def english(name: str) -> str:
-    """The name with Japanese, Chinese and Russian words replaced by English ones, and without accents.
+    """The name with Japanese words replaced by English ones, and without accents.
 
-    >>> english("左ひじ"), english("Левая_кисть"), english("Épaule.G"), english("LeftArm")
-    (' left  elbow ', 'left_hand', 'Epaule.G', 'LeftArm')
+    >>> english("左ひじ"), english("Épaule.G"), english("LeftArm")
+    (' left  elbow ', 'Epaule.G', 'LeftArm')
     """
     if name.isascii():
         return name
-    text = unicodedata.normalize("NFKC", name)
-    text = _EAST.sub(lambda match: f" {_EASTERN[match[0]]} ", text)
-    text = _CYRILLIC.sub(lambda match: _RUSSIAN.get(match[0].lower(), match[0]), text)
-    return "".join(letter for letter in unicodedata.normalize("NFKD", text.replace("ß", "ss"))
-                   if not unicodedata.combining(letter))
+    text = _JAPANESE_WORD.sub(lambda match: f" {_JAPANESE[match[0]]} ", unicodedata.normalize("NFKC", name))
+    return "".join(letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
 
 
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 _SIDES = {"l": "Left", "left": "Left", "lf": "Left", "lft": "Left", "r": "Right", "right": "Right", "rt": "Right",
-          "rgt": "Right", **dict.fromkeys(LEFT, "Left"), **dict.fromkeys(RIGHT, "Right")}
-_FRENCH = {"g": "left", "d": "right"}
+          "rgt": "Right"}
 _NOISE = {"mixamorig", "bip", "j", "c", "cc", "base", "def", "org", "character", "bone", "joint", "jnt", "jt", "bn",
           "b", "bind", "skin", "sk", "bend", "stretch", "x", "m", "valve", "biped", "reference", "armature"}
-_AIDS = split("twist roll ik ctrl ctl control pole target corrective helper attach attachment socket slot holder prop",
-              "weapon sword gun shield share twistcor muscle mch tweak driver drv dummy guide widget collider physics",
-              "jiggle spring sec hair bun braid ponytail bang bangs ribbon hat skirt cloth cape coat sleeve breast",
-              "pectoral cancel tail ear ears wing wings")
+_AIDS = {word for line in (
+    "twist roll ik ctrl ctl control pole target corrective helper attach attachment socket slot holder prop weapon",
+    "sword gun shield share twistcor muscle mch tweak driver drv dummy guide widget collider physics jiggle spring sec",
+    "hair bun braid ponytail bang bangs ribbon hat skirt cloth cape coat sleeve breast pectoral cancel tail ear ears",
+    "wing wings") for word in line.split()}
 """Words in the names of helpers, controls, hair, clothes, things, and limbs that a human lacks: none is a joint."""
 _TIPS = {"end", "nub", "tip", "site", "effector", "top"}
 
@@ -145,7 +76,6 @@ _CLEAR = {
 # Names that mean different parts in different tools: SMPL-X's shoulder is Mixamo's arm.
 _DOUBLE = {"shoulder": ("Shoulder", "Arm"), "arm": ("Arm", "ForeArm"), "leg": ("Leg", "UpLeg"),
            "hip": ("HipJoint", "UpLeg"),  # a node above the thigh in some tools
-           "ude": ("Arm", "Hand"), "ashi": ("UpLeg", "Foot"),  # the arm in Japanese is the wrist in Chinese
            "foot": ("Foot", "ToeBase"), "forefoot": ("Foot", "ToeBase"), "hand": ("Hand",), "palm": ("Hand",)}
 _FINGERS = {"thumb": "Thumb", "index": "Index", "pointer": "Index", "mid": "Middle", "middle": "Middle",
             "ring": "Ring", "pinky": "Pinky", "little": "Pinky", "pinkie": "Pinky", "small": "Pinky"}
@@ -199,30 +129,23 @@ def labels(names: Sequence[str]) -> tuple[Label, ...]:
     """
     firsts = Counter(parts[0] for parts in map(words, names) if parts)
     word, count = firsts.most_common(1)[0] if firsts else ("", 0)
-    known = word in _SIDES or word in _PARTS or word in _DOUBLE or word in _FINGERS or word in WORDS
     # A common first word that is itself a side or a part ("Left") is no name of a character.
+    known = word in _SIDES or word in _PARTS or word in _DOUBLE or word in _FINGERS
     noise = frozenset() if known or count < max(4, _MOST * len(names)) else frozenset((word,))
-    sided = [set(parts) for parts in map(words, names) if set(parts) & set(_FRENCH)]
-    french = sum(bool(parts & set(WORDS)) for parts in sided) >= _FEW
-    return tuple(label(name, noise, french) for name in names)
+    return tuple(label(name, noise) for name in names)
 
 
-_FEW = 3
-"""Names with a word that is not English beside a "g" or "d" that make these the French sides."""
 _MOST = 0.6
 """Share of the names that begin with a word above which it is the name of the character."""
 
 
-def label(name: str, noise: frozenset[str] = frozenset(), french: bool = False) -> Label:
-    """The label of a name; an empty `Label` if nothing is recognised.
-
-    noise: words to ignore. french: whether "g" and "d" are sides.
+def label(name: str, noise: frozenset[str] = frozenset()) -> Label:
+    """The label of a name; an empty `Label` if nothing is recognised. noise: words to ignore.
 
     >>> label("upperarm_l").parts, label("upperarm_l").side, label("Bip01 R Finger01").number
     (('Arm',), 'Left', '1')
     """
     tokens = [word for word in words(name) if word not in _NOISE and word not in noise]
-    tokens = _in_english([_FRENCH.get(word, word) for word in tokens] if french else tokens)
     side = next((_SIDES[word] for word in tokens if word in _SIDES), "")
     tokens = [word for word in tokens if word not in _SIDES]
     if not side and tokens:
@@ -252,17 +175,6 @@ def label(name: str, noise: frozenset[str] = frozenset(), french: bool = False) 
     return Label(parts, side, number, tip, aid)
 
 
-def _in_english(tokens: list[str]) -> list[str]:
-    """Words in other languages of the Latin alphabet replaced, also those of two parts ("avant bras")."""
-    out: list[str] = []
-    for word in tokens:
-        if out and out[-1] + word in WORDS:
-            out[-1] = WORDS[out[-1] + word]
-        else:
-            out.append(WORDS.get(word, word))
-    return out
-
-
 def _is_number(word: str) -> bool:
     return word.isascii() and word.isdigit()  # "\u00b2".isdigit(), but int() does not read it
 
@@ -288,7 +200,7 @@ _RIGIFY_NAMES = {"upper_arm", "forearm", "thigh", "shin"}
 def character_labels(character: Character) -> tuple[Label, ...]:
     """[N] the labels of a character's nodes."""
     entries = list(labels(character.names))
-    for node, entry in {**_rigify_spine(character, entries), **_numbered_limbs(character, entries)}.items():
+    for node, entry in _rigify_spine(character, entries).items():
         entries[node] = entry
     return tuple(_without_controls(character, entries))
 
@@ -318,26 +230,6 @@ def _rigify_spine(character: Character, entries: list[Label]) -> dict[int, Label
            for number, node in chain.items()}
     out[chain[max(chain)]] = Label(("Head",))
     return out | {node: Label() for node in heads}
-
-
-def _numbered_limbs(character: Character, entries: list[Label]) -> dict[int, Label]:
-    """Node -> label of limbs whose bones are all called arm or leg, one below the other, as those that Blender names
-    after the one that they were extruded from (Arm.L, Arm.L.001, Arm.L.002), or arm_l_1 to arm_l_3."""
-    out: dict[int, Label] = {}
-    for side in SIDES:
-        for word, ends, parts in ((("Arm", "ForeArm"), {"ForeArm", "Hand"}, ARM_PARTS),
-                                  (("Leg", "UpLeg"), {"UpLeg", "Foot"}, LEG_PARTS)):
-            sided = {node: entry for node, entry in enumerate(entries)
-                     if entry.side == side and entry.parts and not entry.aid and not entry.tip}
-            line = [node for node, entry in sided.items() if entry.parts == word]
-            line.sort(key=lambda node: len(ancestors(character.parents, node)))
-            if len(line) not in (3, 4) or any(entry.parts[0] in ends for entry in sided.values()) or any(
-                    above not in ancestors(character.parents, node)
-                    for above, node in zip(line, line[1:], strict=False)):
-                continue
-            named = parts[-len(line):] if word[0] == "Arm" else parts[:len(line)]
-            out |= {node: replace(entries[node], parts=(part,)) for node, part in zip(line, named, strict=True)}
-    return out
 
 
 def _without_controls(character: Character, entries: list[Label]) -> list[Label]:

@@ -66,16 +66,16 @@ class Retargeter:
     """
 
     def __init__(self, character: Character, mapping: RigMapping | None = None, *, contacts: bool = True,
-                 legs: bool | None = None) -> None:
-        """mapping: detected if None. contacts: keep hands out of the trunk.
+                 legs: bool = True) -> None:
+        """mapping: detected if None. contacts: keep hands out of the trunk. legs: False keeps hips and legs at rest (a
+        seated character).
 
-        legs: False keeps hips and legs at rest (a seated character), True makes the character stand; None: it stands
-        unless it sits in its file. `InputError` if the joints cannot be identified reliably, or if the moved
-        character is not sound (`gesticulator.characters.soundness`). Attributes: doubts, its oddities in words;
-        confidence, that of the mapping, or the share of the checks that found nothing if that is less.
+        `InputError` if the joints cannot be identified reliably, or if the moved character is not sound
+        (`gesticulator.characters.soundness`). Attributes: doubts, its oddities in words; confidence, that of the
+        mapping, or the share of the checks that found nothing if that is less.
         """
         from gesticulator.characters.joints import find_joints
-        from gesticulator.characters.soundness import require_sound
+        from gesticulator.characters.soundness import probe_motion, require_sound
 
         self.character = character
         self.mapping = mapping or find_joints(character)
@@ -83,9 +83,9 @@ class Retargeter:
         self.body: Body = measure(character, self.mapping)
         # If the feet are not below the legs in the tree, moving hips would tear the legs off them.
         whole = self.mapping.legs or "LeftUpLeg" not in self.mapping.joints
-        self.legs = whole and (not self.body.sits if legs is None else legs)
+        self.legs = whole and legs
         self.contacts = False  # contacts bend arms on purpose, which the checks would report
-        measured = require_sound(self)
+        measured = require_sound(self.body, self(probe_motion()), self.legs and self.mapping.legs)
         self.doubts = (*self.mapping.doubts, *measured.doubts)
         self.confidence = min(self.mapping.confidence, measured.share)
         self.contacts = contacts
@@ -220,7 +220,7 @@ def _between(a: Array, b: Array, share: float) -> Array:
 
 def retarget(motion: Motion, character: Character | str | os.PathLike[str],
              mapping: RigMapping | str | os.PathLike[str] | None = None, *, contacts: bool = True,
-             legs: bool | None = None) -> CharacterMotion:
+             legs: bool = True) -> CharacterMotion:
     """A motion on a character; see `Retargeter`.
 
     character: from `read_character`, or a file. mapping: a `RigMapping`, or a file written by `save_mapping`.

@@ -5,7 +5,7 @@ A file may hold several characters; `file.glb#name` selects one of them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -94,17 +94,19 @@ class Character:
     skin: Skin = field(default_factory=Skin)
 
     def __post_init__(self) -> None:
-        n = len(self.names)
-        if not n or len(self.parents) != n or any(not -1 <= parent < node for node, parent in enumerate(self.parents)):
-            raise ValueError("a character needs a node at least, and parents before children")
-        shapes = self.translations.shape, self.rotations.shape, self.scales.shape, self.skinned.shape
-        if shapes != ((n, 3), (n, 4), (n, 3), (n,)) or (self.bind is not None and self.bind.shape != (n, 4, 4)):
-            raise ValueError(f"transforms {shapes} do not fit {n} nodes")
         if not self.node_ids:
-            object.__setattr__(self, "node_ids", tuple(range(n)))
+            object.__setattr__(self, "node_ids", tuple(range(len(self.names))))
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def under(self, tops: Iterable[int], others: Collection[int] = ()) -> NDArray[np.bool_]:
+        """[N] the nodes `tops` and those below them that are not `others` or below these."""
+        inside = np.zeros(len(self), dtype=bool)
+        inside[list(tops)] = True
+        for node, parent in enumerate(self.parents):
+            inside[node] |= parent >= 0 and bool(inside[parent]) and node not in others
+        return inside
 
     def local_matrices(self, rotations: Array | None = None) -> Array:
         """[..., N, 4, 4] the nodes' local matrices for local rotations [..., N, 4]; default: at rest."""
@@ -191,13 +193,8 @@ class CharacterMotion:
     unit: float
 
     def __post_init__(self) -> None:
-        frames = len(self.rotations)
-        if self.rotations.shape != (frames, len(self.character), 4) or not frames:
-            raise ValueError(f"rotations {self.rotations.shape} do not fit {len(self.character)} nodes")
-        if self.translations is not None and self.translations.shape != (frames, 3):
-            raise ValueError(f"translations {self.translations.shape} do not fit {frames} frames")
-        if not np.isfinite(self.rotations).all() or not (self.fps > 0):
-            raise ValueError("rotations must be finite and fps positive")
+        if not np.isfinite(self.rotations).all():
+            raise ValueError("rotations must be finite")
 
     def __len__(self) -> int:
         return len(self.rotations)
@@ -262,10 +259,7 @@ def chosen(character: Character, name: str) -> Character:
     if name not in skeletons:
         raise InputError(f"{character.path}#{shown(name)}", "is not a character of the file",
                          f"choose among {', '.join(map(shown, skeletons))}" if skeletons else "leave the name out")
-    inside = np.zeros(len(character), dtype=bool)
-    inside[skeletons[name]] = True
-    for node, parent in enumerate(character.parents):
-        inside[node] |= parent >= 0 and inside[parent]
+    inside = character.under([skeletons[name]])
     # Widths are measured on the mesh, so that of the other characters must go.
     near = inside[character.flesh_nodes]
     table = {bone: node for bone, node in character.humanoid.items() if inside[node]}

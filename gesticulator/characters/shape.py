@@ -35,13 +35,6 @@ def _children(character: Character) -> list[list[int]]:
     return below
 
 
-def _subtree(below: list[list[int]], node: int) -> list[int]:
-    out = [node]
-    for descendant in out:
-        out += below[descendant]
-    return out
-
-
 def limb_ends(character: Character, places: Array, up: Array, aids: Collection[int] = ()) -> dict[str, int]:
     """The last nodes of both arms and legs; left and right assume that the character faces along the third axis.
 
@@ -109,8 +102,8 @@ def head_above(character: Character, places: Array, up: Array, fork: int, taken:
     if fork < 0:
         return None
     below = _children(character)
-    arms = {node for joint in taken for node in _subtree(below, joint)}
-    above = [node for node in _subtree(below, fork) if node not in arms and node != fork and node not in aids]
+    inside = character.under([fork]) & ~character.under(taken)
+    above = [node for node in map(int, np.flatnonzero(inside)) if node != fork and node not in aids]
     if not above:
         return None
     highest = max(above, key=lambda node: float(places[node] @ up))
@@ -180,8 +173,7 @@ def feet_ahead(character: Character, places: Array, up: Array, joints: Mapping[s
 
 def _foot_mesh(character: Character, places: Array, up: Array, foot: int) -> Array | None:
     """[3] from the ankle to the middle of the mesh of the foot and what is below it; None without a mesh."""
-    under = set(_subtree(_children(character), foot))
-    of_foot = np.isin(character.flesh_nodes, list(under)) if len(character.flesh) else np.zeros(0, dtype=bool)
+    of_foot = character.under([foot])[character.flesh_nodes]
     if of_foot.sum() < 8:
         return None
     points = character.flesh[of_foot]

@@ -1,9 +1,9 @@
 """Checks a moved character: its skeleton and mesh must stand and gesture as a human body does.
 
 A mapping is only a hypothesis. Here the character takes a few poses, and its nodes and mesh points are measured in the
-world: the head over the hips, the feet lowest and on the floor, toes and eyes ahead, left on the left, limbs
-of human proportions that point where those of the motion point, a mesh that follows its bones and does not tear. A
-fault prevents output; a doubt is reported, so that the user looks at the result.
+world: a trunk upright on two legs, toes and eyes ahead, limbs of human proportions that point where those of the motion
+point, a mesh that follows its bones and does not tear. A fault prevents output; a doubt is reported, so that the user
+looks at the result.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,45 +19,25 @@ from data_module.errors import InputError, shown
 from data_module.motion.skeletons import WHOLE_BODY
 from data_module.types import Array, Motion
 from gesticulator.characters.frames import Body
-from gesticulator.characters.mapping import ARM_PARTS, LEG_PARTS, SIDES, RigMapping, ancestors, node_keys
+from gesticulator.characters.mapping import ARM_PARTS, LEG_PARTS, SIDES, ancestors, node_keys
 from gesticulator.characters.names import label, words
-from gesticulator.characters.rig import UPS, Character, CharacterMotion
+from gesticulator.characters.rig import UPS, CharacterMotion
 from gesticulator.characters.shape import bind_matrices
 from gesticulator.contacts.limbs import pose_of
 
-
-class Mover(Protocol):
-    """A function that moves one character, such as a `Retargeter`, which imports this file. legs: whether it moves hips
-    and legs."""
-
-    character: Character
-    mapping: RigMapping
-    body: Body
-    legs: bool
-
-    def __call__(self, motion: Motion) -> CharacterMotion:
-        """The motion on the character."""
-
-
-_LEANS = 40.0
-"""Largest angle of the line from hips to head from the vertical, degrees: hunched monsters reach 35."""
 _ASTRAY, _LEGS_ASTRAY = 3.0, 10.0
 """Largest angle between a limb and that of the motion, degrees: in arms it is 0 but for the correction of contacts; of
 legs, which bend so that feet stay on the floor."""
 _BEHIND = 100.0
 """Smallest angle between feet, or eyes, and forward that counts as facing elsewhere, degrees."""
-_FLOOR = 0.06
-"""Largest height of the soles over the floor of the bind pose, and of anything below them, as a share of the height."""
 _LIES = 50.0
 """Angle of the trunk of the bind pose from the vertical, degrees, above which it lies."""
 _ON_FOURS, _PARALLEL = 125.0, 45.0
 """Degrees between the trunk and the legs of the bind pose below which a body whose arms and legs are parallel, within
 the second, stands on four legs; 180 is straight, and a horse has 90."""
-_BONES = {"arm": ("upper arm to forearm", 0.4, 2.5), "leg": ("thigh to shin", 0.4, 2.5)}
-_TO_TRUNK = {"arm": (0.25, 2.5), "leg": (0.1, 4.0)}
-_LEFT_TO_RIGHT = (0.8, 1.25)
-"""Accepted ranges of human proportions, wide on purpose: toys have legs of a quarter of the trunk, some robots arms of
-twice its length."""
+_TO_LOWER, _TO_TRUNK = (0.4, 2.5), {"arm": (0.25, 2.5), "leg": (0.1, 4.0)}
+"""Accepted ratios of the bones of a limb, and of a limb to the trunk, wide on purpose: toys have legs of a quarter of
+the trunk, some robots arms of twice its length."""
 _EVEN = (0.7, 1.43)
 """Range of the ratio of a bone's length on the left and on the right; outside it the two are different bones."""
 _FAR = 1.5
@@ -75,7 +54,6 @@ _LIMBS = {"arm": ARM_PARTS[1:], "leg": LEG_PARTS[:3]}
 _PLAIN = {"Arm": "upper arm", "ForeArm": "forearm", "Hand": "hand", "UpLeg": "thigh", "Leg": "shin", "Foot": "foot",
           "Head": "head"}
 _LEVEL, _AHEAD = np.array([1.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0])
-_ANOTHER = "give a human character"
 
 Remedy = str | tuple[str, ...]
 """Advice on a fault, or the joints to correct in a mapping."""
@@ -112,28 +90,28 @@ def probe_motion() -> Motion:
     return Motion(WHOLE_BODY, turns, np.zeros((len(poses), 3)), 30.0)
 
 
-def require_sound(retargeter: Mover) -> Findings:
+def require_sound(body: Body, moved: CharacterMotion, stands: bool) -> Findings:
     """The findings for a sound character; `InputError` with the reason and the line of the mapping to correct, for a
-    fault."""
-    findings = examine(retargeter)
+    fault. See `examine`."""
+    findings = examine(body, moved, stands)
     if findings.faults:
         reason, remedy = findings.faults[0]
         if not isinstance(remedy, str):
-            keys, joints = node_keys(retargeter.character), retargeter.mapping.joints
+            keys, joints = node_keys(body.character), body.mapping.joints
             quoted = {name: f'"{shown(keys[joints[name]], 60).strip(chr(39))}"' for name in remedy if name in joints}
             remedy = ("name the right nodes in a mapping: --save-mapping FILE.json, correct the line "
                       + ", ".join(f'"{name}": {quoted.get(name, "null")}' for name in remedy)
                       + ", then --mapping FILE.json")
-        raise InputError(retargeter.character.path, f"would come out wrong: {reason}", remedy)
+        raise InputError(body.character.path, f"would come out wrong: {reason}", remedy)
     return findings
 
 
-def examine(retargeter: Mover) -> Findings:
-    """Check the character in the poses of `probe_motion`; returns its problems."""
-    probed = _Probe(retargeter)
+def examine(body: Body, moved: CharacterMotion, stands: bool) -> Findings:
+    """The problems of a character in the poses of `probe_motion`. stands: whether hips and legs are moved."""
+    probed = _Probe(body, moved, stands)
     problems = [list(check()) for check in (
-        probed.connected, probed.on_four_legs, probed.upright, probed.sides, probed.facing, probed.proportions,
-        probed.directions, probed.feet, probed.following, probed.tears)]
+        probed.connected, probed.human, probed.facing, probed.proportions, probed.directions, probed.following,
+        probed.tears)]
     faults = tuple((reason, remedy) for some in problems for grave, reason, remedy in some if grave)
     doubts = tuple(reason for some in problems for grave, reason, _ in some if not grave)
     return Findings(faults, doubts, sum(not some for some in problems) / len(problems))
@@ -142,12 +120,10 @@ def examine(retargeter: Mover) -> Findings:
 class _Probe:
     """A character in the poses of the probe, measured with Y up, facing +Z, in metres."""
 
-    def __init__(self, retargeter: Mover) -> None:
-        self.body, self.character = retargeter.body, retargeter.character
-        self.mapping, self.joints = retargeter.mapping, retargeter.mapping.joints
-        self.stands = retargeter.legs and retargeter.mapping.legs
-        self.source = probe_motion()
-        world, bound = retargeter(self.source).world_matrices(), bind_matrices(self.character)
+    def __init__(self, body: Body, moved: CharacterMotion, stands: bool) -> None:
+        self.body, self.character, self.stands = body, body.character, stands
+        self.mapping, self.joints = body.mapping, body.mapping.joints
+        world, bound = moved.world_matrices(), bind_matrices(self.character)
         to_posed, to_bound = self.body.axes.T, self.body.bind_axes.T
         self.places = world[..., :3, 3] @ to_posed * self.body.unit
         self.bound = bound[:, :3, 3] @ to_bound * self.body.unit
@@ -162,10 +138,6 @@ class _Probe:
     def place(self, name: str) -> Array:
         """[T, 3] a joint."""
         return self.places[:, self.joints[name]]
-
-    def middle(self, part: str) -> Array:
-        """[T, 3] the middle of a joint on both sides."""
-        return np.mean([self.place(side + part) for side in SIDES], axis=0)
 
     def length(self, above: str, below: str) -> float:
         return float(np.linalg.norm(self.place(below) - self.place(above), axis=-1).mean())
@@ -190,46 +162,23 @@ class _Probe:
                        "the hips that of the thighs")
                 return
 
-    def on_four_legs(self) -> Check:
-        """Arms and legs of the bind pose are not parallel, and square to the trunk; the trunk does not lie."""
-        def way(top: str, low: str) -> Array:
-            return np.mean([self.bound[self.joints[side + low]] - self.bound[self.joints[side + top]]
-                            for side in SIDES], axis=0)
-
+    def human(self) -> Check:
+        """The trunk of the bind pose is upright on two legs; without legs, in the file."""
         def middle(part: str) -> Array:
             return np.mean([self.bound[self.joints[side + part]] for side in SIDES], axis=0)
 
-        arms = way("Arm", "Hand")
+        arms = middle("Hand") - middle("Arm")
         if self.mapping.legs:
-            legs = way("UpLeg", "Foot")
-            if _degrees(middle("Arm") - middle("UpLeg"), legs) < _ON_FOURS and _degrees(arms, legs) < _PARALLEL:
-                yield True, "it stands on four legs", _ANOTHER
-            return
-        # Without legs the file's up axis is the only reference.
-        up, hips = self.body.bind_axes @ UPS.get(self.character.kind, self.body.bind_axes[1]), self.joints["Hips"]
-        lies = _degrees(middle("Arm") - self.bound[hips], up) > _LIES
-        if lies and _degrees(arms, -up) < _PARALLEL:
-            yield True, "its trunk lies and its arms reach the floor: it stands on four legs", _ANOTHER
-        elif not self.mapping.given and (
-                lies or _degrees(self.bound[self.joints["Head"]] - self.bound[hips], up) > _LIES):
-            yield (True, "its trunk lies and no legs are found, as in a bird, whose wings are no arms",
-                   f"{_ANOTHER}, or stand it upright before the export")
-
-    def upright(self) -> Check:
-        """The head is over the hips."""
-        way = self.place("Head") - self.place("Hips")
-        angle = max(_degrees(direction, np.array([0.0, 1.0, 0.0])) for direction in way[:2])
-        if angle > _LEANS:
-            yield True, f"its head is {angle:.0f} degrees from straight above its hips", ("Hips", "Head")
-        elif self.stands and (self.place("Head")[:, 1] < self.middle("UpLeg")[:, 1] + 0.15 * self.height).any():
-            yield True, "its head is not above its legs", ("Hips", "Head")
-
-    def sides(self) -> Check:
-        """Left is on the left, when the arms are stretched out."""
-        for part in ("Arm", "Hand", *(("UpLeg", "Foot") if self.stands else ())):
-            if self.place("Left" + part)[1, 0] < self.place("Right" + part)[1, 0]:
-                yield True, f"its left {_PLAIN[part]} is on the right", ("Left" + part, "Right" + part)
-                return
+            legs = middle("Foot") - middle("UpLeg")
+            animal = _degrees(middle("Arm") - middle("UpLeg"), legs) < _ON_FOURS and _degrees(arms, legs) < _PARALLEL
+        else:  # the file's up axis is the only reference
+            up, hips = self.body.bind_axes @ UPS.get(self.character.kind, self.body.bind_axes[1]), self.joints["Hips"]
+            lies = _degrees(middle("Arm") - self.bound[hips], up) > _LIES
+            leans = _degrees(self.bound[self.joints["Head"]] - self.bound[hips], up) > _LIES
+            animal = (lies and _degrees(arms, -up) < _PARALLEL) or (not self.mapping.given and (lies or leans))
+        if animal:
+            yield (True, "its trunk is not upright on two legs: it stands on four legs, or lies as a bird does",
+                   "give a human character, or stand it upright before the export")
 
     def facing(self) -> Check:
         """Feet and eyes point ahead."""
@@ -258,31 +207,23 @@ class _Probe:
                     joints = tuple(side + part for side in SIDES for part in (above, below))
                     yield (not self.mapping.given,
                            f"its {_PLAIN[above]} is {share:.2f} times as long on the left as on the right", joints)
-        for ratio, value, low, high, joints in self._ratios():
-            if not low < value < high:
-                # Squared limits separate odd from impossible; a mapping that the user checked is never rejected here.
-                grave = not self.mapping.given and not low ** 2 < value < high ** 2
-                yield grave, f"its {ratio} is {value:.2f}, not {low:g} to {high:g}", joints
-
-    def _ratios(self) -> Iterator[tuple[str, float, float, float, tuple[str, ...]]]:
-        """Name, value, least, greatest and joints of each ratio."""
         trunk = max(self.length("Hips", "Head"), 1e-9)
-        for limb in ("arm", *(("leg",) if self.mapping.legs else ())):
-            parts, (bones, least, most) = _LIMBS[limb], _BONES[limb]
-            lengths = {side: [self.length(side + above, side + below) for above, below in pairwise(parts)]
-                       for side in SIDES}
-            for side, (upper, lower) in lengths.items():
-                yield (f"{side.lower()} {bones}", upper / max(lower, 1e-9), least, most,
-                       tuple(side + part for part in parts))
-            for side, both in lengths.items():
-                yield (f"{side.lower()} {limb} to trunk", sum(both) / trunk, *_TO_TRUNK[limb],
-                       (side + parts[0], side + parts[2]))
-            yield (f"left to right {limb}", sum(lengths["Left"]) / max(sum(lengths["Right"]), 1e-9), *_LEFT_TO_RIGHT,
-                   ("Left" + parts[0], "Right" + parts[0]))
+        for side in SIDES:
+            for limb in ("arm", *(("leg",) if self.mapping.legs else ())):
+                joints = tuple(side + part for part in _LIMBS[limb])
+                upper, lower = (self.length(above, below) for above, below in pairwise(joints))
+                for ratio, value, (low, high) in (("upper to lower", upper / max(lower, 1e-9), _TO_LOWER),
+                                                  ("to trunk", (upper + lower) / trunk, _TO_TRUNK[limb])):
+                    if not low < value < high:
+                        # Squared limits separate odd from impossible; a mapping that the user checked is never
+                        # rejected here.
+                        grave = not self.mapping.given and not low ** 2 < value < high ** 2
+                        yield (grave, f"its {side.lower()} {limb} {ratio} is {value:.2f}, not {low:g} to {high:g}",
+                               joints)
 
     def directions(self) -> Check:
         """Arms and legs point where those of the motion point."""
-        source = pose_of(self.source)
+        source = pose_of(probe_motion())
         for side, above, below in self.bones(("arm", "leg") if self.stands else ("arm",)):
             bone = self.place(side + below) - self.place(side + above)
             wanted = source.places[side + below] - source.places[side + above]
@@ -292,26 +233,6 @@ class _Probe:
                 yield (True, f"its {side.lower()} {_PLAIN[above]} points {angle:.0f} degrees elsewhere",
                        (side + above, side + below))
 
-    def feet(self) -> Check:
-        """The feet are lowest, and on the floor."""
-        if not self.stands:
-            return
-        if (self.place("Hips")[:, 1] - self.middle("Foot")[:, 1] < 0.05 * self.height).any():
-            yield True, "its feet are not below its hips", ("Hips", "LeftFoot", "RightFoot")
-            return
-        ankles = {self.joints[side + "Foot"] for side in SIDES}
-        feet = [node for node in range(len(self.character))
-                if ankles & {node, *ancestors(self.character.parents, node)}]
-        of_feet = np.isin(self.movers, feet)
-        if of_feet.sum() < _FEWEST:
-            return
-        # Compared with the bind pose, where a skirt or a tail may already hang lower.
-        soles, lowest = self.mesh[0][of_feet, 1].min(), self.mesh[0][:, 1].min()
-        before = self.mesh_bound[of_feet, 1].min() - self.mesh_bound[:, 1].min()
-        if soles - lowest > before + _FLOOR * self.height:
-            yield (True, f"a part of its mesh hangs {100 * (soles - lowest) / self.height:.0f} % of its height below "
-                   "its feet", ("LeftFoot", "RightFoot", "Hips"))
-
     def following(self) -> Check:
         """The mesh of each limb is where its bone is."""
         if not len(self.skin.points):
@@ -320,7 +241,7 @@ class _Probe:
         for side, above, below in (*self.bones(), ("", "Head", "Head")):
             top, low, head = side + above, side + below, not side
             name = f"{side.lower()} {_PLAIN[above]}".strip()
-            of_limb = np.isin(self.movers, self._moving_with(top))
+            of_limb = self.character.under([self.joints[top]], set(self.joints.values()))[self.movers]
             if not of_limb.any():
                 yield head and not self.mapping.given, f"its mesh has nothing that follows the {name}", (top,)
             if of_limb.sum() < _FEWEST:
@@ -354,15 +275,6 @@ class _Probe:
             yield (torn > _TORN, f"its mesh tears: {100 * torn:.1f} % of its edges, most at "
                    f"{shown(self.character.names[where])}",
                    (next((back[node] for node in line if node in back), "Hips"),))
-
-    def _moving_with(self, top: str) -> list[int]:
-        """The nodes that move with a bone: below its joint, but not below another joint."""
-        taken = {node for name, node in self.joints.items() if name != top}
-        out = [self.joints[top]]
-        for node, parent in enumerate(self.character.parents):
-            if parent in out and node not in taken:
-                out.append(node)
-        return out
 
     def _gap(self, points: Array, places: Array, top: str, low: str) -> float:
         """Metres from the middle of some points to a bone."""

@@ -1,6 +1,5 @@
-"""Hands kept out of bodies: the default character's trunk, face and thighs, and the trunks and thighs of others.
+"""Hands kept out of bodies: the default character's trunk, face and thighs, and the trunks of others.
 
-The two problems differ. A hand of the default character is only ever moved ahead (`default_body`, `lap`). For a hand of
-another character, the default one shows on which side of the body it belongs, and it may be moved sideways
-(`other_bodies`). They share `limbs`, arms that bend, and `surfaces`, bodies as slices.
+A hand of the default character is only ever moved ahead (`default_body`, `lap`). For a hand of another character, the
+default one shows on which side of the body it belongs, and it may be moved sideways (`other_bodies`).
 """

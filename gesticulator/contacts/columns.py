@@ -29,58 +29,46 @@ _LEAST = 1e-5
 
 @dataclass(frozen=True)
 class Column:
-    """An elliptic column. steps: [H] heights along it, from 0 to 1; width, depth: [H] half width and half depth,
-    metres."""
+    """An elliptic column in the default character that hands are kept out of.
+
+    steps: [H] heights along it, from 0 to 1; width, depth: [H] half width and half depth, metres. ends: of a pose,
+    [T, 3] the ends of the column and [T, 3, 3] the character's axes there (columns left, up, ahead). points: joints of
+    a hand that are kept out.
+    """
 
     steps: Array
     width: Array
     depth: Array
+    ends: Callable[[Pose], tuple[Array, Array, Array]]
+    points: tuple[str, ...] = ("Hand", "HandMiddle1")
 
     def distance(self, points: Array, low: Array, high: Array, turns: Array) -> tuple[Array, Array]:
         """[..., T] metres from the surface (negative inside) and [..., T, 3] the outward direction, for points
-        [..., T, 3].
-
-        low, high: [T, 3] the ends of the column; turns: [T, 3, 3] the character's axes there (columns left, up,
-        ahead). The ends of the column are rounded.
-        """
+        [..., T, 3]; low, high, turns: of `ends`, which are rounded."""
         axes = trunk_axes(high - low, turns)
         left, up, fore = np.moveaxis(axes.axes, -2, 0)
         local = points - low
         along = np.sum(local * up, axis=-1)
         nearest = np.clip(along, 0.0, axes.length)
-        share = nearest / axes.length
-        width, depth = (np.interp(share, self.steps, column) for column in (self.width, self.depth))
+        width, depth = (np.interp(nearest / axes.length, self.steps, column) for column in (self.width, self.depth))
         x, z = np.sum(local * left, axis=-1), np.sum(local * fore, axis=-1)
         # Exactly 0 between the ends: a rounding error (1e-17 m) would count as above the column, where the distance is
         # never negative, and a hand deep inside would seem to be on the surface.
         beyond = np.abs(along - nearest)
-        radius = np.hypot(x, z)
         # The ellipse's radius in the direction of the point.
-        angle = np.arctan2(z, x)
+        radius, angle = np.hypot(x, z), np.arctan2(z, x)
         surface = width * depth / np.hypot(depth * np.cos(angle), width * np.sin(angle))
         out = np.cos(angle)[..., None] * left + np.sin(angle)[..., None] * fore
         return np.where(beyond > 0.0, np.hypot(np.maximum(radius - surface, 0.0), beyond), radius - surface), out
 
-
-@dataclass(frozen=True)
-class BodyPart:
-    """A part of the default character that hands are kept out of.
-
-    points: joints of a hand that are kept out; ends: of a pose, [T, 3] the ends of the column and [T, 3, 3] its axes.
-    """
-
-    column: Column
-    points: tuple[str, ...]
-    ends: Callable[[Pose], tuple[Array, Array, Array]]
-
     def distances(self, pose: Pose) -> dict[str, Array]:
-        """Side -> [T] metres from the part to the nearest point of a hand; negative inside."""
+        """Side -> [T] metres from the surface to the nearest point of a hand; negative inside."""
         ends = self.ends(pose)
-        return {side: np.min([self.column.distance(pose.places[side + point], *ends)[0] for point in self.points
+        return {side: np.min([self.distance(pose.places[side + point], *ends)[0] for point in self.points
                               if side + point in pose.places], axis=0) for side in SIDES}
 
     def kept_out(self, motion: Motion, near: Mapping[str, Array]) -> Motion:
-        """A motion on the default skeleton, root at the origin, with hands kept at the distances `near` from the part.
+        """A motion on the default skeleton, root at the origin, with hands kept at the distances `near`.
 
         near: side -> [T] metres, as from `distances`; beyond `MARGIN` a hand is free. Frames that need no correction
         are unchanged bit for bit.
@@ -100,7 +88,7 @@ class BodyPart:
                 push, most = np.zeros_like(ends[0]), np.zeros(len(motion))
                 # The point that is the deepest moves the hand.
                 for point in points:
-                    gap, out = self.column.distance(limbs.place(turns, point), *ends)
+                    gap, out = self.distance(limbs.place(turns, point), *ends)
                     depth = np.where(touched, np.maximum(wanted - gap, 0.0), 0.0)
                     push = np.where((depth > most)[:, None], depth[:, None] * out, push)
                     most = np.maximum(most, depth)
@@ -114,13 +102,12 @@ class BodyPart:
 
 _CHIN, _CROWN = np.array([0.0, -0.025, 0.02]), np.array([0.0, 0.195, 0.02])
 """From the joint of the head, metres."""
-_PALM = ("Hand", "HandMiddle1")
-_HAND = (*_PALM, *(f"Hand{finger}{joint}" for finger in ("Thumb", "Index", "Middle", "Pinky") for joint in (2, 3)))
-TRUNK = BodyPart(Column(np.array([0.0, 1.0]), np.full(2, OURS[0]), np.full(2, OURS[1])), _PALM,
-                 lambda pose: (pose.places["Hips"], pose.places["Neck"], pose.turns["Spine3"]))
-HEAD = BodyPart(
-    Column(np.array([0.0, 0.2, 0.5, 0.8, 1.0]), np.array([0.04, 0.066, 0.078, 0.068, 0.035]),
-           np.array([0.06, 0.088, 0.1, 0.086, 0.045])), _HAND,
+_FINGERS = tuple(f"Hand{finger}{joint}" for finger in ("Thumb", "Index", "Middle", "Pinky") for joint in (2, 3))
+TRUNK = Column(np.array([0.0, 1.0]), np.full(2, OURS[0]), np.full(2, OURS[1]),
+               lambda pose: (pose.places["Hips"], pose.places["Neck"], pose.turns["Spine3"]))
+HEAD = Column(
+    np.array([0.0, 0.2, 0.5, 0.8, 1.0]), np.array([0.04, 0.066, 0.078, 0.068, 0.035]),
+    np.array([0.06, 0.088, 0.1, 0.086, 0.045]),
     lambda pose: (pose.places["Head"] + pose.turns["Head"] @ _CHIN, pose.places["Head"] + pose.turns["Head"] @ _CROWN,
-                  pose.turns["Head"]))
+                  pose.turns["Head"]), (*TRUNK.points, *_FINGERS))
 """From chin to crown: that of an adult, 0.22 m high. Fingers are kept out of it, too."""

@@ -1,15 +1,24 @@
 """Keeps the hands of the default character above its thighs while it sits.
 
 The models know no legs: a hand that hangs or sweeps low would pass through the thighs. A hand is lifted by bending its
-arm until wrist and knuckles are on the thighs (`surfaces`), is turned about its wrist as far as
-its fingertips are lower, and is lifted by what still lacks. As with the trunk, a hand is slowed before it touches, and
-everything depends on the pose alone.
+arm until wrist and knuckles are on the thighs, is turned about its wrist as far as its fingertips are lower, and is
+lifted by what still lacks. As with the trunk, a hand is slowed before it touches, and everything depends on the pose
+alone.
+
+Seen from a thigh, its surface is a height field: above the line from hip to knee, with s along it and w across, the
+tangents of its slice of the radius r(s) at angles a (0 to the left and pi / 2 up) leave
+
+    H(s, w) = min over a of (r(s) - w cos a) / sin a,   40 to 140 degrees,
+
+the upper side of the slice, which falls beside it and beyond its ends with a slope of at most 1.2. A hand is moved
+along the upward normal of the thigh alone: a direction out of a closed shape would turn round at its middle, and a hand
+that passes through a thigh would jump. Its displacement changes at most 1.2 times as fast as the hand moves.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -30,8 +39,17 @@ from gesticulator.contacts.limbs import (
     swivel,
     write_turns,
 )
-from gesticulator.contacts.surfaces import FINGERTIPS, Thigh, is_level, our_thighs
 
+RADII = (0.076, 0.056)
+"""Metres around the line from hip to knee of the default character, at its ends: as pages draw them."""
+FINGERTIPS = ("HandThumb3", "HandIndex3", "HandMiddle3", "HandRing3", "HandPinky3")
+"""Joints of a hand that are kept out of thighs with its wrist and knuckles."""
+_LEVEL = 0.7
+"""Cosine between thighs and straight down below which a body sits: 45 degrees."""
+_TANGENTS = np.radians(np.arange(40.0, 150.0, 10.0))
+"""Directions of tangents, of which the flattest has a slope of 1.2."""
+_STEEPEST, _ROUND = 1.2, 0.05
+"""Slope beyond the ends of a thigh, and metres over which it begins."""
 SEAT_SPREAD = 7.0
 """Degrees by which a seated thigh points outward."""
 WRIST, KNUCKLES, TIP = 0.024, 0.018, 0.009
@@ -49,6 +67,32 @@ NATURAL, STRAIGHT = np.array([0.5, -0.5, -0.7]), 0.003
 at which an elbow is taken to be at least."""
 _LIFTS = 3
 """Iterations: the thighs are of another height where the hand is moved to."""
+
+
+@dataclass(frozen=True)
+class Thigh:
+    """A thigh over T frames: hip, knee [T, 3] or [1, 3] metres from the middle of the hips."""
+
+    hip: Array
+    knee: Array
+
+    def depth(self, points: Array) -> tuple[Array, Array]:
+        """[T] metres by which points [T, 3] are under the surface, negative above it, and [T, 3] the way up."""
+        bone = self.knee - self.hip
+        length = np.linalg.norm(bone, axis=-1)
+        along = bone / np.maximum(length, 1e-9)[..., None]
+        # Level and not the bone's own left: a thigh that rolls keeps its upper side up.
+        left = np.cross([0.0, 1.0, 0.0], along)
+        left = left / np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
+        up = np.cross(along, left)
+        across, height, far = (np.sum((points - self.hip) * axis, axis=-1) for axis in (left, up, along))
+        radius = np.interp(far / np.maximum(length, 1e-9), [0.0, 1.0], RADII)
+        # The height field of the module: the lowest of the tangents over this place across.
+        tangents = [(radius - across * np.cos(angle)) / np.sin(angle) for angle in _TANGENTS]
+        # Beyond hip and knee it falls, rounded so that a hand gliding off has no kink in its path.
+        beyond = np.maximum(np.maximum(-far, far - length), 0.0)
+        top = np.min(tangents, axis=0) - _STEEPEST * (np.hypot(beyond, _ROUND) - _ROUND)
+        return top - height, np.broadcast_to(up, points.shape)
 
 
 def kept_off_thighs(motion: Motion) -> Motion:
@@ -73,7 +117,8 @@ def is_seated(motion: Motion) -> bool:
     if "LeftUpLeg" not in motion.skeleton.names or not len(motion):
         return False
     first = replace(motion, rotations=motion.rotations[:1], root_positions=np.zeros((1, 3)))
-    return is_level(*_ends(pose_of(first)))
+    ways = np.concatenate([knee - hip for hip, knee in zip(*_ends(pose_of(first)), strict=True)])
+    return bool((-ways[:, 1] < _LEVEL * np.linalg.norm(ways, axis=-1)).all())
 
 
 def _lift(rotations: Array, motion: Motion, pose: Pose, side: str, sign: float, at: NDArray[np.intp]) -> None:
@@ -151,11 +196,11 @@ class _Hand:
 def _thighs(pose: Pose) -> tuple[Thigh, ...]:
     """Those of a pose that sits or is about to, relative to the hips."""
     if "LeftUpLeg" in pose.places:
-        return our_thighs(*_ends(pose))
+        return tuple(map(Thigh, *_ends(pose)))
     # The upper body keeps its pose when it is seated, and the hips are turned under it.
     hips, knees, spine = _seat()
     shift = pose.turns["Hips"] @ spine - spine
-    return our_thighs(*([end + shift for end in ends] for ends in (hips, knees)))
+    return tuple(Thigh(hip + shift, knee + shift) for hip, knee in zip(hips, knees, strict=True))
 
 
 def _push(thighs: Sequence[Thigh], points: Sequence[Array], margins: Sequence[float], over: float) -> Array:

@@ -1,4 +1,4 @@
-"""Limits that keep hands out of a trunk of any shape and off thighs, and ways around them without haste.
+"""Limits that keep hands out of a trunk of any shape, and ways around it without haste.
 
 The same bone directions bring hands to other places on other bodies: a hand that passes a slim waist at a hand's
 breadth ends inside a stout one. There is no way out of a closed shape that is continuous everywhere: at its middle, it
@@ -17,7 +17,6 @@ where h is the support function of a slice of its trunk (of the mesh, at the hei
 lengths and w(g) a smooth minimum of g and `MARGIN`. What is lacking is added along n. The projection on a half-plane
 moves no two points apart and n changes continuously with the pose, so a hand that passes the trunk is led around it
 without a jump. A character with the trunk of the default one keeps its pose.
-"
 
 These limits decide frame by frame: a hand that passes a slim waist in a tenth of a second is led
 around a stout one in the same tenth, twice as fast. Here the displacements of a whole motion are spread over time: they
@@ -31,7 +30,6 @@ ends where it began is smoothed as a loop; others keep the displacements at thei
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,10 +37,9 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from data_module.types import Array
 from gesticulator.contacts.limbs import MARGIN, OURS, TrunkAxes, receding, soft
-from gesticulator.contacts.surfaces import ANGLES, Outline, Thigh
 
-THICK = 0.015
-"""Metres that the joints of a hand are above a thigh at least: half the thickness of a hand."""
+ANGLES = np.arange(36) * (2.0 * np.pi / 36)
+"""Directions in which a slice is measured: between them the surface of a round one is at most 0.4 % farther out."""
 _SOFT = 0.05
 """Metres before and after the surface over which a hand is slowed, where the trunk is wider by as much."""
 _ROUNDS, _REACH = 12, 0.999
@@ -60,33 +57,41 @@ _CORRECTIONS = 3
 
 
 @dataclass(frozen=True)
-class HandLimit:
-    """Half-spaces over T frames in which a point of the hand belongs: normals [T, 3]; lack: [T] metres by which the
-    point is outside, softened; margin: [T] metres that it belongs outside of the trunk."""
+class Outline:
+    """The support function of a trunk: steps [H] heights along it, 0 at the hips and 1 at the neck; reach: [H, 36]
+    metres from the line of the bones to the tangents with normals every 10 degrees, from left by ahead."""
 
+    steps: Array
+    reach: Array
+
+    def support(self, share: Array, angle: Array) -> Array:
+        """[T] metres to the tangent with its normal at angles [T] (0 left, pi / 2 ahead) at heights [T]."""
+        # Bilinear between heights and directions; directions wrap around.
+        row = np.clip(np.interp(share, self.steps, np.arange(len(self.steps))), 0.0, len(self.steps) - 1.0)
+        column = np.mod(angle, 2.0 * np.pi) / (2.0 * np.pi) * len(ANGLES)
+        low, first = np.floor(row).astype(int), np.floor(column).astype(int)
+        high, second = np.minimum(low + 1, len(self.steps) - 1), (first + 1) % len(ANGLES)
+        first = first % len(ANGLES)
+        up, on = row - low, column - np.floor(column)
+        return np.asarray((1.0 - up) * ((1.0 - on) * self.reach[low, first] + on * self.reach[low, second])
+                          + up * ((1.0 - on) * self.reach[high, first] + on * self.reach[high, second]))
+
+
+def ellipse(width: float, depth: float) -> Outline:
+    """The outline of a column of constant half width and half depth, metres."""
+    return Outline(np.array([0.0, 1.0]), np.tile(np.hypot(width * np.cos(ANGLES), depth * np.sin(ANGLES)), (2, 1)))
+
+
+@dataclass(frozen=True)
+class HandLimit:
+    """Half-spaces over T frames in which a wrist or knuckle belongs. place: [T, 3] metres from the hips, without
+    correction; normal: [T, 3]; lack: [T] metres by which it is outside, softened; margin: [T] metres that it belongs
+    outside of the trunk."""
+
+    place: Array
     normal: Array
     lack: Array
     margin: Array
-
-    @staticmethod
-    def of(our: Array, their: Array, trunk: tuple[TrunkAxes, Outline], size: float) -> HandLimit:
-        """our, their: [3, T] left, up, ahead of the hips: the point of the default character's hand, and of the
-        character's; trunk: of the character; size: its arm's length relative to ours."""
-        column, outline = trunk
-        width, depth = OURS
-        # Equation (1): the normal of the ellipse through the hand, and its distance from the tangent.
-        x, z = our[0] / width ** 2, our[2] / depth ** 2
-        norm = np.maximum(np.hypot(x, z), 1e-9)
-        x, z = x / norm, z / norm
-        slim = np.hypot(width * x, depth * z)
-        gap = x * our[0] + z * our[2] - slim
-        # Equation (2), with a trunk that recedes above and below.
-        reach = outline.support(their[1] / column.length, np.arctan2(z, x))
-        margin = size * near(gap)
-        receded = receding(their[1], outline.steps[0] * column.length, column.length, size)
-        lack = reach - receded + margin - (x * their[0] + z * their[2])
-        lack = soft(lack, np.clip(reach - size * slim, 1e-6, _SOFT * size))
-        return HandLimit(x[:, None] * column.axes[:, 0] + z[:, None] * column.axes[:, 2], lack, margin)
 
     def lacking(self, push: Array) -> Array:
         """[T, 3] what is to be added to a displacement [T, 3] of the hand."""
@@ -120,45 +125,51 @@ def within_reach(moved: Array, reached: Array, arm: float) -> Array:
 
 
 @dataclass(frozen=True)
-class HandPoint:
-    """A wrist, knuckle or fingertip over T frames: places [T, 3] metres from the hips, without correction; margins [T]
-    metres that it belongs outside of the trunk, above: [T] for each thigh, that it belongs above it."""
+class Trunk:
+    """The trunk of a character over T frames. size: the length of its arm relative to ours."""
 
-    places: Array
-    margins: Array
-    above: Sequence[Array] = ()
-
-
-@dataclass(frozen=True)
-class Obstacle:
-    """A trunk over T frames, with thighs where the character sits. size: the length of its arm relative to ours."""
-
-    column: TrunkAxes
+    axes: TrunkAxes
     outline: Outline
     size: float
-    thighs: Sequence[Thigh] = ()
 
-    def lacking(self, point: HandPoint, push: Array) -> Array:
-        """[T, 3] what is to be added to a displacement [T, 3] of a point, so that it is outside by its margins."""
-        x, y, z = self.column.local(point.places + push)
-        share = y / self.column.length
+    def limit(self, our: Array, place: Array) -> HandLimit:
+        """The limit of a point of the hand at `place` [T, 3] metres from the hips; our: [3, T] left, up, ahead of the
+        hips, that of the default character."""
+        width, depth = OURS
+        # Equation (1): the normal of the ellipse through the hand, and its distance from the tangent.
+        x, z = our[0] / width ** 2, our[2] / depth ** 2
+        norm = np.maximum(np.hypot(x, z), 1e-9)
+        x, z = x / norm, z / norm
+        slim = np.hypot(width * x, depth * z)
+        gap = x * our[0] + z * our[2] - slim
+        # Equation (2), with a trunk that recedes above and below.
+        left, up, ahead = self.axes.local(place)
+        reach = self.outline.support(up / self.axes.length, np.arctan2(z, x))
+        margin = self.size * near(gap)
+        lack = reach - self._receded(up) + margin - (x * left + z * ahead)
+        lack = soft(lack, np.clip(reach - self.size * slim, 1e-6, _SOFT * self.size))
+        return HandLimit(place, self._level(x, z), lack, margin)
+
+    def lacking(self, limit: HandLimit, push: Array) -> Array:
+        """[T, 3] what is to be added to a displacement [T, 3] of a point, so that it is outside by its margin."""
+        x, y, z = self.axes.local(limit.place + push)
+        share = y / self.axes.length
         # The tangent that the point is least behind is the way out.
         gaps = np.stack([np.cos(angle) * x + np.sin(angle) * z - self.outline.support(share, np.full(len(x), angle))
                          for angle in ANGLES])
         nearest = gaps.argmax(axis=0)
-        receded = receding(y, self.outline.steps[0] * self.column.length, self.column.length, self.size)
-        gap = gaps[nearest, np.arange(len(x))] + receded
-        lack = np.maximum(point.margins - gap, 0.0)
-        normal = (np.cos(ANGLES[nearest])[:, None] * self.column.axes[:, 0]
-                  + np.sin(ANGLES[nearest])[:, None] * self.column.axes[:, 2])
-        added = lack[:, None] * normal
-        for thigh, margin in zip(self.thighs, point.above, strict=True):
-            depth, up = thigh.depth(point.places + push + added)
-            added = added + np.maximum(depth + margin, 0.0)[:, None] * up
-        return np.asarray(added)
+        lack = np.maximum(limit.margin - (gaps[nearest, np.arange(len(x))] + self._receded(y)), 0.0)
+        return lack[:, None] * self._level(np.cos(ANGLES[nearest]), np.sin(ANGLES[nearest]))
+
+    def _receded(self, along: Array) -> Array:
+        return receding(along, self.outline.steps[0] * self.axes.length, self.axes.length, self.size)
+
+    def _level(self, left: Array, ahead: Array) -> Array:
+        """[T, 3] the direction with these components [T]."""
+        return left[:, None] * self.axes.axes[:, 0] + ahead[:, None] * self.axes.axes[:, 2]
 
 
-def spread(push: Array, points: list[HandPoint], trunk: Obstacle, arm: tuple[Array, float], fps: float) -> Array:
+def spread(push: Array, limits: list[HandLimit], trunk: Trunk, arm: tuple[Array, float], fps: float) -> Array:
     """[T, 3] displacements spread over time, of a hand that is displaced by `push` [T, 3] frame by frame.
 
     arm: [T, 3] the wrist from its shoulder, without correction, and the length of the arm; metres.
@@ -175,8 +186,8 @@ def spread(push: Array, points: list[HandPoint], trunk: Obstacle, arm: tuple[Arr
         # Then back into the reach of the arm and out of the body, both more than once, as each may undo the other.
         for _ in range(_CORRECTIONS):
             push = within_reach(reached + push, reached, length) - reached
-            for point in points:
-                push = push + trunk.lacking(point, push)
+            for limit in limits:
+                push = push + trunk.lacking(limit, push)
     return push
 
 

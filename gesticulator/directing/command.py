@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from typing import Any
 
 from gesticulator.cli import Command
 
@@ -53,40 +52,17 @@ def _print_names(bundle: str | None) -> None:
             for entry in lexeme_names(load(bundle_folder(bundle)))), sep="\n")
 
 
-def _gestures_arguments(p: argparse.ArgumentParser) -> None:
-    p.add_argument("--json", action="store_true", help="as JSON, with the seconds of the phases")
+def _run_gestures(_parsed: argparse.Namespace) -> int:
+    from gesticulator.plan.gestures import ALIASES, REPERTOIRE
 
-
-def _run_gestures(parsed: argparse.Namespace) -> int:
-    rows = gesture_rows()
-    if parsed.json:
-        print(json.dumps(rows, indent=1, ensure_ascii=False))
-        return 0
-    for row in rows:
-        notes = [kind for kind in ("core", "weak", "offensive") if row[kind]]
-        print(row["name"] + (f" (or {', '.join(row['also'])})" if row["also"] else "") + f": {row['meaning']}"
-              + (f" [{', '.join(notes)}]" if notes else ""))
-    return 0
-
-
-def gesture_rows() -> list[dict[str, Any]]:
-    """For every gesture, in plain values: name, other names, meaning, category, hands, whether it is core, weak or
-    offensive, seconds of its phases (at most), and its mark in a text."""
-    from gesticulator.directing.gesture_phases import longest
-    from gesticulator.plan.gestures import ALIASES, REPERTOIRE, mark_of
-
-    rows: list[dict[str, Any]] = []
     for name, gesture in REPERTOIRE.items():
-        also, phases = [alias for alias, meant in ALIASES.items() if meant == name], longest(name)
-        rows.append({"name": name, "also": also, "meaning": gesture.meaning, "category": list(gesture.category),
-                     "hands": gesture.hands, "core": gesture.core, "weak": gesture.weak,
-                     "offensive": gesture.offensive, "preparation": round(phases.preparation, 3),
-                     "stroke": round(phases.stroke, 3), "hold": round(phases.hold, 3),
-                     "retraction": round(phases.retraction, 3), "mark": mark_of((*also, name)[0])})
-    return rows
+        also = ", ".join(alias for alias, meant in ALIASES.items() if meant == name)
+        notes = ", ".join(kind for kind in ("core", "weak", "offensive") if getattr(gesture, kind))
+        print(name + (f" (or {also})" if also else "") + f": {gesture.meaning}" + (f" [{notes}]" if notes else ""))
+    return 0
 
 
 COMMAND = Command("check a gesture plan, list the gesture names", _plan_arguments, _run_plan,
                   examples=("plan names", "plan check plan.json", "plan schema"))
-GESTURES_COMMAND = Command("list the gestures that have a name, what they mean and how long they last",
-                           _gestures_arguments, _run_gestures, examples=("gestures", "gestures --json"))
+GESTURES_COMMAND = Command("list the gestures that have a name, and what they mean", lambda _: None, _run_gestures,
+                           examples=("gestures",))

@@ -32,6 +32,18 @@ class TimedCue:
     lexeme: int | None = None
     broken_off: float | None = None
 
+    @property
+    def span(self) -> tuple[float, float]:
+        """Seconds at which the gesture begins and ends."""
+        from gesticulator.directing.named_gestures import span_of_gesture
+
+        before, after = span_of_gesture(self.cue.gesture)
+        return self.time - before, self.time + after
+
+    def ended(self, at: float) -> TimedCue:
+        """The cue after an interruption at a time, seconds."""
+        return self if self.span[1] <= at else replace(self, broken_off=min(self.broken_off or at, at))
+
 
 def stroke_of_word(word: Word) -> float:
     """Seconds at which the stroke of a word's gesture falls: just before its stressed vowel, as far as the times of the
@@ -104,26 +116,20 @@ def without_mismatches(options: InferenceOptions, words: Sequence[Word], duratio
     """
     for begin, end in options.hold_still:
         if end > duration:
-            effect = "has no effect" if begin >= duration else "is cut there"
-            _warn(f"hold_still {begin:g}-{end:g} goes beyond the end of the recording ({duration:.2f} s) and {effect}")
+            _warn(f"hold_still {begin:g}-{end:g} goes beyond the end of the recording ({duration:.2f} s)")
     spoken = _spoken([word for word in words if word.text.strip()])
     if not spoken:
         return options
     # A folder of recordings gets the same cues: one that a recording cannot satisfy must not stop the others.
-    counts = [cue.occurrence if cue.word is None else len(spoken.get(plain_word(cue.word), ())) for cue in options.cues]
-    for cue, count in zip(options.cues, counts, strict=True):
-        if count < cue.occurrence:
-            _warn(f"the cue {cue.word}={cue.gesture} is left out: " + (
-                f"the word is spoken {count} times, and occurrence {cue.occurrence} is asked for" if count
-                else "the word is never spoken"))
-    return replace(options, cues=tuple(cue for cue, count in zip(options.cues, counts, strict=True)
-                                       if count >= cue.occurrence))
-
-
-def warn_of_losses(lines: Sequence[str]) -> None:
-    """Warn (`OptionWarning`) of what a plan lost when it was moved onto another sound."""
-    for line in lines:
-        _warn(line)
+    cues = []
+    for cue in options.cues:
+        count = cue.occurrence if cue.word is None else len(spoken.get(plain_word(cue.word), ()))
+        if count >= cue.occurrence:
+            cues.append(cue)
+        else:
+            _warn(f"the cue {cue.word}={cue.gesture}, occurrence {cue.occurrence}, is left out: the word is spoken "
+                  f"{count} times")
+    return replace(options, cues=tuple(cues))
 
 
 def _warn(line: str) -> None:

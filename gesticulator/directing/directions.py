@@ -16,7 +16,7 @@ from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock
 from gesticulator.bundle.files import lexicon_hash
 from gesticulator.directing.cues import cues_at
-from gesticulator.directing.lexeme_names import handed_bias, lexeme_names
+from gesticulator.directing.lexeme_names import lexeme_names
 from gesticulator.options import FPS, InferenceOptions, interpreter_name
 from gesticulator.plan.plan import GesturePlan, PlanKnobs, edited_blocks
 from gesticulator.sampling.loop import ControlRows, Request
@@ -29,23 +29,12 @@ def still_frames(knobs: PlanKnobs, times: Array, start: float) -> NDArray[np.boo
     return np.any([(times > begin) & (times <= stop) for begin, stop in ranges], axis=0) if ranges else None
 
 
-def bias_of(bundle: Bundle, hand: str | None) -> NDArray[np.float64] | None:
-    """[S] what a handedness adds to an interpreter's scores; None without a handedness."""
-    if hand is None:
-        return None
-    bias = handed_bias(bundle, hand)
-    if bias is None:
-        raise InputError(f"handedness {hand}", "needs lexemes that can be decoded one by one, and this bundle's cannot",
-                         "leave it out")
-    return bias
-
-
 class Director:
     """Turns options into instructions for each block, for files and streams."""
 
     def __init__(self, bundle: Bundle, options: InferenceOptions, words: Sequence[Word], duration: float) -> None:
         """words: those known so far; duration: seconds, infinite in a stream."""
-        self._knobs, self._bias = options.knobs, bias_of(bundle, options.handedness)
+        self._knobs = options.knobs
         self._cues = [cue for cue in cues_at(options.cues, words, duration, lambda: lexeme_names(bundle))
                       if cue.lexeme is not None]
 
@@ -54,7 +43,7 @@ class Director:
         # A cue at a beat belongs to the block that ends there, as a stroke does; one at 0 has only the first block.
         start, end = speech.start, float(times[-1])
         lexeme = next((cue.lexeme for cue in self._cues if start < cue.time <= end or cue.time == start == 0.0), None)
-        return Request(speech, control, lexeme, still=still_frames(self._knobs, times, start), bias=self._bias)
+        return Request(speech, control, lexeme, still=still_frames(self._knobs, times, start))
 
 
 # -------------------------------------------------------------------------------------------------------- plans
@@ -87,7 +76,6 @@ def planned(options: InferenceOptions) -> InferenceOptions:
         "mirror": options.mirror or knobs.mirror,
         "energy": options.energy if options.energy != "neutral" else knobs.energy,
         "activity": knobs.activity if options.activity is None else float(options.activity),
-        "handedness": options.handedness or knobs.handedness,
         "hold_still": tuple(dict.fromkeys((*knobs.hold_still, *options.hold_still)))}
     plan = replace(plan, knobs=PlanKnobs(**combined), cues=(*plan.cues, *options.cues))
     if options.meaning == "off":
@@ -147,7 +135,7 @@ def with_planned_words(speech: Speech, plan: GesturePlan) -> Speech:
 
 def check_bundle_of(bundle: Bundle, plan: GesturePlan) -> None:
     """`InputError` for a plan of another bundle."""
-    made_with = plan.made_by.get("bundle")
+    made_with: Any = plan.made_by.get("bundle")
     if not isinstance(made_with, dict) or made_with.get("lexicon") != lexicon_hash(bundle.vectors):
         raise plan.error(("made_by", "bundle"), "is another bundle than this one",
                          "render the plan with the bundle that made it")

@@ -6,19 +6,17 @@ and waits in a hold after it, in which repeated movements take place; then it is
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from data_module.types import Array
-from gesticulator.directing.gesture_parts import GestureScript, HandKey, HandPart, Repeat
-from gesticulator.directing.gesture_scripts import SCRIPTS
+from gesticulator.directing.gesture_scripts import SCRIPTS, GestureScript, HandPart, Repeat
 from gesticulator.directing.hands import arm_turns, best_swing, finger_turns, hand_rotation
 from gesticulator.plan.plan import GestureCue
 
@@ -44,8 +42,7 @@ _STRAYS, _TURNS = 0.014, np.radians(5.0)
 """Standard deviation of a hand's place, metres, and of its direction, radians, from one time to the next."""
 
 
-@dataclass(frozen=True)
-class Phases:
+class Phases(NamedTuple):
     """Seconds of a gesture's phases. The apex is at the end of the stroke."""
 
     preparation: float
@@ -89,7 +86,7 @@ class GestureDraw:
 def longest(name: str) -> Phases:
     """The longest phases of a gesture; what is drawn is at most so long."""
     rows = [_at_least(script, (1.0, 1.0, 1.0), _hold(script)) for script in SCRIPTS[name]]
-    return Phases(*(max(column) for column in zip(*map(dataclasses.astuple, rows), strict=True)))
+    return Phases(*map(max, zip(*rows, strict=True)))
 
 
 def _hold(script: GestureScript) -> float:
@@ -111,10 +108,10 @@ def _at_least(script: GestureScript, shares: Sequence[float], hold: float) -> Ph
 @functools.cache
 def _ways(part: HandPart) -> tuple[float, float, float]:
     """Metres of the wrist's way, in the largest size: from where it hangs to its stroke, of the stroke, and back."""
-    along = np.array([_rotation_of(key).apply([1.0, 0.0, 0.0]) for key in part.keys])
-    wrists = _points(part, _LARGEST) - part.point * along
-    up, across, down = wrists[0] - _HANGING, wrists[1] - wrists[0], wrists[-1] - _HANGING
-    return float(np.linalg.norm(up)), float(np.linalg.norm(across)), float(np.linalg.norm(down))
+    wrists = _points(part, _LARGEST) - part.point * _directions(part).apply([1.0, 0.0, 0.0])
+    up, across, down = (float(np.linalg.norm(way)) for way in (
+        wrists[0] - _HANGING, wrists[1] - wrists[0], wrists[-1] - _HANGING))
+    return up, across, down
 
 
 def drawn_gesture(cue: GestureCue, at: float, seed: int) -> GestureDraw:
@@ -153,40 +150,44 @@ def hand_turns(draw: GestureDraw, which: int, seconds: Array) -> tuple[Array, Ar
     part = draw.script.main if which == 0 else draw.script.other
     assert part is not None
     # Keys before the apex are shares of the stroke; those after it run at the pace of repeated movements.
-    times = [key.time * (draw.phases.stroke if key.time < 0 else 1.0 / draw.pace) for key in part.keys]
-    swings = np.array([_swing_of(part, number) for number in range(len(part.keys))])
-    share, begin = _between(np.array(times), seconds)
-    end = np.minimum(begin + 1, len(times) - 1)
-    hands = Rotation.concatenate([_rotation_of(key) for key in part.keys])
+    times = np.array([key.time * (draw.phases.stroke if key.time < 0 else 1.0 / draw.pace) for key in part.keys])
+    begin = np.clip(np.searchsorted(times, seconds, side="right") - 1, 0, len(times) - 2)
+    end = begin + 1
+    share = smooth((seconds - times[begin]) / (times[end] - times[begin]))
+
+    def mixed(values: Array) -> Array:
+        between: Array = values[begin] + share.reshape(-1, *[1] * (values.ndim - 1)) * (values[end] - values[begin])
+        return between
+
+    hands = _directions(part)
     way = (hands[begin].inv() * hands[end]).as_rotvec()
     turned = hands[begin] * Rotation.from_rotvec(share[:, None] * way)
-    keys = _points(part, draw.size)
-    places = _mixed(keys, begin, end, share)
-    shapes = np.array([finger_turns(key.shape) for key in part.keys])
-    fingers = _mixed(shapes, begin, end, share)
-    # A key fixes the point of the hand that the script names (palm, tips); the arm is solved for the wrist.
+    places = mixed(_points(part, draw.size))
+    fingers = mixed(np.array([finger_turns(key.shape) for key in part.keys]))
     if part.repeat is not None:
         places, turned, fingers = _repeated(part.repeat, draw, seconds, (places, turned, fingers))
     if not part.touches:
         places, turned = places + draw.place[which], Rotation.from_rotvec(draw.turn[which]) * turned
         # A hand that is held up sinks a little: people do not hold it still.
         places = places + smooth(seconds / draw.phases.hold)[:, None] * (_SINKS - 0.5 * draw.place[which])
+    # A key fixes the point of the hand that the script names (palm, tips); the arm is solved for the wrist.
     wrists = places - part.point * turned.apply([1.0, 0.0, 0.0])
-    return np.stack(arm_turns(wrists, turned, _mixed(swings, begin, end, share)), axis=1), fingers
+    return np.stack(arm_turns(wrists, turned, mixed(_swings(part))), axis=1), fingers
 
 
-def _between(times: Array, seconds: Array) -> tuple[Array, NDArray[np.int64]]:
-    """For M seconds: the eased share [M] of the way from one key to the next, and the number [M] of the first."""
-    begin = np.clip(np.searchsorted(times, seconds, side="right") - 1, 0, max(len(times) - 2, 0))
-    ends = times[np.minimum(begin + 1, len(times) - 1)]
-    return smooth((seconds - times[begin]) / np.maximum(ends - times[begin], 1e-6)), begin
+@functools.cache
+def _directions(part: HandPart) -> Rotation:
+    """The rotations of a hand at its keys."""
+    return Rotation.concatenate([hand_rotation(np.array(key.fingers), np.array(key.palm)) for key in part.keys])
 
 
-def _mixed(values: Array, begin: NDArray[np.int64], end: NDArray[np.int64], share: Array) -> Array:
-    """[M, ...] values between those of two keys."""
-    share = share.reshape(len(share), *[1] * (values.ndim - 1))
-    mixed: Array = values[begin] + share * (values[end] - values[begin])
-    return mixed
+@functools.cache
+def _swings(part: HandPart) -> Array:
+    """[K] swings of the elbow at the keys, radians."""
+    hands = _directions(part)
+    wrists = np.array([key.place for key in part.keys]) - part.point * hands.apply([1.0, 0.0, 0.0])
+    return np.array([best_swing(wrist, hand, float(np.radians(part.lift)))
+                     for wrist, hand in zip(wrists, hands, strict=True)])
 
 
 def _points(part: HandPart, size: float) -> Array:
@@ -194,19 +195,6 @@ def _points(part: HandPart, size: float) -> Array:
     apex = np.array(part.apex.place)
     scaled = apex if part.touches else _HOME + (apex - _HOME) * (0.7 + 0.3 * size)
     return np.array([scaled + (np.array(key.place) - apex) * (0.5 + 0.5 * size) for key in part.keys])
-
-
-def _rotation_of(key: HandKey) -> Rotation:
-    return hand_rotation(np.array(key.fingers), np.array(key.palm))
-
-
-@functools.cache
-def _swing_of(part: HandPart, number: int) -> float:
-    """The elbow's swing at a key, radians."""
-    key = part.keys[number]
-    turned = _rotation_of(key)
-    wrist = np.array(key.place) - part.point * turned.apply([1.0, 0.0, 0.0])
-    return best_swing(wrist, turned, float(np.radians(part.lift)))
 
 
 def _repeated(repeat: Repeat, draw: GestureDraw, seconds: Array,

@@ -56,7 +56,10 @@ def arm_turns(places: Array, hand: Rotation, swings: Array) -> tuple[Array, Arra
     twist, bend = _wrist(forearm, hand)
     # A person twists the hand mostly by turning the forearm; the mesh would wring at the wrist otherwise.
     turned = Rotation.from_rotvec(_PRONATES * twist[:, None] * _BONE)
-    left = Rotation.from_rotvec((1.0 - _PRONATES) * twist[:, None] * _BONE) * _limited(bend)
+    vectors = bend.as_rotvec()
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    bend = Rotation.from_rotvec(vectors * (_eased(length, MOST_BEND) / np.maximum(length, 1e-9)))
+    left = Rotation.from_rotvec((1.0 - _PRONATES) * twist[:, None] * _BONE) * bend
     return arm.as_rotvec(), (arm.inv() * forearm * turned).as_rotvec(), left.as_rotvec()
 
 
@@ -99,12 +102,6 @@ def _wrist(forearm: Rotation, hand: Rotation) -> tuple[Array, Rotation]:
     # The exponential map of a yaw may be the long way round.
     twist = (twist + np.pi) % (2.0 * np.pi) - np.pi
     return _eased(twist, MOST_TWIST), Rotation.from_rotvec(twist[:, None] * _BONE).inv() * wrist
-
-
-def _limited(bend: Rotation) -> Rotation:
-    vectors = bend.as_rotvec()
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return Rotation.from_rotvec(vectors * (_eased(length, MOST_BEND) / np.maximum(length, 1e-9)))
 
 
 def _eased(angles: Array, most: float) -> Array:
@@ -180,17 +177,6 @@ SHAPES: dict[str, HandShape] = {
 
 
 @functools.cache
-def _axes() -> dict[str, Array]:
-    """Finger -> [3] axis about which a left hand's finger bends; at rest the palm faces down and the fingers left."""
-    out = {}
-    for finger in FINGERS:
-        along = FINGERED.offsets[FINGERED.index(f"LeftHand{finger}2")]
-        axis = np.cross(along, _UNDER_PALM if finger == "Thumb" else np.array([0.0, -1.0, 0.0]))
-        out[finger] = axis / np.linalg.norm(axis)
-    return out
-
-
-@functools.cache
 def finger_turns(shape: str) -> Array:
     """[15, 3] exponential maps, radians, of the joints of a left hand in a shape, in the order of `FINGERS`."""
     hand = SHAPES[shape]
@@ -198,10 +184,12 @@ def finger_turns(shape: str) -> Array:
     for finger in FINGERS:
         thumb = finger == "Thumb"
         curl = hand.thumb[0] if thumb else hand.curls[FINGERS.index(finger) - 1]
+        # At rest the palm faces down and the fingers of a left hand point left.
+        axis = np.cross(FINGERED.offsets[FINGERED.index(f"LeftHand{finger}2")], _UNDER_PALM if thumb else _PALM)
         for place, degrees in enumerate(_FULL[finger]):
             # Joints bend about the finger's axis; the knuckle also spreads, and the thumb's root turns twice.
             share = curl * (hand.knuckles if place == 0 else 1.0)
-            turn = share * degrees * _axes()[finger]
+            turn = share * degrees * (axis / np.linalg.norm(axis))
             if place == 0:
                 turn = turn + (np.array([hand.thumb[2], -hand.thumb[1], 0.0]) if thumb
                                else np.array([0.0, hand.spread * _SIDE[finger], 0.0]))

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_module.motion.kinematics import positions_of
 from data_module.types import Array, Motion
@@ -30,25 +29,23 @@ _LEANS = 0.6
 """A direction is named if its share of the displacement is at least this part of the greatest share."""
 LIFTED = 0.12
 """Height above the hips from which a hand counts as up, metres."""
-BIAS = 2.5
-"""Bias for handedness, nats: added to the score of a lexeme of the preferred hand alone, subtracted for the other."""
 _SIDES = ("Right", "Left")
 
 
 @dataclass(frozen=True)
 class HandWays:
-    """Movements of the hands in S lexemes, the right hand first. ways: [S, 2, 3] displacement from start to end, metres
-    outwards from the body's middle, up and forward; paths: [S, 2] length of the path, metres; heights: [S, 2] metres
-    above the hips at the end."""
+    """Movements of the hands in S lexemes, the right hand first. motion: of all of them, one after the other, of equal
+    length; ways: [S, 2, 3] displacement from start to end, metres outwards from the body's middle, up and forward;
+    paths: [S, 2] length of the path, metres; heights: [S, 2] metres above the hips at the end."""
 
+    motion: Motion
     ways: Array
     paths: Array
     heights: Array
 
 
-def decoded_motion(bundle: Bundle) -> Motion | None:
-    """The movements of all lexemes, one after the other, of equal length; None if lexemes cannot be decoded one by one
-    (RACER's codes)."""
+def hand_ways(bundle: Bundle) -> HandWays | None:
+    """Movements of the hands in every lexeme; None if lexemes cannot be decoded one by one (RACER's codes)."""
     import torch
 
     from lexicon.movement import MovementLexicon
@@ -63,21 +60,14 @@ def decoded_motion(bundle: Bundle) -> Motion | None:
             blocks = torch.cat([lexicon.examples[:, -1:], blocks], dim=1)
     statistics = bundle.statistics
     poses = blocks.double().cpu().numpy() * statistics.deviation + statistics.mean_pose.mean(axis=0)
-    return representation_of(bundle.config).motion(poses.reshape(-1, poses.shape[-1]), 1.0)
-
-
-def hand_ways(bundle: Bundle) -> HandWays | None:
-    """Movements of the hands in every lexeme; None as `decoded_motion`."""
-    motion = decoded_motion(bundle)
-    if motion is None:
-        return None
+    motion = representation_of(bundle.config).motion(poses.reshape(-1, poses.shape[-1]), 1.0)
     names = motion.skeleton.names
     places = positions_of(motion).reshape(len(bundle.vectors), -1, len(names), 3)
     hands = places[:, :, [names.index(side + "Hand") for side in _SIDES]] - places[:, :, :1]
     # Outwards is to the right for the right hand.
     hands = hands * np.array([[-1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
-    return HandWays(hands[:, -1] - hands[:, 0], np.linalg.norm(np.diff(hands, axis=1), axis=-1).sum(axis=1),
-                    hands[:, -1, :, 1])
+    paths = np.linalg.norm(np.diff(hands, axis=1), axis=-1).sum(axis=1)
+    return HandWays(motion, hands[:, -1] - hands[:, 0], paths, hands[:, -1, :, 1])
 
 
 def lexeme_names(bundle: Bundle) -> tuple[LexemeName, ...]:
@@ -114,18 +104,3 @@ def _way(way: Array, path: float) -> str:
     order = [int(axis) for axis in np.argsort(-np.abs(way), kind="stable")]
     directions = [names[axis][int(way[axis] > 0)] for axis in order if abs(way[axis]) >= _LEANS * abs(way[order[0]])]
     return ("far " if length > FAR else "") + " and ".join(directions[:2])
-
-
-def handed_bias(bundle: Bundle, hand: str) -> NDArray[np.float64] | None:
-    """[S] nats to add to an interpreter's scores to prefer lexemes of the left, the right or both hands; None as
-    `hand_ways`."""
-    hands = hand_ways(bundle)
-    if hands is None:
-        return None
-    # From -1, the left hand alone moves, to 1, the right one alone.
-    total = hands.paths.sum(axis=1)
-    right = (hands.paths[:, 0] - hands.paths[:, 1]) / np.maximum(total, 1e-9)
-    sided = {"right": right, "left": -right, "both": 1.0 - 2.0 * np.abs(right)}[hand]
-    # A lexeme in which nothing moves gets no bias.
-    bias: NDArray[np.float64] = BIAS * sided * np.clip(total / MOVES - 1.0, 0.0, 1.0)
-    return bias

@@ -10,7 +10,7 @@ import difflib
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from data_module.errors import InputError
 from data_module.text.marks import NONE, mark_name, marked_words
@@ -36,7 +36,7 @@ class MarkWarning(UserWarning):
 def gesture_of_mark(name: str) -> str | None:
     """The gesture of `plan.GESTURES` that a mark names, in any spelling (`mark_name`); None for an unknown one."""
     plain = mark_name(name)
-    return plain if plain in GESTURES else next((gesture for gesture in GESTURES if mark_name(gesture) == plain), None)
+    return plain if plain in GESTURES else None
 
 
 def expression_of_mark(name: str) -> str | None:
@@ -79,9 +79,8 @@ def mark_cues(words: Sequence[Word]) -> tuple[GestureCue, ...]:
 def warn_of_unknown(names: Iterable[str], known: set[str] | None = None) -> None:
     """Warn of marks that name no gesture, once for each name. known: names that were warned of; new ones are added."""
     known = set() if known is None else known
-    unknown = [name for name in dict.fromkeys(map(mark_name, names))
-               if name not in known and name != NONE and gesture_of_mark(name) is None
-               and expression_of_mark(name) is None]
+    unknown = [name for name in dict.fromkeys(map(mark_name, names)) if name not in known and name != NONE
+               and gesture_of_mark(name) is None and expression_of_mark(name) is None]
     if not unknown:
         return
     known.update(unknown)
@@ -94,27 +93,13 @@ def warn_of_unknown(names: Iterable[str], known: set[str] | None = None) -> None
 
 # ------------------------------------------------------------------------------------------------------- in a stream
 
-@dataclass(frozen=True)
-class _MarkedCue:
-    """A gesture and the start of its word, seconds."""
-
-    cue: TimedCue
-    word: float
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """Seconds at which the gesture begins and ends."""
-        before, after = span_of_gesture(self.cue.cue.gesture)
-        return self.cue.time - before, self.cue.time + after
-
-
 class StreamMarks:
     """The marked gestures of a stream: `take` them from words, then ask for their `cues`."""
 
     def __init__(self, rotations: bool) -> None:
         """rotations: whether the bundle's poses are joint rotations, which gestures need."""
         self._rotations = rotations
-        self._marked: list[_MarkedCue] = []
+        self._marked: list[tuple[float, TimedCue]] = []  # with the starts of their words
         self._late: tuple[str, ...] = ()
         self._known: set[str] = set()
 
@@ -125,8 +110,7 @@ class StreamMarks:
         the bundle's poses are no rotations, and for too many marks.
         """
         parts, late = marked_words([word.text for word in words])
-        waiting, self._late = self._late, late
-        out = []
+        out, waiting = [], self._late
         for word, (text, marks) in zip(words, parts, strict=True):
             if text.strip():
                 out.append(replace(word, text=text, marks=(*word.marks, *waiting, *marks)))
@@ -136,28 +120,27 @@ class StreamMarks:
         self._late = (*waiting, *late)
         warn_of_unknown((name for word in out for name in word.marks), self._known)
         for word in out:
-            self._add(word, final)
-        self._marked = [marked for marked in self._marked if marked.cue.time >= final - LONGEST_HISTORY]
+            for gesture in gestures_of(word):
+                self._add(word, gesture, final)
+        self._marked = [(start, cue) for start, cue in self._marked if cue.time >= final - LONGEST_HISTORY]
         return tuple(out)
 
-    def _add(self, word: Word, final: float) -> None:
-        for gesture in gestures_of(word):
-            if not self._rotations:
-                raise InputError("gesture marks", "need a bundle of joint rotations, and this one has joint positions",
-                                 "leave them out")
-            spoken = stroke_of_word(word)
-            time = max(spoken, final + span_of_gesture(gesture)[0])
-            # A recogniser sends a word again when it has understood it better.
-            again = any(marked.cue.cue.gesture == gesture and marked.word == word.start for marked in self._marked)
-            if time - spoken <= LATEST and not again:
-                self._check_room(final)
-                cue = TimedCue(GestureCue(gesture, time=time, source=SOURCE), time)
-                self._marked.append(_MarkedCue(cue, word.start))
+    def _add(self, word: Word, gesture: str, final: float) -> None:
+        if not self._rotations:
+            raise InputError("gesture marks", "need a bundle of joint rotations, and this one has joint positions",
+                             "leave them out")
+        spoken = stroke_of_word(word)
+        time = max(spoken, final + span_of_gesture(gesture)[0])
+        # A recogniser sends a word again when it has understood it better.
+        again = any(cue.cue.gesture == gesture and start == word.start for start, cue in self._marked)
+        if time - spoken <= LATEST and not again:
+            self._check_room(final)
+            self._marked.append((word.start, TimedCue(GestureCue(gesture, time=time, source=SOURCE), time)))
 
     def _check_room(self, final: float) -> None:
-        """`InputError` if there are more gestures than a plan of the same length may have, or too many at once: each
-        costs computing time in every block around it, which other streams would wait for."""
-        waiting = sum(marked.cue.time > final for marked in self._marked)
+        """`InputError` if there are more gestures than a plan of the same length may have, or too many at once."""
+        # Each costs computing time in every block around it, which other streams would wait for.
+        waiting = sum(cue.time > final for cue in self.cues())
         if waiting >= ALLOWED_CUES or len(self._marked) >= max(ALLOWED_CUES, int(CUES_PER_SECOND * final)):
             raise InputError("gesture marks", f"more than {ALLOWED_CUES} wait or {CUES_PER_SECOND:g} per second came",
                              "send fewer")
@@ -166,10 +149,8 @@ class StreamMarks:
         """Forget what begins after `at` seconds, and break off what is being made."""
         self._late = ()
         # A gesture whose preparation has begun cannot be taken back at once; it ends as the hands come to rest.
-        begun = [marked for marked in self._marked if marked.span[0] < at]
-        self._marked = [marked if marked.span[1] <= at else replace(marked, cue=replace(
-            marked.cue, broken_off=min(marked.cue.broken_off or at, at))) for marked in begun]
+        self._marked = [(start, cue.ended(at)) for start, cue in self._marked if cue.span[0] < at]
 
     def cues(self) -> list[TimedCue]:
         """The marked gestures, in order of their words."""
-        return [marked.cue for marked in self._marked]
+        return [cue for _, cue in self._marked]

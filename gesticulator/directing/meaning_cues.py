@@ -22,6 +22,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from data_module.files import read_object
 from data_module.text.language import LANGUAGES
 
@@ -90,27 +92,19 @@ def spoken_text(words: Sequence[str], pauses: Sequence[float] = ()) -> SpokenTex
         for part in _written_out(word[first:last]):
             owners[len(text)] = number
             text += part + " "
-        mark = _boundary(word[last:], pause)
-        if mark and not text.endswith(_ENDS):
-            text += mark + " "
+        tail = word[last:]
+        mark = "? " if "?" in tail else ". " if pause >= _FULL_STOP or any(mark in tail for mark in ".!…。！") else \
+            ", " if pause >= _COMMA or tail in ("-", "--") or any(mark in tail for mark in ",;:—–)") else ""
+        if not text.endswith(_ENDS):
+            text += mark
     return SpokenText(text if text.endswith(_ENDS) else text + ". ", owners)
 
 
-def _boundary(tail: str, pause: float) -> str:
-    if "?" in tail:
-        return "?"
-    if any(mark in tail for mark in ".!…。！") or pause >= _FULL_STOP:
-        return "."
-    return "," if any(mark in tail for mark in ",;:—–)") or tail in ("-", "--") or pause >= _COMMA else ""
-
-
 def _written_out(core: str) -> list[str]:
-    if core in _SHORT:
-        return _SHORT[core].split()
     for ending, word in _ENDINGS:
-        if core.endswith(ending) and len(core) > len(ending):
+        if core not in _SHORT and core.endswith(ending) and len(core) > len(ending):
             return [core[:-len(ending)], word]
-    return [core] if core else []
+    return _SHORT.get(core, core).split()
 
 
 # -------------------------------------------------------------------------------------------------------- patterns
@@ -118,18 +112,13 @@ def _written_out(core: str) -> list[str]:
 @dataclass(frozen=True)
 class CuePattern:
     """A compiled pattern. weight: how sure it is, 0 to 1; keys: words one of which must be in the text, or none;
-    length: elements that must be there."""
+    length: elements that must be there; regex: over `SpokenText.text`, with a group "stroke" or none."""
 
     source: str
     weight: float
     keys: frozenset[str]
     length: int
-    _regex: re.Pattern[str] = field(repr=False)
-
-    def matches(self, spoken: SpokenText, first: int = 0, last: int | None = None) -> Iterator[tuple[int, int, int]]:
-        """(start, end, place of the stroke's word) of each match between two characters of the text."""
-        for match in self._regex.finditer(spoken.text, first, len(spoken.text) if last is None else last):
-            yield match.start(), match.end(), match.start("stroke") if "stroke" in match.groupdict() else match.start()
+    regex: re.Pattern[str] = field(repr=False)
 
 
 def cue_pattern(source: str, weight: float = 0.0) -> CuePattern:
@@ -204,8 +193,8 @@ class MeaningClass:
 
     def guarded(self, spoken: SpokenText, start: int, end: int) -> bool:
         """Whether a phrase in which the cues do not count overlaps these characters."""
-        first, last = max(start - _NEAR, 0), end + _NEAR
-        return any(a < end and start < b for guard in self.unless for a, b, _ in guard.matches(spoken, first, last))
+        return any(match.start() < end and start < match.end() for guard in self.unless
+                   for match in guard.regex.finditer(spoken.text, max(start - _NEAR, 0), end + _NEAR))
 
 
 class MeaningCues:
@@ -239,8 +228,10 @@ class MeaningCues:
         tokens = frozenset(spoken.text.split())
         for meaning, cue in self._cues:
             # Most of a thousand phrases have no word in the text: looking for one spares the regular expression.
-            for start, end, stroke in cue.matches(spoken) if not cue.keys or cue.keys & tokens else ():
+            for match in cue.regex.finditer(spoken.text) if not cue.keys or cue.keys & tokens else ():
+                start, end = match.span()
                 if not meaning.guarded(spoken, start, end) and (meaning.negated or not self._negated(spoken, start)):
+                    stroke = match.start("stroke") if "stroke" in cue.regex.groupindex else start
                     yield CalledGesture(spoken.owners[stroke], *spoken.words(start, end), meaning.label,
                                         meaning.gesture, round(min(cue.weight + _LONGER * (cue.length - 1), 1.0), 3),
                                         cue.source)
@@ -259,18 +250,13 @@ class MeaningCues:
 
 def _written(spoken: SpokenText, count: int) -> list[bool]:
     """For each of `count` words, True if it stands in prose: by the common words around it."""
-    worth, number = [0] * (count + 1), [0] * (count + 1)
+    # Of each written word, what its spoken words are worth, and how many they are.
+    worth = np.zeros((count, 2), dtype=int)
     for place, word in spoken.owners.items():
         token = spoken.text[place:spoken.text.index(" ", place)]
-        worth[word + 1] += (token in _TALK) - (token in _PROSE)
-        number[word + 1] += 1
-    worth, number = list(itertools.accumulate(worth)), list(itertools.accumulate(number))
-    out = []
-    for word in range(count):
-        first, last = max(word - _AROUND, 0), min(word + _AROUND + 1, count)
-        around = number[last] - number[first]
-        out.append(around >= _FEWEST and worth[last] - worth[first] < _LEAST_TALK * around)
-    return out
+        worth[word] += (token in _TALK) - (token in _PROSE), 1
+    around = [worth[max(word - _AROUND, 0):word + _AROUND + 1].sum(axis=0) for word in range(count)]
+    return [bool(number >= _FEWEST and talk < _LEAST_TALK * number) for talk, number in around]
 
 
 def _best(calls: list[CalledGesture]) -> list[CalledGesture]:

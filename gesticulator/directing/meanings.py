@@ -17,7 +17,6 @@ from data_module.types import Speech, Word
 from gesticulator.directing.cues import TimedCue, cues_at, stroke_of_word
 from gesticulator.directing.marks import gestures_of
 from gesticulator.directing.meaning_cues import CalledGesture, meaning_cues
-from gesticulator.directing.named_gestures import span_of_gesture
 from gesticulator.directing.word_sound import WordSounds
 from gesticulator.options import InferenceOptions
 from gesticulator.plan.gestures import GESTURES
@@ -42,20 +41,11 @@ LEVELS = {"off": Level(math.inf, 3.0), "few": Level(0.8, 8.0), "normal": Level(0
 
 @dataclass(frozen=True)
 class Called:
-    """A call with the spoken word and the second of its stroke. size: a factor on its intensity; broken_off: when an
-    interruption ended it, seconds."""
+    """A call with the spoken word, and the cue that shows it."""
 
     gesture: CalledGesture
     word: Word
-    time: float
-    size: float = 1.0
-    broken_off: float | None = None
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """Seconds at which the gesture begins and ends."""
-        before, after = span_of_gesture(self.gesture.gesture)
-        return self.time - before, self.time + after
+    cue: TimedCue
 
 
 def chosen(calls: Sequence[Called], level: Level, begun: Sequence[Called] = (), taken: Sequence[float] = (),
@@ -67,22 +57,22 @@ def chosen(calls: Sequence[Called], level: Level, begun: Sequence[Called] = (), 
     distance after it; and one whose preparation would begin before `begin`. begun: those shown before.
     """
     # Cues of the user, marks and stillness come first; words fill what is left.
-    good = [call for call in sorted(calls, key=lambda call: call.time)
-            if call.gesture.score >= level.score and call.span[0] >= begin
-            and all(abs(call.time - other) >= level.apart for other in taken)]
+    good = [call for call in sorted(calls, key=lambda call: call.cue.time)
+            if call.gesture.score >= level.score and call.cue.span[0] >= begin
+            and all(abs(call.cue.time - other) >= level.apart for other in taken)]
     out = list(begun)
 
     def barred(call: Called) -> bool:
         # The last eight reach further back than `AGAIN`, at three seconds from one to the next.
-        return any(call.time - before.time < level.apart
-                   or (call.time - before.time < AGAIN and before.gesture.label == call.gesture.label)
+        return any(call.cue.time - before.cue.time < level.apart
+                   or (call.cue.time - before.cue.time < AGAIN and before.gesture.label == call.gesture.label)
                    for before in reversed(out[-8:]))
 
     for number, call in enumerate(good):
         if barred(call):
             continue
         # A better one that is itself barred would leave a gap.
-        after = (other for other in good[number + 1:number + 20] if other.time - call.time < level.apart)
+        after = (other for other in good[number + 1:number + 20] if other.cue.time - call.cue.time < level.apart)
         if not any(other.gesture.score > call.gesture.score and not barred(other) for other in after):
             out.append(call)
     return out[len(begun):]
@@ -113,8 +103,7 @@ class MeaningTrack:
     def forget(self, time: float) -> None:
         """Forget the words from a time on, and the gestures that have not begun by then; others are broken off."""
         self._words = [word for word in self._words if word.start < time]
-        self._begun = [replace(call, broken_off=min(call.broken_off or time, time)) if call.span[1] > time else call
-                       for call in self._begun if call.span[0] < time]
+        self._begun = [replace(call, cue=call.cue.ended(time)) for call in self._begun if call.cue.span[0] < time]
         # What was shown up to then stays, so that a stream never contradicts frames that were sent.
         self._until, self._next = min(self._until, time), None
 
@@ -123,25 +112,20 @@ class MeaningTrack:
         if self._next is None:
             self._next = self._chosen()
         if until > self._until:
-            self._begun += [call for call in self._next if call.span[0] <= until]
-            self._next = [call for call in self._next if call.span[0] > until]
+            self._begun += [call for call in self._next if call.cue.span[0] <= until]
+            self._next = [call for call in self._next if call.cue.span[0] > until]
             self._until = until
-            self._begun = [call for call in self._begun if call.time > until - _GESTURES]
+            self._begun = [call for call in self._begun if call.cue.time > until - _GESTURES]
             self._words = [word for word in self._words if word.end > until - _WORDS]
-        # Rounded as a plan stores them, so that a plan replays the same motion.
-        return [TimedCue(GestureCue(call.gesture.gesture, time=time, intensity=self._size(call)), time,
-                         broken_off=call.broken_off) for call in self._begun for time in [round(call.time, 6)]]
+        return [call.cue for call in self._begun]
 
     def meanings(self) -> tuple[PlanMeaning, ...]:
         """All gestures of the words, as a plan stores them."""
         calls = [*self._begun, *(self._chosen() if self._next is None else self._next)]
         return tuple(PlanMeaning(
             call.word.start, call.word.end, call.gesture.label, f"cue phrase: {call.gesture.source}",
-            call.gesture.score, "words", call.word.text, call.gesture.gesture, round(call.time, 6), self._size(call))
+            call.gesture.score, "words", call.word.text, call.gesture.gesture, call.cue.time, call.cue.cue.intensity)
             for call in calls)
-
-    def _size(self, call: Called) -> float:
-        return round(self._intensity * call.size, 6)
 
     def _chosen(self) -> list[Called]:
         words = self._words
@@ -153,11 +137,13 @@ class MeaningTrack:
             word = words[called.word]
             if called.gesture not in GESTURES or any(near.marks for near in words[called.first:called.last + 1]):
                 continue
-            call = Called(called, word, stroke_of_word(word)) if sounds is None else \
-                Called(called, word, sounds.stroke(word), sounds.size(word))
+            stroke, size = (stroke_of_word(word), 1.0) if sounds is None else (sounds.stroke(word), sounds.size(word))
+            # Rounded as a plan stores them, so that a plan replays the same motion.
+            time, intensity = round(stroke, 6), round(self._intensity * size, 6)
+            cue = TimedCue(GestureCue(called.gesture, time=time, intensity=intensity), time)
             # Hands that rest do not gesture.
-            if not any(start < call.span[1] and call.span[0] < end for start, end in self._still):
-                calls.append(call)
+            if not any(start < cue.span[1] and cue.span[0] < end for start, end in self._still):
+                calls.append(Called(called, word, cue))
         return chosen(calls, self._level, self._begun, self._taken, self._until)
 
 

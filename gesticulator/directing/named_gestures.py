@@ -19,9 +19,8 @@ from data_module.types import Array, Motion
 from gesticulator.body.clips import exchanged_joints
 from gesticulator.contacts.columns import HEAD, TRUNK
 from gesticulator.contacts.limbs import MARGIN, pose_of
-from gesticulator.directing.gesture_parts import GestureScript
 from gesticulator.directing.gesture_phases import GestureDraw, drawn_gesture, hand_turns, longest
-from gesticulator.directing.shaping import nearest_turn
+from gesticulator.directing.gesture_scripts import GestureScript
 from gesticulator.plan.plan import GestureCue
 
 _FLIP = np.array([1.0, -1.0, -1.0])
@@ -47,8 +46,6 @@ def laid_over(poses: Array, times: Array, cues: Sequence[tuple[GestureCue, float
     out = poses.copy()
     for cue, at in cues:
         before, after = span_of_gesture(cue.gesture)
-        if not len(times) or at - before >= times[-1] or at + after <= times[0]:
-            continue
         near = np.flatnonzero((times > at - before) & (times < at + after))
         if len(near):
             out[near] = _with_gesture(out[near], times[near] - at, cue, drawn_gesture(cue, at, seed))
@@ -63,9 +60,8 @@ def _with_gesture(poses: Array, seconds: Array, cue: GestureCue, draw: GestureDr
     swapped = exchanged_joints(names)
     vectors = poses.reshape(len(poses), -1, 3).copy()
     targets = _targets(draw, seconds)
-    added = {name: turns for name, turns in _added(draw, seconds, weight).items() if name not in targets}
     # Scripts are right-handed: a flipped gesture goes to the joints of the other side, as its mirror image.
-    for name, turns in (targets | added).items():
+    for name, turns in (_added(draw, seconds, weight) | targets).items():
         if name in names:
             joint, turns = names.index(name), turns * _FLIP if flipped else turns
             joint = int(swapped[joint]) if flipped else joint
@@ -120,21 +116,25 @@ def _blended(now: Array, target: Array, share: Array) -> Array:
     return nearest_turn((begin * Rotation.from_rotvec(share[:, None] * turn)).as_rotvec(), now)
 
 
+def nearest_turn(vectors: Array, reference: Array) -> Array:
+    """Exponential maps [..., 3] of the same rotations that are nearest to a reference [..., 3], by full turns."""
+    return rotation.unroll(np.stack([reference, vectors]))[1]
+
+
 def _led_around(poses: Array, before: Array, weight: Array, moved: Sequence[str], script: GestureScript
                 ) -> Array:
     """Poses [M, 3 J] with the hands of the sides `moved` kept as far from trunk and head as in the poses `before`, and
     in a gesture at `MARGIN`, or on the body if it touches it. Where nothing has to move, nothing changes."""
     if not moved:
         return poses
-    motion, first = _motion_of(poses), pose_of(_motion_of(before))
-    freed = motion
-    touches = any(part.touches for part in script.hands)
+    freed, first = _motion_of(poses), pose_of(_motion_of(before))
+    rotations, touches = freed.rotations, any(part.touches for part in script.hands)
     for part, gap in ((TRUNK, _TOUCH if touches else MARGIN), (HEAD, 0.0 if script.faces else MARGIN)):
         now = part.distances(first)
         freed = part.kept_out(freed, {side: (1.0 - weight) * np.minimum(now[side], MARGIN) + weight * gap
                                       if side in moved else np.full(len(poses), -np.inf) for side in SIDES})
     # Joints that did not have to move keep their bits: exponential maps of the same rotation may differ.
-    changed = (freed.rotations != motion.rotations).any(axis=-1, keepdims=True)
+    changed = (freed.rotations != rotations).any(axis=-1, keepdims=True)
     reference = poses.reshape(len(poses), -1, 3)
     turned = nearest_turn(rotation.to_exponential_map(freed.rotations), reference)
     out: Array = np.where(changed, turned, reference).reshape(poses.shape)
@@ -142,6 +142,5 @@ def _led_around(poses: Array, before: Array, weight: Array, moved: Sequence[str]
 
 
 def _motion_of(poses: Array) -> Motion:
-    skeleton = CHARACTERS[poses.shape[1] // 3]
     rotations = rotation.from_exponential_map(poses.reshape(len(poses), -1, 3))
-    return Motion(skeleton, rotations, np.zeros((len(poses), 3)), 60.0)
+    return Motion(CHARACTERS[rotations.shape[1]], rotations, np.zeros((len(poses), 3)), 60.0)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import TYPE_CHECKING, Any, cast
 
 from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.plan import (
     FORMAT,
     VERSION,
-    Block,
     DrawnBlocks,
     GestureName,
     GesturePhase,
@@ -68,18 +68,12 @@ def rendered_plan(plan: GesturePlan, speech: Speech, blocks: Sequence[BlockMotio
     """A plan after rendering, with the models' choices in its edited blocks."""
     # The hash of the sound was compared with the plan's before rendering (`directions.check_plan_of`).
     sound = PlanSound("", speech.duration, speech.sample_rate, plan.sound.sha256)
-    return replace(plan, sound=sound, blocks=tuple(_rendered(block, generated) for block, generated
-                                                   in zip(plan.blocks, blocks, strict=True)),
-                   units=units_of_blocks(blocks) or plan.units, words=words_of(speech), score_is=origin.score_is,
-                   source="plan")
-
-
-def _rendered(block: Block, generated: BlockMotion) -> Block:
-    """A planned block with the decisions of its generation."""
-    now = generated.block
-    return replace(block, lexeme=generated.lexeme if block.lexeme is None else block.lexeme, gate=now.gate,
-                   alternatives=now.alternatives, score=now.score, rank=now.rank, chosen=now.chosen,
-                   runner_up=now.runner_up)
+    decided = tuple(replace(
+        block, lexeme=made.lexeme if block.lexeme is None else block.lexeme, gate=made.block.gate,
+        alternatives=made.block.alternatives, score=made.block.score, rank=made.block.rank)
+        for block, made in zip(plan.blocks, blocks, strict=True))
+    return replace(plan, sound=sound, blocks=decided, units=units_of_blocks(blocks) or plan.units,
+                   words=words_of(speech), score_is=origin.score_is, source="plan")
 
 
 def fingerprinted(plan: GesturePlan, speech: Speech) -> GesturePlan:
@@ -106,15 +100,8 @@ def words_of(speech: Speech) -> tuple[PlanWord, ...]:
 
 def units_of_blocks(blocks: Sequence[BlockMotion]) -> tuple[GestureUnit, ...]:
     """The units of a performance, in order: from one rest to the next. () without a planner."""
-    units: list[GestureUnit] = []
-    unit: list[BlockMotion] = []
-    for block in [*blocks, None]:
-        if block is not None and block.unit is not None and block.unit.phase:
-            unit.append(block)
-        elif unit:
-            units.append(_unit(unit))
-            unit = []
-    return tuple(units)
+    groups = groupby(blocks, lambda block: block.unit is not None and bool(block.unit.phase))
+    return tuple(_unit(list(group)) for moves, group in groups if moves)
 
 
 def _unit(blocks: Sequence[BlockMotion]) -> GestureUnit:

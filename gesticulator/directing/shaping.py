@@ -1,4 +1,4 @@
-"""Knobs applied to the generated poses: the size of gestures, and which hand makes them.
+"""Knobs, curves and named gestures, applied to the generated poses: size, mirror image, overlays.
 
 All functions depend only on the poses so far and their times, so a stream gives the frames of a file. Knobs that affect
 lexemes or rest are applied while blocks are generated (`gesticulator.editing.render`).
@@ -18,25 +18,29 @@ arms and fingers approach the resting pose, which they reach at 0: r + 2 i (x - 
 
 Movement towards the bounds of the training data (`Statistics.bounds`) is limited smoothly. Head and spine are scaled
 about their mean pose. Hands are kept out of the trunk afterwards (`gesticulator.contacts.default_body`).
-
-**Both hands**: each arm takes over a share of the other arm's strokes, mirrored and a little later, in exchange for its
-own: x + e (M S'(t - lag) - 0.9 S), with S' of the other arm, M the mirror image and e = `ECHO`.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.motion import rotation
+from data_module.errors import InputError
 from data_module.motion.representation import Representation
 from data_module.motion.skeletons import SIDES
-from data_module.types import Array
+from data_module.types import Array, Word
 from gesticulator.body.clips import exchanged_joints
-from gesticulator.bundle.features import Statistics
+from gesticulator.bundle.bundle import Bundle
+from gesticulator.bundle.features import Statistics, representation_of
+from gesticulator.directing.cues import TimedCue, cues_at
+from gesticulator.directing.lexeme_names import lexeme_names
 from gesticulator.directing.strokes import FINE, LARGE, StrokeMemory, smooth_step
+from gesticulator.options import InferenceOptions
 
 STRONGER, WEAKER, FINER = 0.8, 0.5, 0.8
 """Gain of strokes per unit of intensity above 1; loss of strokes, and of small movements, per unit below 1. With these,
@@ -45,12 +49,6 @@ RESTING = 0.5
 """Intensity below which the arms approach the resting pose: still smaller strokes would be smaller than people's."""
 TRUNK, TRUNK_LEAST = 0.25, 0.2
 """Head and spine: exponent of their gain above 1, and share of their movement at 0, so that idle motion remains."""
-OTHER_HAND = 0.45
-"""Intensity of the hand that is not preferred."""
-ECHO, LOSS, LAG = 0.4, 0.9, 0.1
-"""Share of the other hand's strokes that a hand takes over; share of that by which its own strokes shrink; delay,
-seconds. With these, both hands are as fast as before, and their speeds correlate as people's do (0.7, of at most 0.83).
-"""
 FADE, MIRROR_FADE, REST_FADE = 0.15, 0.3, 0.6
 """Seconds to both sides of a beat over which intensity, mirroring, and the approach to rest (intensity below 0.5)
 change. In 0.6, a hand half a metre from rest gets there at 0.6 m/s."""
@@ -60,6 +58,94 @@ _HANGS, _LIFTED = 0.1, 0.7
 """Lift s (see the module) up to which an arm hangs, and from which on it is up."""
 CALM = 0.8
 """Seconds over which h is averaged for smaller gestures: longer than a stroke."""
+LONGEST_GESTURE = 4.0
+"""Seconds from the start of a named gesture to its apex, or from there to its end, at most (a test measures it)."""
+_BROKEN_OFF = 1.2
+"""Seconds in which a gesture ends that an interruption breaks off: so long the hands take to hang."""
+_TIME = attrgetter("time")
+MeantCues = Callable[[float], Sequence[TimedCue]]
+"""Gives the gestures that the words call for, or that are marked in them, and that begin up to a time."""
+
+
+class Shaping:
+    """Applies intensity, mirroring and named gestures to generated poses [M, D_m] at rising seconds [M]."""
+
+    def __init__(self, bundle: Bundle, options: InferenceOptions, speaker: int, words: Sequence[Word], edges: Array,
+                 meant: MeantCues | None = None) -> None:
+        """edges: [N + 1] seconds of the blocks; without a plan, the start and the end (infinity for a stream) are
+        enough. meant: called with the last of the seconds."""
+        representation = representation_of(bundle.config)
+        if representation.name != "rotations":
+            raise InputError("intensity, energy, cues and plans", "need a bundle of joint rotations, and this "
+                             "one has joint positions", "leave them out")
+        self._edges, self._meant, self._seed = edges, meant, options.seed or 0
+        self._sizes, self._mirrored, self._locked = _levels(options, len(edges) - 1)
+        self._curve = None if options.plan is None else options.plan.curve("intensity")
+        self._shares = eased_levels(edges, rest_share(self._sizes), REST_FADE, self._locked)
+        cues = cues_at(options.cues, words, float(edges[-1]), lambda: lexeme_names(bundle))
+        self._cues = sorted((cue for cue in cues if cue.lexeme is None), key=_TIME)
+        self._shaper = Shaper(bundle.statistics, representation, speaker)
+
+    def levels(self, times: Array) -> ShapeLevels:
+        """The levels at `times` [M]."""
+        edges, locked = self._edges, self._locked
+        intensity = levels_at(edges, self._sizes, times, FADE, locked)
+        share = levels_at(edges, self._shares, times, REST_FADE, locked)
+        if self._curve is not None:
+            factor = np.interp(times, self._curve.times, self._curve.values)
+            # Locked blocks keep the size of the first generation, which had no curves.
+            factor = 1.0 + (factor - 1.0) * levels_at(edges, 1.0 - locked, times, FADE, locked)
+            intensity = np.minimum(intensity * factor, 2.0)
+            share = share * rest_share(np.minimum(factor, 1.0))
+        return ShapeLevels(intensity, share, levels_at(edges, self._mirrored, times, MIRROR_FADE, locked))
+
+    def named(self, times: Array) -> list[TimedCue]:
+        """The gestures that may be made within `times`, by the times of their strokes."""
+        if not len(times):
+            return []
+        # A stroke outside of these times may still reach into them with its preparation or its hold.
+        begin, end = float(times[0]) - LONGEST_GESTURE, float(times[-1]) + LONGEST_GESTURE
+        cues = self._cues[bisect_left(self._cues, begin, key=_TIME):bisect_right(self._cues, end, key=_TIME)]
+        called = self._meant(float(times[-1])) if self._meant else ()
+        return sorted([*cues, *(cue for cue in called if begin <= cue.time <= end)], key=_TIME)
+
+    def __call__(self, poses: Array, times: Array) -> Array:
+        """The next poses."""
+        poses = self._shaper.shaped(poses, times, self.levels(times))
+        return with_gestures(poses, times, self.named(times), self._seed)
+
+
+def with_gestures(poses: Array, times: Array, cues: Sequence[TimedCue], seed: int) -> Array:
+    """Poses [M, D] at seconds [M] with named gestures, and with those that were broken off as they end; seed: of their
+    variation."""
+    if not cues:
+        return poses
+    from gesticulator.directing.named_gestures import laid_over, nearest_turn
+
+    for cue in cues:
+        if cue.broken_off is None:
+            continue
+        whole = laid_over(poses, times, [(cue.cue, cue.time)], seed)
+        share = smooth_step((times - cue.broken_off) / _BROKEN_OFF)[:, None]
+        # Between two turns of the same joint, the nearer representation: the other would whirl the arm around.
+        target = nearest_turn(poses.reshape(len(poses), -1, 3), whole.reshape(len(poses), -1, 3)).reshape(poses.shape)
+        poses = np.where(share == 1.0, poses, np.where(share == 0.0, whole, whole + share * (target - whole)))
+    played = sorted((cue for cue in cues if cue.broken_off is None), key=_TIME)
+    return laid_over(poses, times, [(cue.cue, cue.time) for cue in played], seed)
+
+
+def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Of N blocks: [N] intensities; [N] 1.0 where the block is mirrored; [N] whether it is locked."""
+    # Without a plan all blocks are alike, and a stream has no blocks yet.
+    if options.plan is None:
+        return np.full(count, options.knobs.size), np.zeros(count), np.zeros(count, bool)
+    blocks, now, first = options.plan.blocks, options.plan.knobs, options.plan.drawn.knobs
+    locked = np.array([block.locked for block in blocks])
+    sizes = np.minimum(np.array([block.intensity for block in blocks]) * np.where(locked, first.size, now.size), 2.0)
+    # Where the whole motion is mirrored at the end, the knob has been seen to already.
+    whole = options.mirrored
+    mirrored = [block.mirror != (not whole and (first if block.locked else now).mirror) for block in blocks]
+    return sizes, np.array(mirrored, dtype=np.float64), locked
 
 
 def levels_at(edges: Array, levels: NDArray[np.floating], times: Array, fade: float,
@@ -108,19 +194,18 @@ def eased_levels(edges: Array, levels: NDArray[np.floating], fade: float, locked
 
 
 @dataclass(frozen=True)
-class ArmScales:
-    """Scaling of the arms at M times. intensity: [M, 2] of the left and the right arm; share: [M, 2] of the way from
-    rest to the pose (`rest_share`); both: [M] how much each hand joins in the other's strokes, 0 to 1."""
+class ShapeLevels:
+    """What the knobs ask for at M times. intensity: [M]; share: [M] of the way from rest to the pose (`rest_share`);
+    mirrored: [M] the way to the mirror image."""
 
     intensity: Array
     share: Array
-    both: Array
+    mirrored: Array
 
     @property
     def changed(self) -> NDArray[np.int64]:
         """[n] indices of the times at which poses change."""
-        return np.flatnonzero((self.intensity != 1.0).any(axis=1) | (self.share != 1.0).any(axis=1)
-                              | (self.both != 0.0))
+        return np.flatnonzero((self.intensity != 1.0) | (self.share != 1.0))
 
 
 def rest_share(intensity: NDArray[np.floating]) -> Array:
@@ -143,10 +228,6 @@ class _ScaledArm:
         lift = ((poses - self.rest) * up).sum(axis=1) / max(float(up @ up), 1e-9)
         return smooth_step((lift - _HANGS) / (_LIFTED - _HANGS))
 
-    def calmly_lifted(self, times: Array) -> Array:
-        """[M] the mean of h over `CALM` seconds before each of the times [M] of poses that were pushed."""
-        return self.large.averaged(times, CALM, self.lifted)
-
 
 class Shaper:
     """Applies the knobs for one speaker. Poses are exponential maps [M, 3 J], radians; all poses of a performance must
@@ -163,47 +244,45 @@ class Shaper:
             fingers = [j for j, name in enumerate(names) if name.startswith(side + "Hand") and name not in arm]
             joints = [names.index(name) for name in arm if name in names]
             self._arms.append(_ScaledArm(_columns(joints), _columns(fingers), mean, rest))
-        self._mirror = np.tile(_FLIP, len(self._arms[0].columns) // 3)
         self._trunk = _columns([j for j, name in enumerate(names) if name.startswith(("Spine", "Neck", "Head"))])
         self._mean = mean
 
-    def shaped(self, poses: Array, times: Array, scales: ArmScales) -> Array:
-        """Scale the next poses [M, 3 J] at rising seconds [M]. Poses without change stay the same bit for bit. If the
-        times go back, later poses are forgotten."""
+    def shaped(self, poses: Array, times: Array, levels: ShapeLevels) -> Array:
+        """The next poses [M, 3 J] at rising seconds [M], scaled and mirrored. Poses without change stay the same bit
+        for bit. If the times go back, later poses are forgotten."""
         for arm in self._arms:
             arm.large.push(times, poses)
             arm.fine.push(times, poses)
-        at = scales.changed
-        if not len(at):
-            return poses
+        result, at = poses.copy(), levels.changed
+        if len(at):
+            result[at] = self._scaled(poses, times, levels, at)
+        at = np.flatnonzero(levels.mirrored)
+        turned = result[at].reshape(len(at), len(self._swapped), 3)[:, self._swapped] * _FLIP
+        result[at] = _towards(result[at], turned.reshape(len(at), poses.shape[1]), levels.mirrored[at][:, None])
+        return result
+
+    def _scaled(self, poses: Array, times: Array, scales: ShapeLevels, at: NDArray[np.int64]) -> Array:
+        """The poses `at` [n] of [M, 3 J], scaled."""
         # Only the poses that change are computed; the others keep their bits, which edits of a plan rely on.
         before, out = poses[at], poses[at].copy()
-        intensity, both = scales.intensity[at], scales.both[at, None]
-        strokes = [arm.large.at(times[at]) for arm in self._arms]
-        echoes = [np.zeros_like(stroke) for stroke in strokes]
-        if both.any():
-            echoes = [ECHO * both * (other.large.at(times[at] - LAG) * self._mirror - LOSS * stroke)
-                      for stroke, other in zip(strokes, self._arms[::-1], strict=True)]
-        for side, (arm, stroke, echo) in enumerate(zip(self._arms, strokes, echoes, strict=True)):
-            pose, share = before[:, arm.columns], scales.share[at, side, None]
-            # Below `RESTING` strokes shrink no further: the share below leads the arm to rest instead.
-            step = np.maximum(intensity[:, side, None], RESTING) - 1.0
-            large = (stroke + echo) * step * np.where(step > 0.0, STRONGER, WEAKER)
+        intensity, share = scales.intensity[at, None], scales.share[at, None]
+        # Below `RESTING` strokes shrink no further: the share leads the arm to rest instead.
+        step = np.maximum(intensity, RESTING) - 1.0
+        for arm in self._arms:
+            pose = before[:, arm.columns]
+            large = arm.large.at(times[at]) * step * np.where(step > 0.0, STRONGER, WEAKER)
             lifted = arm.lifted(pose)[:, None]
             if (step < 0.0).any():
                 large = large + arm.fine.at(times[at]) * np.minimum(step, 0.0) * FINER
-                lifted = np.where(step < 0.0, arm.calmly_lifted(times[at])[:, None], lifted)
-            changed = self._within(pose, echo + lifted * large, arm.columns)
+                lifted = np.where(step < 0.0, arm.large.averaged(times[at], CALM, arm.lifted)[:, None], lifted)
+            changed = self._within(pose, lifted * large, arm.columns)
             out[:, arm.columns] = _towards(arm.rest, changed, share)
             out[:, arm.fingers] = _towards(arm.resting_fingers, before[:, arm.fingers], share)
-        # The trunk belongs to both arms and follows the larger gesture.
-        most = intensity.max(axis=1, keepdims=True)
-        gain = np.where(most > 1.0, np.maximum(most, 1.0) ** TRUNK, TRUNK_LEAST + (1.0 - TRUNK_LEAST) * most)
+        gain = np.where(intensity > 1.0, np.maximum(intensity, 1.0) ** TRUNK,
+                        TRUNK_LEAST + (1.0 - TRUNK_LEAST) * intensity)
         trunk = before[:, self._trunk]
         out[:, self._trunk] = self._within(trunk, (gain - 1.0) * (trunk - self._mean[self._trunk]), self._trunk)
-        result = poses.copy()
-        result[at] = out
-        return result
+        return out
 
     def _within(self, poses: Array, added: Array, columns: NDArray[np.int64]) -> Array:
         """Poses [M, D] with a displacement added, limited smoothly at the bounds of the training data."""
@@ -211,17 +290,6 @@ class Shaper:
         outwards = added * (poses - self._mean[columns]) > 0
         room = np.maximum(np.where(added > 0, self._high[columns] - poses, poses - self._low[columns]), 1e-9)
         return poses + np.where(outwards, room * np.tanh(added / room), added)
-
-    def mirrored(self, poses: Array, share: Array) -> Array:
-        """Poses [M, 3 J], each a share [M] of the way to its mirror image; exact at 0 and 1."""
-        at = np.flatnonzero(share)
-        if not len(at):
-            return poses
-        turned = poses[at].reshape(len(at), -1, 3)[:, self._swapped] * _FLIP
-        turned = turned.reshape(len(at), -1)
-        result, part = poses.copy(), share[at][:, None]
-        result[at] = np.where(part == 1.0, turned, poses[at] + part * (turned - poses[at]))
-        return result
 
 
 def _columns(joints: list[int]) -> NDArray[np.int64]:
@@ -232,8 +300,3 @@ def _columns(joints: list[int]) -> NDArray[np.int64]:
 def _towards(rest: Array, poses: Array, share: Array) -> Array:
     """Poses [M, D] a share [M, 1] of the way from the pose `rest` [D]; the same bit for bit where it is 1."""
     return np.where(share == 1.0, poses, rest + share * (poses - rest))
-
-
-def nearest_turn(vectors: Array, reference: Array) -> Array:
-    """Exponential maps [..., 3] of the same rotations that are nearest to a reference [..., 3], by full turns."""
-    return rotation.unroll(np.stack([reference, vectors]))[1]

@@ -85,18 +85,9 @@ class StrokeMemory:
             rows, (times, paths, moved, arm), strict=True)))
 
     def at(self, times: Array) -> Array:
-        """[K, D] S at times [K], interpolated linearly between knots; zero before the first knot."""
-        rows = self._rows
-        right = np.clip(np.searchsorted(rows.times, times), 0, len(rows.times) - 1)
-        left = np.maximum(right - 1, 0)
-        width = np.maximum(rows.times[right] - rows.times[left], 1e-9)
-        share = np.clip((times - rows.times[left]) / width, 0.0, 1.0)
-        # S changes at knots alone, so it is computed there and interpolated.
-        knots = np.unique(np.concatenate([left[share < 1.0], right]))
-        sums = np.concatenate([self._sums(knots[at:at + _TOGETHER]) for at in range(0, len(knots), _TOGETHER)])
-        # Where `left` is not among the knots, its weight is zero.
-        early, late = (sums[np.minimum(np.searchsorted(knots, ends), len(knots) - 1)] for ends in (left, right))
-        return np.where((share == 1.0)[:, None], late, early + share[:, None] * (late - early))
+        """[K, D] S at rising times [K] of knots in memory."""
+        knots = np.searchsorted(self._rows.times, times)
+        return np.concatenate([self._sums(knots[at:at + _TOGETHER]) for at in range(0, len(knots), _TOGETHER)])
 
     def averaged(self, times: Array, span: float, value: Callable[[Array], Array]) -> Array:
         """[M] the mean of a value of the arm's poses over the `span` seconds before each of the rising times [M], which

@@ -86,11 +86,10 @@ class WordSounds:
         near = [other for other in self._words
                 if abs(other.start - word.start) <= _NEIGHBOURS and other.start != word.start]
         rows = np.array([self._measured(other) for other in near]).reshape(len(near), 3)
-        differences = []
-        for mine, spread, column in zip(self._measured(word), _SPREAD, rows.T, strict=True):
-            others = column[np.isfinite(column)]
-            if len(others) >= _FEWEST and math.isfinite(mine):
-                differences.append(float(np.clip((mine - np.median(others)) / spread, -1.0, 1.0)))
+        others = [column[np.isfinite(column)] for column in rows.T]
+        differences = [float(np.clip((mine - np.median(column)) / spread, -1.0, 1.0)) for mine, spread, column
+                       in zip(self._measured(word), _SPREAD, others, strict=True)
+                       if len(column) >= _FEWEST and math.isfinite(mine)]
         return sum(differences) / len(differences) if differences else 0.0
 
     def _measure(self, word: Word) -> tuple[float, float, float]:
@@ -118,19 +117,14 @@ class WordSounds:
         loudest = float(np.abs(sound).max())
         if loudest == 0.0:
             return np.full(count, -np.inf), np.zeros(count, bool), np.full(count, np.nan)
-        level = _level(sound, self._rate, hop)[margin // hop:margin // hop + count]
+        # Between 300 and 2500 Hz, where vowels are loud.
+        band = butter(2, (300, min(2500, 0.45 * self._rate)), "bandpass", fs=self._rate, output="sos")
+        power = sosfiltfilt(band, sound) ** 2
+        means = power[:len(power) // hop * hop].reshape(-1, hop).mean(axis=1)
+        level = gaussian_filter1d(10.0 * np.log10(means + 1e-12 * power.max() + 1e-300), 2.0)
         starts = margin + hop * np.arange(count) + hop // 2 - length // 2
-        voiced, pitch = _voicing(sound[starts[:, None] + np.arange(length + longest)], length, self._rate, loudest)
-        return level, voiced, pitch
-
-
-def _level(sound: Array, rate: float, hop: int) -> Array:
-    """[T] decibels between 300 and 2500 Hz, where vowels are loud, every `hop` samples."""
-    band = butter(2, (300, min(2500, 0.45 * rate)), "bandpass", fs=rate, output="sos")
-    power = sosfiltfilt(band, sound) ** 2
-    frames = power[:len(power) // hop * hop].reshape(-1, hop).mean(axis=1)
-    level: Array = gaussian_filter1d(10.0 * np.log10(frames + 1e-12 * power.max() + 1e-300), 2.0)
-    return level
+        frames = sound[starts[:, None] + np.arange(length + longest)]
+        return level[margin // hop:margin // hop + count], *_voicing(frames, length, self._rate, loudest)
 
 
 def _voicing(frames: Array, length: int, rate: float, loudest: float) -> tuple[Array, Array]:

@@ -20,29 +20,27 @@ from gesticulator.body.motion_path import MotionPath
 from gesticulator.body.pins import pinned
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.directing.cues import TimedCue
-from gesticulator.directing.knobs import Shaping
-from gesticulator.directing.named_gestures import span_of_gesture
-from gesticulator.directing.shaping import CALM, LAG
+from gesticulator.directing.shaping import CALM, Shaping
 from gesticulator.directing.strokes import REMEMBERED
 from gesticulator.options import InferenceOptions
 from gesticulator.plan.plan import GesturePlan
 from gesticulator.sampling.loop import GeneratedMotion
 
-_MEMORY = REMEMBERED + LAG + CALM
+_MEMORY = REMEMBERED + CALM
 """Seconds of strokes on which the size of a pose depends, with what the lift of an arm is averaged over."""
 _MARGIN = 6
 """Knots before a window of frames, more than the slope of the path needs."""
+_UNSCALED = (1.0, 1.0, 0.0)
+"""What is asked for at a knot where no knob is set."""
 _TOGETHER = 64
 """Blocks whose frames are computed at once, for bounded memory."""
-_UNSCALED = (1.0, 1.0, 1.0, 1.0, 0.0, 0.0)
-"""The columns of `_inputs` that knobs fill, where none is set."""
 
 
 @dataclass(frozen=True)
 class EditedFrames:
     """The frames of a rendered plan, with what they were computed from.
 
-    times: [M] seconds of the knots; inputs: [M, D_m + 6] the generated poses, normalised, and what the knobs ask for;
+    times: [M] seconds of the knots; inputs: [M, D_m + 3] the generated poses, normalised, and what the knobs ask for;
     gestures: the named ones; poses: [M, D_m] with knobs and gestures applied. unpinned, motion: without and with the
     pins of the plan."""
 
@@ -63,23 +61,22 @@ class FrameRenderer:
     options: InferenceOptions
 
     def render(self, generated: GeneratedMotion, shaping: Shaping | None, plan: GesturePlan,
-               before: EditedFrames | None) -> EditedFrames:
-        """The frames of a plan's blocks. before: those of another plan of the same recording and renderer."""
+               before: EditedFrames | None, motion: Motion | None = None) -> EditedFrames:
+        """The frames of a plan's blocks. before: those of another plan of the same recording and renderer; motion: of
+        a plan without pins, if it is known."""
         times = generated.cut.knot_times.ravel()
         features = generated.motion.reshape(len(times), -1)
-        inputs, gestures = _inputs(times, features, shaping)
+        asked, gestures = np.tile(_UNSCALED, (len(times), 1)), tuple[TimedCue, ...]()
+        if shaping is not None:
+            levels, gestures = shaping.levels(times), tuple(shaping.named(times))
+            asked = np.column_stack([levels.intensity, levels.share, levels.mirrored])
+        # What is asked stands beside the poses, so that a knob that changes over time counts as a change of the poses.
+        inputs = np.column_stack([features, asked])
         poses = self._poses(times, features, inputs, gestures, shaping, before)
         knots = generated.cut.knot_times.size // len(generated.cut)
-        unpinned = self._frames(times, poses, knots, float(generated.cut.edges[-1]), before)
-        return EditedFrames(times, inputs, gestures, poses, unpinned, pinned(unpinned, plan) if plan.pins else unpinned)
-
-    def of_motion(self, generated: GeneratedMotion, shaping: Shaping | None, motion: Motion) -> EditedFrames:
-        """The frames of a plan without pins whose motion is known."""
-        times = generated.cut.knot_times.ravel()
-        features = generated.motion.reshape(len(times), -1)
-        inputs, gestures = _inputs(times, features, shaping)
-        poses = self._poses(times, features, inputs, gestures, shaping, None)
-        return EditedFrames(times, inputs, gestures, poses, motion, motion)
+        if motion is None:
+            motion = self._frames(times, poses, knots, float(generated.cut.edges[-1]), before)
+        return EditedFrames(times, inputs, gestures, poses, motion, pinned(motion, plan) if plan.pins else motion)
 
     def _poses(self, times: Array, features: NDArray[np.float32], inputs: Array, gestures: tuple[TimedCue, ...],
                shaping: Shaping | None, before: EditedFrames | None) -> Array:
@@ -92,9 +89,8 @@ class FrameRenderer:
         first, last = changed_rows(_timed(before.times, before.inputs), _timed(times, inputs))
         # A named gesture that came, went or moved changes the poses of its whole span.
         for cue in {*gestures} ^ {*before.gestures}:
-            early, late = span_of_gesture(cue.cue.gesture)
-            first = min(first, int(np.searchsorted(times, cue.time - early)))
-            last = max(last, int(np.searchsorted(times, cue.time + late, side="right")))
+            first = min(first, int(np.searchsorted(times, cue.span[0])))
+            last = max(last, int(np.searchsorted(times, cue.span[1], side="right")))
         if first >= last and len(times) == len(before.times):
             return before.poses
         last = max(first, last)
@@ -181,18 +177,6 @@ def spliced(before: Motion, window: Motion, begin: int, stop: int) -> Motion:
 def _signs(one: Array, other: Array) -> Array:
     """[J, 1] 1.0 where quaternions [J, 4] are on the same side, else -1.0."""
     return np.where(np.sum(one * other, axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
-
-
-def _inputs(times: Array, features: NDArray[np.float32], shaping: Shaping | None
-            ) -> tuple[Array, tuple[TimedCue, ...]]:
-    """[M, D_m + 6] what poses are made from, and the named gestures."""
-    if shaping is None:
-        return np.column_stack([features, np.tile(_UNSCALED, (len(times), 1))]), ()
-    # The levels stand beside the poses, so that a knob that changes over time counts as a change of the poses.
-    levels = shaping.levels(times)
-    arms = levels.arms
-    return np.column_stack([features, arms.intensity, arms.share, arms.both, levels.mirrored]), \
-        tuple(shaping.named(times))
 
 
 def _timed(times: Array, rows: Array) -> Array:

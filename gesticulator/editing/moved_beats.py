@@ -31,8 +31,6 @@ _SHORT = 0.1
 _FRAME = 1.0 / RATE + 1e-4
 RATIOS = (0.4, 1.6)
 """Least and largest length of a moved block over its old one."""
-_FOREIGN = 0.4
-"""Largest share of a block whose sound was replaced."""
 _ODD = 10.0
 """Cost of a block that does not fit, in `_disorder`."""
 
@@ -74,10 +72,8 @@ class BeatMap:
         return BeatPlace(min(end, start), start, fits)
 
     def _onset_near(self, time: float, within: float) -> float | None:
-        if not len(self._onsets):
-            return None
-        near = float(self._onsets[np.abs(self._onsets - time).argmin()])
-        return near if abs(near - time) <= within + 1e-9 else None
+        near = self._onsets[np.abs(self._onsets - time) <= within + 1e-9]
+        return float(near[np.abs(near - time).argmin()]) if len(near) else None
 
     def moment(self, time: float) -> float | None:
         """A moment in the new sound; None where its sound was cut or replaced."""
@@ -93,25 +89,14 @@ class BeatMap:
                         for name in ("times", "there"))
         return float(np.interp(time, times, np.maximum.accumulate(there)))
 
-    def replaced(self, start: float, end: float) -> float:
-        """Share of a block whose sound was replaced by other sound."""
-        seconds = 0.0
-        for before, after in pairwise(self.stretches):
-            if _replaces(before, after):
-                first, last = max(start, float(before.times[-1])), min(end, float(after.times[0]))
-                seconds += max(last - first, 0.0)
-        return seconds / (end - start)
-
-    def keeps(self, start: float, end: float, onset: bool) -> bool:
-        """Whether a block fits the new sound. onset: it ends at an onset."""
-        first, last = self.place(start), self.place(end, onset)
-        return (first is not None and last is not None and last.fits and _fits(last.end - first.start, end - start)
-                and self.replaced(start, end) <= _FOREIGN)
+    def at(self, time: float) -> float:
+        """`anywhere` as a plan stores it: in microseconds, and not before the start."""
+        return round(max(self.anywhere(time), 0.0), 6)
 
 
-def _fits(length: float, before: float) -> bool:
-    return (SHORTEST <= length <= LONGEST
-            and RATIOS[0] - 1e-6 <= length / before <= RATIOS[1] + 1e-6)
+def fits(length: float, before: float) -> bool:
+    """Whether a block may have another length than before, seconds."""
+    return SHORTEST <= length <= LONGEST and RATIOS[0] - 1e-6 <= length / before <= RATIOS[1] + 1e-6
 
 
 def _beyond(stretch: Stretch, time: float) -> float:
@@ -185,7 +170,7 @@ def _disorder(stretches: Sequence[Stretch], blocks: Sequence[tuple[float, float]
             last = None
             continue
         length, before = stop[0] - first[1], end - start
-        total += abs(math.log(length / before)) if _fits(length, before) else _ODD
+        total += abs(math.log(length / before)) if fits(length, before) else _ODD
         if last is not None and 1e-6 < first[1] - last < SHORTEST:  # an insertion that is too short for a block
             total += _ODD
         last = stop[0]

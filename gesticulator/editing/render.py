@@ -1,11 +1,10 @@
 """Motion of edited plans: unchanged blocks are replayed, edited ones are generated again.
 
 Every block has a source. With the knobs of the first generation, unedited blocks are replayed from it. Where knobs were
-changed that influence generation (activity and its curve, handedness), the recording is generated again with the new
-ones, from the seed and without edits, and unedited blocks are those of this generation; locked blocks are still those
-of the first. Each run of edited blocks is generated from the pose and the state before it. Where a source takes over
-from another one, its motion x(t) continues with the difference at that beat b added, which fades out within `BLEND`
-seconds:
+changed that influence generation (activity), the recording is generated again with the new ones, from the
+seed and without edits, and unedited blocks are those of this generation; locked blocks are still those of the first.
+Each run of edited blocks is generated from the pose and the state before it. Where a source takes over from another
+one, its motion x(t) continues with the difference at that beat b added, which fades out within `BLEND` seconds:
 
     x(t) + h(s) d + T k(s) v,   s = (t - b) / T,   h = 2 s^3 - 3 s^2 + 1,   k = s^3 - 2 s^2 + s
 
@@ -15,9 +14,10 @@ edit changes nothing elsewhere, and costs only its run. Motion is [N, K, D_m], n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cached_property
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +25,10 @@ from numpy.typing import NDArray
 from data_module.types import Array, BeatFlag, Blocks, Samples
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, SpeechFeatures
-from gesticulator.directing.directions import bias_of, still_frames
-from gesticulator.editing.recut import Recutter, window
-from gesticulator.plan.plan import Block, GenerationKnobs, GesturePlan, edited_themselves
+from gesticulator.directing.directions import still_frames
+from gesticulator.plan.plan import Block, GesturePlan, PlanKnobs, edited_themselves
 from gesticulator.sampling import loop
-from gesticulator.sampling.cutter import BlockCutter
+from gesticulator.sampling.cutter import CUTTER_EVERY, BlockCutter
 from gesticulator.sampling.loop import BlockMotion, GeneratedMotion, OnBlock, Request, Setup, State, controls_at
 from gesticulator.sampling.noise import Keys
 
@@ -37,10 +36,12 @@ BLEND = 0.6
 """Seconds after an edited run in which the difference fades out: a hand half a metre off returns at 1.3 m/s at most."""
 LEAST_REMEMBERED, REMEMBERED = 2000, 4
 """Sampled blocks in memory: at least, and for each block of the recording, so that undo finds whole generations."""
-_VARYING = 0.5
-"""The activity with which a generation begins whose blocks are each given their own: between none and all, so that it
-uses the gate. It does not depend on the curve, so what comes before a change of the curve is not sampled again."""
 Rows = NDArray[np.float32]
+Window = tuple[float, float, float, float]
+"""Start of the block before, start and end of a block, end of the block after; seconds, the block's own at an end."""
+Course = tuple[int, tuple[float, ...]]
+"""What the features of a block depend on: the copy of the cutter that goes on, and the edges from there to the end of
+the block after. The level of the voice is known block by block, so the edges before the window count, too."""
 
 
 def flag_numbers(flags: Sequence[str]) -> list[BeatFlag]:
@@ -72,10 +73,17 @@ class SampledBlock:
 
     @property
     def motion(self) -> BlockMotion:
-        """The block. ValueError for a beginning."""
-        if self.block is None:
-            raise ValueError("nothing was sampled yet")
+        """The block, which is not a beginning."""
+        assert self.block is not None
         return self.block
+
+    @property
+    def end(self) -> tuple[Array, Array]:
+        """[D_m] pose and velocity at the end of the block."""
+        # In float64: the velocity is a small difference of large numbers.
+        motion, block = self.motion.motion, self.motion.block
+        now, before = motion[-1].astype(np.float64), motion[-2].astype(np.float64)
+        return now, (now - before) * len(motion) / (block.end - block.start)
 
 
 class PlanRenderer:
@@ -88,16 +96,12 @@ class PlanRenderer:
         speech cut into them, and copies of the cutter (`encode_speech`). plan: any plan of the first generation; its
         edits are ignored here. generation: the first one; it is sampled again where it is missing."""
         self._bundle, self._setup, self._samples, self._encode = bundle, setup, samples, encode
-        self._original, self._manner, self._seed = plan.drawn, plan.drawn_manner, (plan.seed, plan.variation)
-        self.bias = cache(partial(bias_of, bundle))
-        """Handedness -> [S] its addition to the scores of lexemes; None for none."""
+        self._original, self._keys = plan.drawn, Keys(plan.seed, plan.variation)
         self.noise_times = dict(zip(plan.drawn.numbers or range(len(plan.drawn.lexemes)),
                                     plan.drawn.keyed_at or plan.drawn.edges, strict=False))
         """Number of a block in `draw` -> seconds that key its random numbers."""
         self._cut = self._blocks_of(plan.drawn.edges, plan.drawn.flags, plan.drawn.silent)
         self._times = self._cut.knot_times.reshape(len(self._cut), -1)
-        self.durations: list[float] = self._cut.durations.tolist()
-        """[N] seconds of the blocks of the first generation."""
         self.index = {edge: at for at, edge in enumerate(plan.drawn.edges)}
         """Beat of the first generation, seconds -> number of the block that begins there."""
         self._windows: dict[Hashable, int] = {window(plan.drawn.edges, at): at for at in range(len(self._cut))}
@@ -105,10 +109,10 @@ class PlanRenderer:
         if generation is None:
             cutters = list[BlockCutter]()
             self._speech, self._cutters = encode(self._cut, cutters), cutters
-            self._first = [self._beginning(self._manner)]
+            self._first = [self._beginning(plan.drawn.knobs)]
         else:
             self._speech, self._cutters = generation.speech, generation.cutters
-            first = self._setup_of(self._manner)
+            first = replace(setup, activity=plan.drawn.knobs.share)
             self._first = [SampledBlock(first, state, block) for state, block in
                            zip(generation.states, [None, *generation.blocks], strict=True)]
         self._sampled: dict[Hashable, SampledBlock] = {}
@@ -117,7 +121,7 @@ class PlanRenderer:
 
     def generation(self, on_block: OnBlock | None = None) -> Generation:
         """The first generation, sampled as far as it is missing."""
-        steps = self._first_steps(on_block)
+        steps = self.steps(self._original.knobs, on_block)
         return Generation(self._speech, [step.motion for step in steps[1:]], [step.state for step in steps],
                           self._cutters)
 
@@ -127,64 +131,47 @@ class PlanRenderer:
                                [block.silent for block in plan.blocks])
 
     def render(self, plan: GesturePlan, on_block: OnBlock | None = None) -> GeneratedMotion:
-        """The plan's motion. `plan.drawn` must be that of this renderer. on_block: called with the number of finished
-        blocks and the total after each block that is sampled, and may raise an error to abandon the rendering: what
-        was sampled until then is remembered."""
-        if plan.drawn != self._original:
-            raise ValueError("the plan is of another generation")
+        """The motion of a plan of this first generation. on_block: called with the number of finished blocks and the
+        total after each block that is sampled, and may raise an error to abandon the rendering: what was sampled until
+        then is remembered."""
         edited = edited_themselves(plan)
-        if not any(edited) and plan.manner == self._manner:
+        if not any(edited) and plan.knobs.share == self._original.knobs.share:
             # Without edits the plan is its first generation, which needs no fades and no second one.
-            steps = self._first_steps(on_block)
-            blocks = [step.motion for step in steps[1:]]
-            return GeneratedMotion(self.cut(plan), blocks, loop.motion_of(self._bundle, self._setup, blocks))
+            blocks, bundle = self.generation(on_block).blocks, self._bundle
+            return GeneratedMotion(self.cut(plan), blocks, bundle.system.motion_of(bundle, self._setup, blocks))
         return _PlanRun(self, plan, edited, on_block).rendered()
 
     # ------------------------------------------------------------------------------------------ what runs are made of
 
-    def steps(self, manner: GenerationKnobs, on_block: OnBlock | None) -> list[SampledBlock]:
+    def steps(self, knobs: PlanKnobs, on_block: OnBlock | None) -> list[SampledBlock]:
         """[N + 1] the recording generated with these knobs, without edits: the state before it, and its blocks."""
-        if manner == self._manner:
-            return self._first_steps(on_block)
-        begins = "beginning", _begins(manner), manner.handedness
-        steps = [self._remembered(begins, lambda: self._beginning(manner))]
-        for at in range(len(self._cut)):
-            steps.append(self.sampled(steps[-1], ("knobs", at, _activity(manner, float(self._cut.edges[at]))),
-                                      partial(self._with_knobs, manner, at), on_block, at + 1))
+        first = knobs.share == self._original.knobs.share
+        steps = self._first if first else [self._remembered(("beginning", knobs.share), lambda: self._beginning(knobs))]
+        for at in range(len(steps) - 1, len(self._cut)):
+            if first:
+                steps.append(self._sample(steps[-1], replace(self._request(at), lexeme=self._original.lexemes[at])))
+                if on_block is not None:
+                    on_block(at + 1, len(self._cut))
+            else:
+                steps.append(self.sampled(steps[-1], ("knobs", at), lambda at=at: replace(  # type: ignore[misc]
+                    self._request(at), keys=self._keys), on_block, at + 1))
         return steps
 
-    def _first_steps(self, on_block: OnBlock | None) -> list[SampledBlock]:
-        for at in range(len(self._first) - 1, len(self._cut)):
-            request = replace(self._request(at, self._original.knobs.handedness), lexeme=self._original.lexemes[at])
-            self._first.append(self._sample(self._first[-1], request))
-            if on_block is not None:
-                on_block(at + 1, len(self._cut))
-        return self._first
-
-    def _setup_of(self, manner: GenerationKnobs) -> Setup:
-        return replace(self._setup, activity=_begins(manner))
-
-    def _beginning(self, manner: GenerationKnobs) -> SampledBlock:
-        setup = self._setup_of(manner)
-        return SampledBlock(setup, loop.begin(self._bundle, setup, self._speech.text is not None, Keys(*self._seed)))
+    def _beginning(self, knobs: PlanKnobs) -> SampledBlock:
+        setup = replace(self._setup, activity=knobs.share)
+        return SampledBlock(setup, loop.begin(self._bundle, setup, self._speech.text is not None, self._keys))
 
     def _sample(self, before: SampledBlock, request: Request) -> SampledBlock:
         """The block after another one."""
         block, after = loop.step(self._bundle, before.setup, before.state, request)
         return SampledBlock(before.setup, after, block)
 
-    def _with_knobs(self, manner: GenerationKnobs, at: int) -> Request:
-        """The request for a block of the recording generated with other knobs."""
-        # Under a curve, as in the first generation, which it is as long as the curve does not matter.
-        return replace(self._request(at, manner.handedness), keys=None if manner.curves else Keys(*self._seed),
-                       activity=_activity(manner, float(self._cut.edges[at])))
-
-    def _request(self, at: int, hand: str | None) -> Request:
+    def _request(self, at: int) -> Request:
         """The request for a block of the first generation, whose lexeme is chosen."""
         number = self._original.numbers[at] if self._original.numbers else at
         still = still_frames(self._original.knobs, self._times[at], float(self._cut.edges[at]))
         return Request(replace(self._speech.block(at), number=number, key=self.noise_times[number]),
-                       self.control(self._times[at]), still=still, bias=self.bias(hand))
+                       self.control(self._times[at]), still=still)
 
     def control(self, times: Array) -> loop.ControlRows | None:
         """[K, 2 F] rows of the hand controls at `times` [K] seconds, or None."""
@@ -217,19 +204,20 @@ class PlanRenderer:
                ) -> dict[int, tuple[Hashable, SpeechBlock]]:
         """Number -> speech of the wanted blocks (rising) of N blocks with edges [N + 1] and flags [N], and what its
         numbers depend on."""
-        # Blocks whose window was there before have the features of the first encoding; only the others are cut again.
-        places: dict[int, Hashable] = {at: window(edges, at) for at in wanted}
-        moved = [at for at, place in places.items() if place not in self._windows]
         if len(self._recut) > self._most:
             self._recut.clear()
-        if moved:
-            courses = self._recutter.courses(edges, moved)
-            places |= courses
-            missing = [at for at in moved if courses[at] not in self._recut]
-            self._recut |= {courses[at]: block
-                            for at, block in self._recutter.blocks(edges, flags, missing).items()}
-        return {at: (place, self._recut[place] if place in self._recut else self._speech.block(self._windows[place]))
-                for at, place in places.items()}
+        out: dict[int, tuple[Hashable, SpeechBlock]] = {}
+        for at in wanted:
+            # A block whose window was there before has the features of the first encoding; others are cut again.
+            place, known = window(edges, at), self._windows.get(window(edges, at))
+            if known is not None:
+                out[at] = place, self._speech.block(known)
+                continue
+            course = self._recutter.course(edges, at)
+            if course not in self._recut:
+                self._recut[course] = self._recutter.block(edges, flags, at)
+            out[at] = course, self._recut[course]
+        return out
 
     @cached_property
     def _recutter(self) -> Recutter:
@@ -243,14 +231,6 @@ class PlanRenderer:
         rhythm = self._bundle.config.rhythm
         return Blocks(np.array(edges), np.array(flag_numbers(flags), np.int8), np.array(silent), rhythm.frames,
                       rhythm.fps)
-
-
-@dataclass(frozen=True)
-class _Source:
-    """Where a block of a plan comes from, and its duration in seconds."""
-
-    sampled: SampledBlock
-    duration: float
 
 
 @dataclass(frozen=True)
@@ -269,8 +249,7 @@ class _PlanRun:
                  ) -> None:
         """edited: [N] whether a block is sampled and not replayed."""
         self._renderer, self._plan, self._edited, self._on_block = renderer, plan, edited, on_block
-        self._manner = plan.manner
-        self._alike = self._manner == plan.drawn_manner
+        self._alike = plan.knobs.share == plan.drawn.knobs.share
         self._edges = [0.0, *(block.end for block in plan.blocks)]
         self._flags = flag_numbers([block.flag for block in plan.blocks])
         self._speech = renderer.speech(self._edges, self._flags, np.flatnonzero(edited).tolist())
@@ -283,8 +262,8 @@ class _PlanRun:
         self._removed = [quiet.get(block.start, False) and not block.silent for block in plan.blocks]
         # A generation is sampled only if some block is replayed from it.
         locked = [block.locked for block in plan.blocks]
-        self._first = renderer.steps(plan.drawn_manner, on_block) if self._alike or any(locked) else []
-        self._changed = self._first if self._alike or all(locked) else renderer.steps(self._manner, on_block)
+        self._first = renderer.steps(plan.drawn.knobs, on_block) if self._alike or any(locked) else []
+        self._changed = self._first if self._alike or all(locked) else renderer.steps(plan.knobs, on_block)
 
     def rendered(self) -> GeneratedMotion:
         """All blocks of the plan."""
@@ -300,8 +279,8 @@ class _PlanRun:
             else:
                 before, fade = self._replayed(block, before)
                 fades += [] if fade is None else [fade]
-            blocks.append(before.sampled.motion)
-            motion.append(_faded(before.sampled.motion.motion, times[at], fades))
+            blocks.append(before.motion)
+            motion.append(_faded(before.motion.motion, times[at], fades))
         return GeneratedMotion(cut, blocks, np.stack(motion))
 
     def _anew(self, block: Block) -> bool:
@@ -312,33 +291,22 @@ class _PlanRun:
         """The generation whose knobs apply to a block."""
         return self._changed if self._anew(block) else self._first
 
-    def _number(self, block: Block) -> int:
-        """The number in the first generation of the block that begins with this one."""
-        # A block at a moved beat is not asked for: it goes on with the run before it.
-        return self._renderer.index[block.start]
-
-    def _replayed(self, block: Block, before: _Source | None) -> tuple[_Source, _Fade | None]:
+    def _replayed(self, block: Block, before: SampledBlock | None) -> tuple[SampledBlock, _Fade | None]:
         """The source of an unedited block, and the difference to the block before that fades out."""
-        steps, at = self._steps(block), self._number(block)
-        source = _Source(steps[at + 1], self._renderer.durations[at])
-        if before is None or before.sampled is steps[at]:
-            return source, None
-        pose, velocity = _difference(before.sampled.motion, before.duration, steps[at].motion,
-                                     self._renderer.durations[at - 1])
-        return source, _Fade(block.start, pose, velocity)
+        steps, at = self._steps(block), self._renderer.index[block.start]
+        if before is None or before is steps[at]:
+            return steps[at + 1], None
+        pose, velocity = (here - there for here, there in zip(before.end, steps[at].end, strict=True))
+        return steps[at + 1], _Fade(block.start, pose, velocity)
 
-    def _run(self, at: int, before: _Source | None, times: Array) -> _Source:
+    def _run(self, at: int, before: SampledBlock | None, times: Array) -> SampledBlock:
         """The source of an edited block, sampled after the block before."""
-        block = self._plan.blocks[at]
-        if before is not None and self._continues(at):
-            state = before.sampled
-        else:
-            state = self._steps(block)[self._number(block)]
-            if before is not None and before.sampled is not state:
-                state = self._renderer.standing(state, before.sampled)
-        key, request = self._request(at, times)
-        return _Source(self._renderer.sampled(state, key, request, self._on_block, at + 1),
-                       self._edges[at + 1] - self._edges[at])
+        block, state = self._plan.blocks[at], before
+        if state is None or not self._continues(at):
+            state = self._steps(block)[self._renderer.index[block.start]]
+            if before is not None and before is not state:
+                state = self._renderer.standing(state, before)
+        return self._renderer.sampled(state, *self._request(at, times), self._on_block, at + 1)
 
     def _continues(self, at: int) -> bool:
         """Whether an edited block goes on with the run of the block before it."""
@@ -365,14 +333,10 @@ class _PlanRun:
         last, count = min(at + 1, len(plan.blocks) - 1), len(plan.blocks)
         silence = plan.blocks[max(at - 1, 0)].silent, block.silent, plan.blocks[last].silent
         removed = self._removed[at], self._removed[last]
-        manner = self._manner if self._anew(block) else plan.drawn_manner
-        hand = manner.handedness
-        # Beside blocks with activities of their own, the others are given theirs, too.
-        activity = manner.share_at(block.start) if self._manner.curves else None
         draw = block.draw
         place, spoken = self._speech[at]
         key = (place, at + 1 == count, silence, removed, self._flags[at], chosen,
-               (draw.seed, draw.variation, draw.block), None if still is None else still.tobytes(), hand, activity)
+               (draw.seed, draw.variation, draw.block), None if still is None else still.tobytes())
 
         def request() -> Request:
             quiet, ahead = spoken.quiet & (not removed[0]), spoken.ahead
@@ -380,34 +344,9 @@ class _PlanRun:
             noise_time = self._renderer.noise_times.get(draw.block, float(draw.block))
             speech = replace(spoken, number=draw.block, key=noise_time, flag=self._flags[at], silent=silence,
                              quiet=quiet, ahead=None if ahead is None else ahead & (not removed[1]))
-            return Request(speech, self._renderer.control(times), chosen, Keys(draw.seed, draw.variation), still,
-                           self._renderer.bias(hand), activity)
+            return Request(speech, self._renderer.control(times), chosen, Keys(draw.seed, draw.variation), still)
 
         return key, request
-
-
-def _begins(manner: GenerationKnobs) -> float:
-    """The activity with which a generation begins."""
-    return _VARYING if manner.curves else manner.share
-
-
-def _activity(manner: GenerationKnobs, start: float) -> float | None:
-    """The activity of a block that begins at `start`, seconds; None where that of the beginning stays."""
-    return manner.share_at(start) if manner.curves else None
-
-
-def _difference(last: BlockMotion, duration: float, there: BlockMotion, other: float) -> tuple[Array, Array]:
-    """Differences [D_m] in pose and in velocity at a beat, between the ends of a block of `duration` seconds and of
-    another one, of `other` seconds."""
-    (pose, velocity), (first, before) = _end(last, duration), _end(there, other)
-    return pose - first, velocity - before
-
-
-def _end(block: BlockMotion, duration: float) -> tuple[Array, Array]:
-    """[D_m] pose and velocity at the end of a block."""
-    # In float64: the velocity is a small difference of large numbers.
-    now, before = block.motion[-1].astype(np.float64), block.motion[-2].astype(np.float64)
-    return now, (now - before) * len(block.motion) / duration
 
 
 def _faded(motion: Rows, times: Array, fades: Sequence[_Fade]) -> Rows:
@@ -438,3 +377,54 @@ def _standing(state: State, other: State) -> State:
         rest.stand_as(source.rest)
     return replace(state, past=source.past, lexeme=source.lexeme, quiet=source.quiet, generated=source.generated,
                    offset=source.offset, rest=rest, varied=varied)
+
+
+# ------------------------------------------------------------------------------------------------------- moved beats
+
+def window(edges: Sequence[float], at: int) -> Window:
+    """The window of block `at` of N blocks with edges [N + 1]."""
+    return (edges[max(at - 1, 0)], edges[at], edges[at + 1], edges[min(at + 2, len(edges) - 1)])
+
+
+class Recutter:
+    """Cuts blocks of one recording at other beats, N blocks with edges [N + 1], seconds, as cutting all of it would.
+
+    A block's features depend on the sound of the block and its two neighbours, and on what the cutter knew at its end
+    about the sound before. So a copy of the first cutter from shortly before an edited part goes on with these beats.
+    """
+
+    def __init__(self, samples: Samples, cutters: Sequence[BlockCutter]) -> None:
+        """samples: at 16 kHz; cutters: copies before every `CUTTER_EVERY` of them (`encode_speech`)."""
+        self._samples, self._cutters = samples, cutters
+
+    def course(self, edges: Sequence[float], at: int) -> Course:
+        """What the features of block `at` depend on."""
+        copy, _ = self._start(edges, at)
+        return copy, tuple(edges[edges.index(self._cutters[copy].uncut[-1]):at + 3])
+
+    def block(self, edges: Sequence[float], flags: Sequence[BeatFlag], at: int) -> SpeechBlock:
+        """Block `at`. flags: [N] of the beats at the ends of the blocks."""
+        copy, number = self._start(edges, at)
+        # A copy of the copy, which must serve other edits as well.
+        cutter = self._cutters[copy].fork()
+        cutter.cut_at(list(zip(edges[1:], flags, strict=True))[edges.index(cutter.uncut[-1]):at + 2])
+
+        def blocks() -> Iterator[SpeechBlock]:
+            for piece in range(copy * CUTTER_EVERY, len(self._samples), CUTTER_EVERY):
+                yield from cutter.feed(self._samples[piece:piece + CUTTER_EVERY])
+            yield from cutter.finish()
+
+        return next(islice(blocks(), at - number, None))
+
+    def _start(self, edges: Sequence[float], wanted: int) -> tuple[int, int]:
+        """The last copy of the cutter that has cut nothing but these blocks and has not returned the wanted one, and
+        the number of the block that it returns next."""
+        index = {edge: at for at, edge in enumerate(edges)}
+        # From the last copy backwards: the later it is, the less sound is encoded again.
+        for at in range(len(self._cutters) - 1, 0, -1):
+            starts, returned = self._cutters[at].uncut, self._cutters[at].returned > 0
+            last = index.get(starts[-1], -1)
+            first = last - len(starts) + 1
+            if 0 <= first <= wanted - returned and list(edges[first:last + 1]) == starts:
+                return at, first + returned
+        return 0, 0

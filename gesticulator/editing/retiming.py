@@ -1,9 +1,9 @@
 """A plan on another export of its sound (`retimed`): blocks keep their decisions where their beats still fit.
 
 The sounds are aligned by their fingerprints, and every beat is moved (`moved_beats`). A block is kept, with its lexeme,
-random keys and edits, if both of its beats have a place, its length stays within `moved_beats.RATIOS` of what it was,
-and its sound was not replaced. Between the blocks that are kept, the new sound is cut at its own beats, and the bundle
-decides. Decisions and edits are moved together: what was edited stays edited, what was not is replayed.
+random keys and edits, if both of its beats have a place, and its length stays within `moved_beats.RATIOS` of what it
+was. Between the blocks that are kept, the new sound is cut at its own beats, and the bundle decides. Decisions and
+edits are moved together: what was edited stays edited, what was not is replayed.
 """
 
 from __future__ import annotations
@@ -17,19 +17,21 @@ from typing import Any, cast
 
 import numpy as np
 
+from data_module.controls import FEATURES
 from data_module.speech.fingerprint import fingerprint, fingerprint_frames, fingerprint_text
-from data_module.speech.sound_map import SoundMap, aligned
+from data_module.speech.sound_map import aligned
 from data_module.types import BeatFlag, Blocks, Speech
 from gesticulator.bundle.features import SpeechFeatures
-from gesticulator.editing.moved_beats import BeatMap
-from gesticulator.editing.moved_sections import lost, moved_knobs, moved_sections
-from gesticulator.plan.checks import LONGEST, SHORTEST
+from gesticulator.editing.moved_beats import BeatMap, fits
+from gesticulator.plan.checks import LONGEST, SHORTEST, plain_word
 from gesticulator.plan.plan import (
     Block,
     BlockDraw,
     DrawnBlocks,
     Flag,
+    GestureCue,
     GesturePlan,
+    PlanKnobs,
     PlanSound,
     PlanWord,
     edited_blocks,
@@ -42,41 +44,25 @@ LEAST_SPEECH = 0.2
 _CLOSEST, _LONGEST = 0.2, 0.5
 """Least distance, seconds, of the new sound's beats from the blocks that are kept, and longest block between them. What
 is shorter than the first goes to the next block that is kept."""
-
-
-@dataclass(frozen=True)
-class RetimingReport:
-    """Statistics of a plan that was moved onto another export of its sound.
-
-    kept, anew, dropped: numbers of blocks with their old decisions, of blocks that the bundle decided, and of old
-    blocks that are gone. anew_at: stretches of the new sound with blocks of the second kind, seconds. losses: a line
-    for each pin, cue or edit that was lost. words_lost: words whose sound is gone.
-    """
-
-    kept: int
-    anew: int = 0
-    dropped: int = 0
-    anew_at: tuple[tuple[float, float], ...] = ()
-    losses: tuple[str, ...] = ()
-    words_lost: int = 0
-
-    def lines(self) -> tuple[str, ...]:
-        """The report as text; losses are not repeated."""
-        out = [f"re-timed: {self.kept} block{'s' * (self.kept != 1)} kept, {self.anew} decided anew, "
-               f"{self.dropped} dropped"]
-        if self.anew_at:
-            out.append("decided anew: " + ", ".join(f"{start:.2f}-{end:.2f} s" for start, end in self.anew_at))
-        if self.words_lost:
-            out.append(f"{self.words_lost} words are gone; give the new text to have those of the new sound")
-        return tuple(out)
+_NEAR = 0.3
+"""Seconds within which a word of a new transcript is the old one."""
+_LEAST = 0.02
+"""Seconds: shorter ranges are dropped."""
 
 
 @dataclass(frozen=True)
 class Retimed:
-    """A plan for the new sound, and a report of the old one."""
+    """A plan for the new sound. kept, anew, dropped: numbers of blocks with their old decisions, of blocks that the
+    bundle decided, and of old blocks that are gone; losses: a line for each pin, cue or edit that was lost."""
 
     plan: GesturePlan
-    report: RetimingReport
+    kept: int
+    anew: int = 0
+    dropped: int = 0
+    losses: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return f"re-timed: {self.kept} blocks kept, {self.anew} decided anew, {self.dropped} dropped"
 
 
 @dataclass(frozen=True)
@@ -93,22 +79,6 @@ class _Piece:
 def _exact(time: float, before: float) -> float:
     """A moved time in microseconds; the old one, to the last bit, if it was not moved."""
     return before if abs(time - before) < 1e-9 else round(time, 6)
-
-
-# ------------------------------------------------------------------------------------------------------ the sounds
-
-def map_of(plan: GesturePlan, speech: Speech) -> SoundMap:
-    """The map of the plan's sound onto another one. `InputError` for a plan without a fingerprint, and if the sounds
-    have too little speech in common."""
-    if plan.fingerprint is None:
-        raise plan.error(("fingerprint",), "is missing, so the new sound cannot be compared with the old one",
-                         "make a new plan")
-    sounds = aligned(fingerprint_frames(plan.fingerprint), fingerprint(speech))
-    if sounds.speech < LEAST_SPEECH:
-        raise plan.error(("sound",), f"is {plan.sound.name or 'another sound'}, {plan.sound.duration:.2f} s, and the "
-                         f"one that was given has {100 * sounds.speech:.0f} % of its speech",
-                         "give another export of it, or make a new plan")
-    return sounds
 
 
 # ------------------------------------------------------------------------------------------------------ the blocks
@@ -173,7 +143,7 @@ class _Cutter:
         pieces: list[_Piece] = []
         for at, start, end in blocks:
             first, last = (self._beats.place(edge, edge in self._onsets) for edge in (start, end))
-            if first is None or last is None or not self._beats.keeps(start, end, end in self._onsets):
+            if first is None or last is None or not last.fits or not fits(last.end - first.start, end - start):
                 return None
             begin = pieces[-1].end if pieces else _exact(first.start, start)
             pieces.append(_Piece(begin, _exact(last.end, end), flags[at], at))
@@ -211,28 +181,30 @@ class _Cutter:
 def drafted(plan: GesturePlan, speech: Speech, features: SpeechFeatures, words: Sequence[PlanWord] | None) -> Retimed:
     """The plan on a new sound, with blocks that are still to be decided (`decided`): their lexemes are None.
 
-    features: of the sound, cut at its beats; words: of a new transcript, or None. Errors as in `map_of`.
+    features: of the sound, cut at its beats; words: of a new transcript, or None. `InputError` for a plan without a
+    fingerprint, and if the sounds have too little speech in common.
     """
-    sounds = map_of(plan, speech)
+    if plan.fingerprint is None:
+        raise plan.error(("fingerprint",), "is missing, so the new sound cannot be compared with the old one",
+                         "make a new plan")
+    sounds = aligned(fingerprint_frames(plan.fingerprint), fingerprint(speech))
+    if sounds.speech < LEAST_SPEECH:
+        raise plan.error(("sound",), f"is {plan.sound.name or 'another sound'}, {plan.sound.duration:.2f} s, and the "
+                         f"one that was given has {100 * sounds.speech:.0f} % of its speech",
+                         "give another export of it, or make a new plan")
     beats = BeatMap(sounds, plan.drawn, np.unique(np.concatenate(features.onsets)) if features.onsets else np.zeros(0))
     cut = _Cutter(plan, beats, features.blocks)
     drawn = _drawn(plan, cut.drawn, beats)
     # A new block has the random numbers of the generation's block that begins with it, as any other.
     numbers = dict(zip(drawn.edges, _numbers(drawn), strict=False))
     blocks = tuple(_block(plan, piece, numbers.get(piece.start, 0)) for piece in cut.blocks)
-    parts, losses, words_lost = moved_sections(plan, beats, words, drawn.edges[-1])
+    parts, losses = _sections(plan, beats, words, drawn.edges[-1])
     moved = replace(plan, **parts, drawn=drawn, blocks=blocks, source="plan",
                     sound=PlanSound("", speech.duration, speech.sample_rate, sound_hash(speech)),
                     fingerprint=fingerprint_text(sounds.new))
     gone = sorted(set(range(len(plan.blocks))) - {piece.source for piece in cut.blocks})
-    anew = [(piece.start, piece.end) for piece in cut.blocks if piece.source is None]
-    return Retimed(moved, RetimingReport(len(blocks) - len(anew), len(anew), len(gone), _joined(anew),
-                                         (*losses, *_lost_edits(plan, gone)), words_lost))
-
-
-def unchanged(plan: GesturePlan) -> Retimed:
-    """The plan itself, where the sound is the very same."""
-    return Retimed(plan, RetimingReport(len(plan.blocks)))
+    anew = sum(piece.source is None for piece in cut.blocks)
+    return Retimed(moved, len(blocks) - anew, anew, len(gone), (*losses, *_lost_edits(plan, gone)))
 
 
 def _numbers(drawn: DrawnBlocks) -> Sequence[int]:
@@ -252,7 +224,7 @@ def _drawn(plan: GesturePlan, pieces: Sequence[_Piece], beats: BeatMap) -> Drawn
     lexemes: tuple[Any, ...] = tuple(None if piece.source is None else old.lexemes[piece.source] for piece in pieces)
     return DrawnBlocks((0.0, *(piece.end for piece in pieces)), tuple(piece.flag for piece in pieces),
                        tuple(piece.silent if piece.source is None else old.silent[piece.source] for piece in pieces),
-                       lexemes, moved_knobs(old.knobs, beats), () if numbers == tuple(range(len(numbers))) else numbers,
+                       lexemes, _knobs(old.knobs, beats), () if numbers == tuple(range(len(numbers))) else numbers,
                        () if keyed_at == starts else keyed_at)
 
 
@@ -272,23 +244,102 @@ def decided(draft: GesturePlan, generated: Sequence[BlockMotion]) -> GesturePlan
                                 if block.start in new else block for block in draft.blocks))
 
 
-def _joined(stretches: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
-    """Stretches of seconds with those joined that follow each other."""
-    out: list[tuple[float, float]] = []
-    for start, end in stretches:
-        if out and out[-1][1] == start:
-            start = out.pop()[0]
-        out.append((start, end))
+def _lost_edits(plan: GesturePlan, gone: Sequence[int]) -> list[str]:
+    """A line for each edited block among those that are gone."""
+    edited = edited_blocks(plan)
+    return [_lost("edit of the block", block.start) for at, block in enumerate(plan.blocks) if at in gone
+            and (edited[at] or block.locked or block.mirror or block.intensity != 1.0)]
+
+
+# ------------------------------------------------------------------------------------------------- the other times
+
+def _sections(plan: GesturePlan, beats: BeatMap, words: Sequence[PlanWord] | None, duration: float
+                   ) -> tuple[dict[str, Any], list[str]]:
+    """The parts of a plan with times, moved, for `dataclasses.replace`; and a line for each pin and cue that is lost.
+
+    words: those of a new transcript, or None to move the old ones; duration: seconds that the blocks will cover.
+    """
+    # Words come first: cues at words are looked for among those that are left, or among the new ones.
+    now = tuple(words) if words is not None else _spans(plan.words, beats, duration)
+    cues, pins, losses = list[GestureCue](), [], []
+    for cue in plan.cues:
+        before = _said(cue, plan.words)
+        moved = _cue(cue, before, beats, now, duration)
+        if moved is None:
+            losses.append(_lost(f"cue {cue.gesture}" + (f" at \"{cue.word}\"" if cue.word else ""), before or 0.0))
+        else:
+            cues.append(moved)
+    for pin in plan.pins:
+        time = beats.moment(pin.time)
+        if time is None:
+            losses.append(_lost(f"pin of {pin.joint}", pin.time))
+        else:
+            hold = max(beats.anywhere(pin.time + pin.hold) - time, 0.0) if pin.hold else 0.0
+            pins.append(replace(pin, time=min(beats.at(pin.time), duration), hold=round(hold, 6)))
+    settings = dict(plan.made_by.get("settings", {}))
+    for name in (f"hand_{feature}" for feature in FEATURES):
+        if isinstance(settings.get(name), dict):
+            times, values = _points(settings[name]["times"], settings[name]["values"], beats)
+            settings[name] = {"times": list(times), "values": list(values)}
+    return {
+        "words": now, "cues": tuple(cues), "pins": tuple(pins), "knobs": _knobs(plan.knobs, beats),
+        "units": _spans(plan.units, beats, duration), "meanings": _spans(plan.meanings, beats, duration),
+        "curves": tuple(replace(curve, **dict(zip(("times", "values"), _points(curve.times, curve.values, beats),
+                                                  strict=True))) for curve in plan.curves),
+        "made_by": {**plan.made_by, "settings": settings}}, losses
+
+
+def _lost(item: str, time: float) -> str:
+    """The line about a pin, a cue or an edit at a time of the old sound, seconds, that has no place in the new one."""
+    return f"the {item} at {time:.2f} s is lost: its sound is gone or is another one"
+
+
+def _spans(records: Sequence[Any], beats: BeatMap, duration: float) -> tuple[Any, ...]:
+    """Words, units, phases or meanings, without those of which little is left."""
+    out = []
+    for record in records:
+        times = {name: min(beats.at(getattr(record, name)), duration) for name in ("start", "end", "time")
+                 if getattr(record, name, None) is not None}
+        # What was cut in the middle is not what the plan had.
+        middle = beats.moment((record.start + record.end) / 2)
+        if middle is not None and times["end"] - times["start"] >= min(_LEAST, record.end - record.start):
+            inner = {"phases": _spans(record.phases, beats, duration)} if hasattr(record, "phases") else {}
+            out.append(replace(record, **times, **inner))
     return tuple(out)
 
 
-def _lost_edits(plan: GesturePlan, gone: Sequence[int]) -> list[str]:
-    """A line for each edited block among those that are gone."""
-    edited, out = edited_blocks(plan), []
-    for at in gone:
-        block = plan.blocks[at]
-        done = {"lock": block.locked, "edit": edited[at], "intensity": block.intensity != 1.0,
-                "mirroring": block.mirror}
-        if any(done.values()):
-            out.append(lost(f"{' and '.join(name for name, is_so in done.items() if is_so)} of the block", block.start))
-    return out
+def _said(cue: GestureCue, words: Sequence[PlanWord]) -> float | None:
+    """Seconds at which a cue stands in the old sound; None for one at a word that is not said."""
+    if cue.time is not None:
+        return cue.time
+    spoken = [word.start for word in words if plain_word(word.text) == plain_word(cue.word or "")]
+    return spoken[cue.occurrence - 1] if len(spoken) >= cue.occurrence else None
+
+
+def _cue(cue: GestureCue, before: float | None, beats: BeatMap, words: Sequence[PlanWord], duration: float
+         ) -> GestureCue | None:
+    """A cue in the new sound; None for a lost one."""
+    if before is None:
+        return cue  # reported when the plan is rendered, as before
+    now = beats.moment(before)
+    if now is None or cue.time is not None:
+        return None if now is None else replace(cue, time=min(beats.at(before), duration))
+    # A cue names the n-th occurrence, and n changes when earlier ones are cut: the word is found by its time.
+    equal = [word for word in words if plain_word(word.text) == plain_word(cue.word or "")]
+    distance, occurrence = min(((abs(word.start - now), at) for at, word in enumerate(equal, 1)), default=(_NEAR, 0))
+    return replace(cue, occurrence=occurrence) if distance < _NEAR else None
+
+
+def _knobs(knobs: PlanKnobs, beats: BeatMap) -> PlanKnobs:
+    """Knobs with their ranges of stillness moved."""
+    ranges = ((beats.at(start), beats.at(end)) for start, end in knobs.hold_still)
+    return replace(knobs, hold_still=tuple(range_ for range_ in ranges if range_[1] - range_[0] >= _LEAST))
+
+
+def _points(times: Sequence[float], values: Sequence[float], beats: BeatMap
+            ) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """The points of a curve; of points that meet in a cut the first remains, as a plan's points must rise."""
+    points: dict[float, float] = {}
+    for time, value in zip(times, values, strict=True):
+        points.setdefault(beats.at(time), value)
+    return tuple(points), tuple(points.values())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from data_module.errors import InputError, shown
@@ -14,7 +14,7 @@ KEYS = 0.1
 MOST_KEYS = 5.0
 """Largest bound, degrees: beyond, gestures lose their shape."""
 CLIPS = (".bvh", ".csv", ".fbx", ".glb", ".usda", ".usdc", ".vrma")
-"""Suffixes of formats for which loop, mask, layer, root and sound have a meaning."""
+"""Suffixes of formats for which loop, mask and layer have a meaning."""
 _LONGEST_NAME = 100
 
 
@@ -25,8 +25,7 @@ class ClipLayout:
     name: of the animation in the file. keys: largest error of a rotation in degrees that leaving out keys may cause, 0
     to write every frame. loop: the end passes into the beginning without a seam. upper: the upper body alone; hips and
     legs have no tracks and stay at rest. additive: rotations are written relative to the resting pose, to be added to
-    another clip; of the upper body alone. root: the hips travel; False: they stay in place, and the feet where they
-    are. sound: a WAV file is written beside the motion.
+    another clip; of the upper body alone.
     """
 
     name: str = NAME
@@ -34,8 +33,6 @@ class ClipLayout:
     loop: bool = False
     upper: bool = False
     additive: bool = False
-    root: bool = True
-    sound: bool = False
 
     def __post_init__(self) -> None:
         if not self.name or len(self.name) > _LONGEST_NAME or not self.name.isprintable():
@@ -53,17 +50,15 @@ class ClipLayout:
     @property
     def changes_motion(self) -> bool:
         """Whether more than names and keys is other than in the plain motion."""
-        return self.loop or self.bare or not self.root
+        return self.loop or self.bare
 
 
-def check_clip_outputs(clip: ClipLayout, suffixes: Sequence[str]) -> None:
-    """`InputError` for a clip that none of the outputs can follow."""
+def check_clip_outputs(clip: ClipLayout, suffixes: Iterable[str]) -> None:
+    """`InputError` for a clip that one of the outputs cannot follow."""
     # A plan (.json) may accompany any clip: it holds no motion.
-    other = [suffix for suffix in suffixes if suffix not in CLIPS]
-    if clip.additive and [suffix for suffix in other if suffix != ".json"]:
+    other = [suffix for suffix in suffixes if suffix not in (*CLIPS, ".json")]
+    if clip.additive and other:
         raise InputError("--layer additive", f"makes no sense in {other[0]}", f"write {', '.join(CLIPS)}")
-    if clip.sound and not set(suffixes) & set(CLIPS):
-        raise InputError("--sound", "is for formats without sound of their own", f"write {', '.join(CLIPS)}")
 
 
 def parse_keys(text: str) -> float:

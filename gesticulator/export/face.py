@@ -1,16 +1,12 @@
-"""The face in files: tracks of glTF and VRM animations, tables in ARKit's names, and the jaw of SMPL-X."""
+"""The face in files: tracks of glTF and VRM animations."""
 
 from __future__ import annotations
 
-import io
 import warnings
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from data_module.files import write_text
 from data_module.motion import rotation
 from data_module.types import Array
 from gesticulator.characters.rig import Character
@@ -23,24 +19,14 @@ from gesticulator.export.gltf import (
     as_gltf,
     transform,
 )
-from gesticulator.export.writers import Scene
-from gesticulator.face.motion import FaceMotion, at_rest
+from gesticulator.face.motion import FaceMotion
 from gesticulator.face.rig import find_face
-from gesticulator.face.shapes import ARKIT, arkit, jaw_angles, vrm
-
-_EYES = tuple(f"{side}Eye{axis}" for side in ("Left", "Right") for axis in ("Yaw", "Pitch", "Roll"))
-LIVE_LINK = ("Timecode", "BlendShapeCount", *(name[0].upper() + name[1:] for name in ARKIT),
-             "HeadYaw", "HeadPitch", "HeadRoll", *_EYES)
-"""Columns of Live Link Face: 61 values beside the time; rotations in radians."""
-_JAW, _LEFT_EYE, _RIGHT_EYE = 22, 23, 24
-"""Joints of SMPL-X."""
+from gesticulator.face.shapes import vrm
 
 
 class FaceWarning(UserWarning):
     """A character that can show no face, or only some of it."""
 
-
-# ------------------------------------------------------------------------------------------------------- characters
 
 def tracks_of(gltf: GltfDocument, character: Character, arms: tuple[int, int], face: FaceMotion, name: str
               ) -> list[FrameTrack]:
@@ -95,51 +81,3 @@ def eye_turns(face: FaceMotion) -> Array:
     turns = rotation.multiply(rotation.from_exponential_map(face.gaze[:, :1] * np.array([0.0, 1.0, 0.0])),
                               rotation.from_exponential_map(face.gaze[:, 1:] * np.array([-1.0, 0.0, 0.0])))
     return rotation.continuous(turns[:, None])[:, 0]
-
-
-def smplx_face(poses: NDArray[np.float32], face: FaceMotion, fps: float) -> NDArray[np.float32]:
-    """[T, 165] SMPL-X poses with the jaw and the eyes of a face, at `fps`."""
-    out = poses.copy().reshape(len(poses), -1, 3)
-    times = np.minimum(np.arange(len(poses)) / fps, face.times[-1])
-    out[:, _JAW, 0] = np.interp(times, face.times, jaw_angles(face))
-    eyes = rotation.to_exponential_map(eye_turns(face))
-    for axis in range(3):
-        out[:, [_LEFT_EYE, _RIGHT_EYE], axis] = np.interp(times, face.times, eyes[:, axis])[:, None]
-    return out.reshape(poses.shape)
-
-
-# ----------------------------------------------------------------------------------------------------------- tables
-
-def write_live_link(path: Path, scene: Scene) -> Path:
-    """Write the face as CSV with the columns of Live Link Face, atomically. Returns `path`."""
-    face = _face_of(scene, path)
-    out = io.StringIO()
-    out.write(",".join(LIVE_LINK) + "\n")
-    for time, row in zip(face.times.tolist(), (_values(face) + 0.0).tolist(), strict=True):
-        out.write(f"{timecode(time, face.fps)},{len(row)}," + ",".join(f"{value:.7f}" for value in row) + "\n")
-    write_text(path, out.getvalue())
-    return path
-
-
-def timecode(time: float, fps: float) -> str:
-    """Hours, minutes, seconds, frame and thousandths of a frame ("00:00:01:30.000"), at whole frames per second."""
-    rate = max(round(fps), 1)
-    whole, thousandths = divmod(round(time * rate * 1000), 1000)
-    seconds, frame = divmod(whole, rate)
-    return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}:{frame:02d}.{thousandths:03d}"
-
-
-def _values(face: FaceMotion) -> Array:
-    """[T, 61] the blend shapes, the head (which the body moves: zeros) and the eyes, yaw, pitch and roll of each."""
-    shapes = arkit(face)
-    eye = np.stack([face.gaze[:, 0], face.gaze[:, 1], np.zeros(len(face))], axis=1)
-    head = np.zeros((len(face), 3))
-    return np.concatenate([np.stack([shapes[name] for name in ARKIT], axis=1), head, eye, eye], axis=1)
-
-
-def _face_of(scene: Scene, path: Path) -> FaceMotion:
-    """The face of a scene; one at rest, with a `FaceWarning`, if none was asked for."""
-    if scene.face is not None:
-        return scene.face
-    warnings.warn(FaceWarning(f"{path.name}: no face was asked for (--face full), so it is at rest"), stacklevel=3)
-    return at_rest(len(scene.motion), scene.fps)

@@ -1,5 +1,4 @@
-"""`.fbx`: the GLB converted by Blender; or a character's FBX file animated by it, which keeps mesh, skin and materials.
-"""
+"""`.fbx`: the GLB converted by Blender; or a character's FBX file animated by it, with its mesh, skin and materials."""
 
 from __future__ import annotations
 
@@ -16,11 +15,8 @@ from data_module.motion import rotation
 from data_module.types import Array
 from gesticulator.characters.blender import run_in_blender
 from gesticulator.characters.rig import CharacterMotion
-from gesticulator.export.clip import ClipLayout
 from gesticulator.export.glb import write_glb
 from gesticulator.export.gltf import ROTATION, WEIGHTS, FrameTrack, GltfDocument, open_gltf
-from gesticulator.export.key_reduction import STEADY
-from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.writers import Scene
 
 if TYPE_CHECKING:
@@ -32,36 +28,25 @@ _STILL = 1e-5
 
 
 def write_fbx(path: Path, scene: Scene) -> Path:
-    """Write the motion as binary FBX, or as GLB that of a character from FBX, atomically. Returns `path`.
-    `InputError` without Blender or if it fails."""
-    character = scene.character
-    if character is not None and character.character.kind == "fbx":
-        return write_animated(path, character, scene.clip, scene.face)
-    with tempfile.TemporaryDirectory() as folder:
-        source, target = Path(folder) / "motion.glb", Path(folder) / "motion.fbx"
-        # All frames: the keys are reduced once, by Blender's exporter, within the same bound.
-        write_glb(source, replace(scene, layout=replace(scene.clip, keys=0.0)))
-        run_in_blender(path, SCRIPT, str(source), str(target), repr(scene.fps), repr(scene.clip.keys), scene.clip.name)
-        write_bytes(path, target.read_bytes())
-    return path
+    """Write the motion as binary FBX, atomically. Returns `path`. `InputError` without Blender or if it fails.
 
-
-def write_animated(path: Path, moved: CharacterMotion, clip: ClipLayout, face: FaceMotion | None = None) -> Path:
-    """Write the character's file with our animation as `.glb` or `.fbx`, atomically. Returns `path`. With a face, the
-    animation moves the shape keys, eyes and jaw that the character has for one, too.
-
-    Animations in the file are omitted. `InputError` without Blender or if it fails.
+    Of a character from FBX the animations in the file are omitted; with a face, the animation moves the shape keys,
+    eyes and jaw that it has for one, too.
     """
+    moved, clip = scene.character, scene.clip
     with tempfile.TemporaryDirectory() as folder:
-        resting, target, motion = (Path(folder) / name for name in ("rest.glb", "out.fbx", "motion.npz"))
-        source, is_glb = str(moved.character.path.resolve()), path.suffix.lower() == ".glb"
-        if is_glb or face is not None:
-            run_in_blender(path, SCRIPT, source, str(resting))
-        if is_glb:
-            write_bytes(path, _animated_glb(resting, moved, clip, face))
-            return path
-        np.savez(motion, **(pose(moved) if face is None else _with_face(pose(moved), resting, moved, face)))
-        run_in_blender(path, SCRIPT, source, str(target), repr(moved.fps), repr(clip.keys), clip.name, str(motion))
+        resting, motion, target = (Path(folder) / name for name in ("motion.glb", "motion.npz", "motion.fbx"))
+        if moved is None or moved.character.kind != "fbx":
+            # All frames: the keys are reduced once, by Blender's exporter, within the same bound.
+            write_glb(resting, replace(scene, layout=replace(clip, keys=0.0)))
+            run_in_blender(path, SCRIPT, str(resting), str(target), repr(scene.fps), repr(clip.keys), clip.name)
+        else:
+            source, poses = str(moved.character.path.resolve()), pose(moved)
+            if scene.face is not None:
+                run_in_blender(path, SCRIPT, source, str(resting))
+                poses = _with_face(poses, resting, moved, scene.face)
+            np.savez(motion, **poses)
+            run_in_blender(path, SCRIPT, source, str(target), repr(moved.fps), repr(clip.keys), clip.name, str(motion))
         write_bytes(path, target.read_bytes())
     return path
 
@@ -108,31 +93,6 @@ def _with_face(poses: dict[str, Any], file: Path, moved: CharacterMotion, face: 
                     "shape_meshes": np.array([mesh for mesh, _, _ in shapes], dtype=str),
                     "shape_keys": np.array([key for _, key, _ in shapes], dtype=str),
                     "shape_values": np.array([column for _, _, column in shapes]).reshape(len(shapes), len(face)).T}
-
-
-def _animated_glb(file: Path, moved: CharacterMotion, clip: ClipLayout, face: FaceMotion | None) -> bytes:
-    """A GLB that Blender wrote of the character at rest, with the animation added: its bones have the axes of
-    Blender's, so that poses relative to rest are the same."""
-    gltf, poses = open_gltf(file), pose(moved)
-    nodes = gltf.document["nodes"]
-    # By name, as Blender may add and reorder nodes.
-    bones = {nodes[node]["name"]: node for skin in gltf.document.get("skins", []) for node in skin["joints"]}
-    names = [name for name in poses["names"].tolist() if name in bones]
-    rows = [poses["names"].tolist().index(name) for name in names]
-    rest = np.array([nodes[bones[name]].get("rotation", [0.0, 0.0, 0.0, 1.0]) for name in names])[:, [3, 0, 1, 2]]
-    places = np.array([nodes[bones[name]].get("translation", [0.0, 0.0, 0.0]) for name in names])
-    hips, shifts = poses["hips"].tolist()[0], {}
-    if len(poses["shifts"]) and hips in names:
-        at = names.index(hips)
-        shifts[at] = places[at] + rotation.rotate(rest[at], poses["shifts"])
-    turns = rotation.continuous(rotation.normalise(rotation.multiply(rest, poses["turns"][:, rows])))
-    motion = NodeMotion(tuple(names), (-1,) * len(names), places, rest, np.ones_like(places), turns, shifts, {},
-                        moved.fps)
-    steady = frozenset(names.index(moved.character.names[node]) for joint, node in moved.joints.items()
-                       if joint in STEADY and moved.character.names[node] in names)
-    more = [] if face is None else _face_tracks(file, gltf, moved, face)
-    gltf.animate(clip, motion, {row: bones[name] for row, name in enumerate(names)}, steady, more)
-    return gltf.to_bytes()
 
 
 def pose(moved: CharacterMotion) -> dict[str, Any]:

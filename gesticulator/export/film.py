@@ -1,9 +1,8 @@
-"""`.mp4`: an animated figure with audio; also the films of user studies.
+"""`.mp4`: an animated figure with audio.
 
-User studies (RG 7.3.3, RACER 5.4) show videos to raters. All motions use the same figure and camera, without text, so
-that the picture shows only the movement. Video (H.264) and audio (AAC) start at 0 and are equally long. The same input
-gives the same pictures and samples for the same encoder versions: one thread, no date, no muxer version; the stream
-occasionally differs by a byte without visible effect.
+All motions use the same figure and camera, without text, so that the picture shows only the movement. Video (H.264) and
+audio (AAC) start at 0 and are equally long. The same input gives the same pictures and samples for the same encoder
+versions: one thread, no date, no muxer version; the stream occasionally differs by a byte without visible effect.
 
 Not shown: custom characters and faces; legs stand still if the motion has none. Outlines are snapped to half pixels,
 and chroma is stored at half resolution (4:2:0), as in most videos.

@@ -7,13 +7,13 @@ The figure is a visible body for a bare skeleton: one spindle of eight triangles
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.errors import InputError
 from data_module.files import write_bytes
 from data_module.types import Array
 from gesticulator.characters.rig import CharacterMotion
@@ -31,13 +31,15 @@ _COLOUR = [0.24, 0.45, 0.47, 1.0]
 
 
 def write_glb(path: Path, scene: Scene) -> Path:
-    """Write the motion as an animation of a GLB, named after its clip, atomically. Returns `path`. Characters from FBX
-    are written by `export.fbx`.
+    """Write the motion as an animation of a GLB, named after the clip, atomically. Returns `path`.
 
     A character's file keeps everything; with a face, the animation moves what it has for one (`gesticulator.face.rig`),
-    too, and a warning says so if it has no mouth. Other scenes are a skeleton with a figure of spindles.
+    too, and a warning says so if it has no mouth. Other scenes are a skeleton with a figure of spindles. `InputError`
+    for a character from FBX.
     """
-    character = scene.character
+    character, motion = scene.character, scene.nodes
+    if character is not None and character.character.kind == "fbx":
+        raise InputError(path, "cannot hold a character from FBX", "write .fbx, or convert the character to GLB")
     if character is not None and character.character.kind == "glb":
         gltf = open_gltf(character.character.path)
         _add_character_clip(gltf, character, scene.clip, scene.face)
@@ -47,7 +49,6 @@ def write_glb(path: Path, scene: Scene) -> Path:
 
             warnings.warn(FaceWarning("a skeleton without a mesh shows no face; give a --character that has one"),
                           stacklevel=2)
-        motion = scene.nodes
         gltf = skeleton_document(motion)
         steady = frozenset(node for node, name in enumerate(motion.names) if name in STEADY)
         gltf.animate(scene.clip, motion, {node: node for node in range(len(motion.names))
@@ -94,19 +95,19 @@ def skeleton_document(motion: NodeMotion) -> GltfDocument:
 def _dress(gltf: GltfDocument, motion: NodeMotion) -> None:
     """Attach the figure to the joints as a skin, which tools import as an armature."""
     # Rigid skinning: each vertex follows one joint with weight 1.
-    body, bind = figure(motion), motion.rest_matrices()
-    inverse = np.linalg.inv(bind)
+    positions, normals, owners = figure(motion)
+    inverse = np.linalg.inv(motion.rest_matrices())
     inverse[:, 3] = [0, 0, 0, 1]  # exactly, as the format requires
-    joints = np.zeros((len(body.joints), 4), "<u2")
-    joints[:, 0] = body.joints
-    weights = np.zeros((len(body.joints), 4), "<f4")
+    joints = np.zeros((len(owners), 4), "<u2")
+    joints[:, 0] = owners
+    weights = np.zeros((len(owners), 4), "<f4")
     weights[:, 0] = 1.0
     document: dict[str, Any] = gltf.document
     document["skins"] = [{"name": "skeleton", "joints": list(range(len(motion.names))), "skeleton": 0,
                           "inverseBindMatrices": gltf.accessor(inverse.astype("<f4"))}]
     attributes = {
-        "POSITION": gltf.accessor(body.positions.astype("<f4"), VERTICES, bounds=True),
-        "NORMAL": gltf.accessor(body.normals.astype("<f4"), VERTICES),
+        "POSITION": gltf.accessor(positions.astype("<f4"), VERTICES, bounds=True),
+        "NORMAL": gltf.accessor(normals.astype("<f4"), VERTICES),
         "JOINTS_0": gltf.accessor(joints, VERTICES),
         "WEIGHTS_0": gltf.accessor(weights, VERTICES),
     }
@@ -129,17 +130,9 @@ _WIDEST_AT = 0.18
 _SPINDLE_FACES = np.array([(0, 2, 1), (0, 3, 2), (0, 4, 3), (0, 1, 4), (5, 1, 2), (5, 2, 3), (5, 3, 4), (5, 4, 1)])
 
 
-@dataclass(frozen=True)
-class FigureMesh:
-    """V vertices, each in one triangle (flat shading): positions and normals [V, 3], and the joint of each [V]."""
-
-    positions: Array
-    normals: Array
-    joints: NDArray[np.int64]
-
-
-def figure(motion: NodeMotion) -> FigureMesh:
-    """The mesh of all bones of a skeleton at rest; [0, 3] if no bone has a length."""
+def figure(motion: NodeMotion) -> tuple[Array, Array, NDArray[np.int64]]:
+    """The mesh of all bones of a skeleton at rest: positions and normals [V, 3] of V vertices, each in one triangle
+    (flat shading), and the joint of each [V]; V = 0 if no bone has a length."""
     world = motion.rest_matrices()
     bones = [(parent, world[node, :3, 3]) for node, parent in enumerate(motion.parents) if parent >= 0]
     # Nodes without a child end in a tip (a fingertip, the crown of the head).
@@ -153,8 +146,8 @@ def figure(motion: NodeMotion) -> FigureMesh:
     triangles = np.concatenate(corners) if corners else np.zeros((0, 3, 3))
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return FigureMesh(triangles.reshape(-1, 3), np.repeat(normals, 3, axis=0),
-                      np.repeat(np.array(joints, np.int64), 3 * len(_SPINDLE_FACES)))
+    return (triangles.reshape(-1, 3), np.repeat(normals, 3, axis=0),
+            np.repeat(np.array(joints, np.int64), 3 * len(_SPINDLE_FACES)))
 
 
 def _spindle(start: Array, end: Array, most: float) -> Array:

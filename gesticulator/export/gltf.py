@@ -18,19 +18,16 @@ from data_module.errors import InputError, shown
 from data_module.types import Array
 from gesticulator.characters.gltf_file import BINARY_CHUNK, JSON_CHUNK, MAGIC, read_gltf
 from gesticulator.export.clip import ClipLayout
-from gesticulator.export.key_reduction import kept_frames, kept_places, rotation_errors, track_bounds
+from gesticulator.export.key_reduction import STEADY_SHARE, kept_frames, kept_places, rotation_errors
 from gesticulator.export.nodes import NodeMotion
 
 VERSION = 2
-_FLOAT, _UINT8, _UINT16 = 5126, 5121, 5123
-_TYPES = {np.dtype("<f4"): _FLOAT, np.dtype("u1"): _UINT8, np.dtype("<u2"): _UINT16}
+_TYPES = {np.dtype("<f4"): 5126, np.dtype("u1"): 5121, np.dtype("<u2"): 5123}
 _KINDS = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
-VERTICES, TRIANGLES = 34962, 34963
-"""Targets of a buffer view: vertex attributes, and indices."""
+VERTICES = 34962
+"""Target of a buffer view with vertex attributes."""
 TRANSLATION, ROTATION, WEIGHTS = "translation", "rotation", "weights"
 """Animated properties of a node."""
-LARGEST = (1 << 32) - 1
-"""Largest size of a GLB file, bytes (4 GiB): its header has 32 bits for it."""
 _PICTURES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg"}
 
 
@@ -54,12 +51,7 @@ class GltfDocument:
         data = np.ascontiguousarray(values)
         # glTF's matrices are stored column by column.
         view = self.view((data.swapaxes(-1, -2) if data.shape[1:] == (4, 4) else data).tobytes(), target)
-        accessor: dict[str, Any] = {"bufferView": view, "componentType": _TYPES[data.dtype], "count": len(data),
-                                    "type": _KINDS[data.shape[1:]]}
-        if bounds:
-            accessor["min"], accessor["max"] = ([float(v) for v in np.atleast_1d(edge(data, axis=0))]
-                                                for edge in (np.min, np.max))
-        return self._added("accessors", accessor)
+        return self._accessor({"bufferView": view}, data, bounds)
 
     def view(self, data: bytes, target: int | None = None) -> int:
         """Add bytes; returns the buffer view's index."""
@@ -78,8 +70,9 @@ class GltfDocument:
         further tracks with a value at every frame (node, property, values)."""
         tracks: list[Track] = []
         rows, times = list(nodes), motion.times.astype("<f4")
-        turned = kept_frames(motion.turns[:, rows], track_bounds(rows, clip.keys, steady), rotation_errors) \
-            if clip.keys else None
+        # Errors of hips and legs add up at the feet, so they are held tighter.
+        bounds = np.radians([clip.keys * (STEADY_SHARE if node in steady else 1.0) for node in rows])
+        turned = kept_frames(motion.turns[:, rows], bounds, rotation_errors) if clip.keys else None
         for column, (source, node) in enumerate(nodes.items()):
             if source in motion.shifts:
                 places = motion.shifts[source]
@@ -115,28 +108,26 @@ class GltfDocument:
         index = self._added("bufferViews", view)
         for numbers, bounds in parts:
             data = np.ascontiguousarray(numbers)
-            entry: dict[str, Any] = {"bufferView": index, "byteOffset": self._size - start, "componentType": _FLOAT,
-                                     "count": len(data), "type": _KINDS[data.shape[1:]]}
-            if bounds:
-                entry["min"], entry["max"] = ([float(v) for v in np.atleast_1d(edge(data, axis=0))]
-                                              for edge in (np.min, np.max))
+            accessors.append(self._accessor({"bufferView": index, "byteOffset": self._size - start}, data, bounds))
             self._append(data.tobytes())
-            accessors.append(self._added("accessors", entry))
         view["byteLength"] = self._size - start
         return accessors
 
+    def _accessor(self, place: dict[str, Any], data: NDArray[Any], bounds: bool) -> int:
+        entry = {**place, "componentType": _TYPES[data.dtype], "count": len(data), "type": _KINDS[data.shape[1:]]}
+        if bounds:
+            entry["min"], entry["max"] = ([float(v) for v in np.atleast_1d(edge(data, axis=0))]
+                                          for edge in (np.min, np.max))
+        return self._added("accessors", entry)
+
     def to_bytes(self) -> bytes:
-        """The bytes of a GLB file. `InputError` if it exceeds the size limit of the format."""
+        """The bytes of a GLB file."""
         self._append(bytes(-self._size % 4))
         self.document.setdefault("buffers", [{}])[0]["byteLength"] = self._size
         text = json.dumps(self.document, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
         # Chunks of a GLB are padded to 4 bytes: JSON with spaces, binary with zeros.
         text += b" " * (-len(text) % 4)
         size = 12 + 8 + len(text) + 8 + self._size
-        if size > LARGEST:
-            raise InputError("the motion", f"would take {size / 1e9:.1f} GB, and a GLB file holds "
-                             f"{LARGEST / 1e9:.1f} GB",
-                             "ask for fewer frames per second (--fps), write .bvh, or cut the recording")
         return b"".join([struct.pack("<4sII", MAGIC, VERSION, size), struct.pack("<II", len(text), JSON_CHUNK), text,
                          struct.pack("<II", self._size, BINARY_CHUNK), *self._parts])
 

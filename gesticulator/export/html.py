@@ -14,7 +14,7 @@ import re
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,14 +33,6 @@ if TYPE_CHECKING:
 
 
 __all__ = ["write_comparison", "write_preview"]
-
-
-class HasScene(Protocol):
-    """An object with a scene, such as a performance."""
-
-    def scene(self) -> Scene:
-        """The input of writers."""
-        ...
 
 
 LONG = 600.0
@@ -64,13 +56,10 @@ def write_preview(path: Path, scene: Scene) -> Path:
     return path
 
 
-def write_comparison(path: Path, takes: Mapping[str, Scene | HasScene]) -> Path:
-    """Write one page with two performances of one recording side by side, atomically. Returns `path`.
-
-    takes: name -> a performance, or its scene. `InputError` unless they are two of one recording.
-    """
-    write_text(path, page({name: take if isinstance(take, Scene) else take.scene() for name, take in takes.items()},
-                          title_of(path), together=True))
+def write_comparison(path: Path, takes: Mapping[str, Scene]) -> Path:
+    """Write one page with two performances of one recording side by side, atomically. Returns `path`. takes: name ->
+    scene; `InputError` unless they are two of one recording."""
+    write_text(path, page(takes, title_of(path), together=True))
     return path
 
 

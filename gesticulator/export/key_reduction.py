@@ -10,7 +10,7 @@ Every `SPAN` frames all tracks have a key, and spans are reduced one by one, in 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
@@ -116,11 +116,6 @@ def _thin(values: Array, has_key: NDArray[np.bool_], bounds: Array, errors: Erro
     removed = has_key & ~trial & (worst[before, tracks] <= bounds)
     has_key &= ~removed
     return bool(removed.any())
-
-
-def track_bounds(nodes: Sequence[int], degrees: float, steady: frozenset[int] = frozenset()) -> Array:
-    """[N] radians for the rotations of nodes, of which those in `steady` (hips and legs) are held tighter."""
-    return np.radians([degrees * (STEADY_SHARE if node in steady else 1.0) for node in nodes])
 
 
 def kept_places(places: Array, degrees: float) -> NDArray[np.bool_]:

@@ -56,11 +56,6 @@ class NodeMotion:
         """[T] seconds."""
         return np.arange(len(self)) / self.fps
 
-    @property
-    def duration(self) -> float:
-        """Seconds: each frame lasts 1 / fps."""
-        return len(self) / self.fps
-
     def rest_matrices(self) -> Array:
         """[N, 4, 4] the nodes' world matrices at rest."""
         return self._worlds(self.rotations[None], {})[0]

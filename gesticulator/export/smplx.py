@@ -20,11 +20,6 @@ def write_smplx(path: Path, scene: Scene) -> Path:
     """Write the motion as an SMPL-X file (`data_module.motion.smplx.smplx_arrays`), atomically."""
     # In memory first: the file appears whole or not at all.
     out = io.BytesIO()
-    arrays = smplx_arrays(resample(scene.standing, FPS))
-    if scene.face is not None:
-        from gesticulator.export.face import smplx_face
-
-        arrays["poses"] = smplx_face(arrays["poses"], scene.face, FPS)
-    np.savez(out, **arrays)  # type: ignore[arg-type, unused-ignore]
+    np.savez(out, **smplx_arrays(resample(scene.standing, FPS)))  # type: ignore[arg-type, unused-ignore]
     write_bytes(path, out.getvalue())
     return path

@@ -1,20 +1,15 @@
-"""The speech beside or inside an output: a WAV file for formats that cannot hold sound, and Ogg Vorbis with
-reproducible bytes for embedding in a page."""
+"""The speech in a page: Ogg Vorbis with reproducible bytes, and the envelope that is drawn."""
 
 from __future__ import annotations
 
 import io
 import struct
 import zlib
-from pathlib import Path
 
 import numpy as np
 import soundfile
 
-from data_module.files import write_bytes
 from data_module.types import Speech
-from gesticulator.export.clip import CLIPS
-from gesticulator.export.writers import suffix_of
 
 MEDIA_TYPE = "audio/ogg"
 # About 35 kbit/s for 16 kHz speech.
@@ -70,18 +65,3 @@ def peaks(speech: Speech, per_second: int) -> np.ndarray:
     outline = np.stack([np.minimum.reduceat(speech.samples, starts), np.maximum.reduceat(speech.samples, starts)], 1)
     loudest = float(np.abs(outline).max()) or 1.0
     return np.round(outline * (127.0 / loudest)).astype(np.int8)
-
-
-def sound_of(motion: Path) -> Path | None:
-    """The sound file beside a motion file; None for formats that hold the sound or do not play."""
-    return motion.with_suffix(".wav") if suffix_of(motion) in CLIPS else None
-
-
-def write_sound(motion: Path, speech: Speech) -> None:
-    """Write the speech, 16-bit PCM, atomically."""
-    target = sound_of(motion)
-    if target is None:
-        return
-    out = io.BytesIO()
-    soundfile.write(out, np.clip(speech.samples, -1.0, 1.0), speech.sample_rate, format="WAV", subtype="PCM_16")
-    write_bytes(target, out.getvalue())

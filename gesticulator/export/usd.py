@@ -1,5 +1,4 @@
-"""`.usda` and `.usdc`: OpenUSD (UsdSkel) as text and binary: a skeleton, a plain figure bound to it, an animation; with
-a face, blend shapes in ARKit's names.
+"""`.usda` and `.usdc`: OpenUSD (UsdSkel) as text and binary: a skeleton, a plain figure bound to it, an animation.
 
 One time code is one frame; metres, Y up. Joints are paths of names ("Hips/Spine"); characters not allowed in USD names
 become "_".
@@ -9,19 +8,15 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from data_module.files import write_bytes
 from gesticulator.export.clip import NAME, ClipLayout
-from gesticulator.export.glb import FigureMesh, figure
+from gesticulator.export.glb import figure
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.writers import Scene
-from gesticulator.face.shapes import ARKIT, arkit
-
-if TYPE_CHECKING:
-    from gesticulator.face.motion import FaceMotion
 
 ROOT = "/Character"
 
@@ -35,18 +30,14 @@ def write_usd(path: Path, scene: Scene) -> Path:
         # OpenUSD writes to a path of its own: the result is moved at the end, atomically.
         target = Path(folder) / f"motion{suffix}"
         stage = Usd.Stage.CreateNew(str(target))
-        animation = _fill(stage, scene.nodes, scene.clip)
-        if scene.face is not None:
-            _express(animation, scene.face)
-        if scene.clip.sound:
-            _refer_to_sound(stage, path.with_suffix(".wav").name)
+        _fill(stage, scene.nodes, scene.clip)
         stage.GetRootLayer().Save()
         write_bytes(path, target.read_bytes())
     return path
 
 
-def _fill(stage: Any, motion: NodeMotion, clip: ClipLayout) -> Any:
-    """Write skeleton, figure and animation; returns the animation."""
+def _fill(stage: Any, motion: NodeMotion, clip: ClipLayout) -> None:
+    """Write skeleton, figure and animation."""
     from pxr import Gf, UsdGeom, UsdSkel
 
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
@@ -72,33 +63,7 @@ def _fill(stage: Any, motion: NodeMotion, clip: ClipLayout) -> Any:
     _animate(animation, motion)
     binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
-    _dress(stage, skeleton, figure(motion))
-    return animation
-
-
-def _express(animation: Any, face: FaceMotion) -> None:
-    """Add the weights of ARKit's 52 blend shapes to an animation, for meshes with such shapes."""
-    from pxr import Usd, Vt
-
-    curves = arkit(face)
-    if face.lips_only:
-        curves |= {name: np.zeros(len(face)) for name in ARKIT if name.startswith(("eye", "brow"))}
-    animation.CreateBlendShapesAttr(list(ARKIT))
-    track = animation.CreateBlendShapeWeightsAttr()
-    for frame, values in enumerate(np.stack([curves[name] for name in ARKIT], axis=1).astype(np.float32)):
-        track.Set(Vt.FloatArray.FromNumpy(values), Usd.TimeCode(frame))
-
-
-def _refer_to_sound(stage: Any, name: str) -> None:
-    """Name the sound file that lies beside the motion, to be played from the first frame on, from everywhere."""
-    from pxr import Sdf, UsdMedia
-
-    sound = UsdMedia.SpatialAudio.Define(stage, f"{ROOT}/Speech")
-    # Relative, so that the two files can be moved together.
-    sound.CreateFilePathAttr(Sdf.AssetPath(f"./{name}"))
-    sound.CreateAuralModeAttr(UsdMedia.Tokens.nonSpatial)
-    sound.CreatePlaybackModeAttr(UsdMedia.Tokens.onceFromStart)
-    sound.CreateStartTimeAttr(Sdf.TimeCode(0.0))
+    _dress(stage, skeleton, motion)
 
 
 def _animate(animation: Any, motion: NodeMotion) -> None:
@@ -117,13 +82,15 @@ def _animate(animation: Any, motion: NodeMotion) -> None:
         places.Set(Vt.Vec3fArray.FromNumpy(moved), time)
 
 
-def _dress(stage: Any, skeleton: Any, body: FigureMesh) -> None:
+def _dress(stage: Any, skeleton: Any, motion: NodeMotion) -> None:
+    """Bind a plain figure to the skeleton."""
     from pxr import Gf, UsdGeom, UsdSkel, Vt
 
     mesh = UsdGeom.Mesh.Define(stage, f"{ROOT}/Figure")
-    count = len(body.positions)
-    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(body.positions.astype(np.float32)))
-    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(body.normals.astype(np.float32)))
+    positions, normals, owners = figure(motion)
+    count = len(positions)
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(positions.astype(np.float32)))
+    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals.astype(np.float32)))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray([3] * (count // 3)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray(list(range(count))))
@@ -131,10 +98,10 @@ def _dress(stage: Any, skeleton: Any, body: FigureMesh) -> None:
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateDisplayColorAttr([Gf.Vec3f(0.24, 0.45, 0.47)])
     if count:
-        mesh.CreateExtentAttr([Gf.Vec3f(*edge.tolist()) for edge in (body.positions.min(0), body.positions.max(0))])
+        mesh.CreateExtentAttr([Gf.Vec3f(*edge.tolist()) for edge in (positions.min(0), positions.max(0))])
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
-    binding.CreateJointIndicesPrimvar(False, 1).Set(Vt.IntArray(body.joints.tolist()))
+    binding.CreateJointIndicesPrimvar(False, 1).Set(Vt.IntArray(owners.tolist()))
     binding.CreateJointWeightsPrimvar(False, 1).Set(Vt.FloatArray([1.0] * count))
     binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1.0))
 

@@ -27,8 +27,6 @@ _USD = Requirement("pxr", "usd-core", "usd")
 WRITERS: Registry[RegistryEntry] = Registry("writers", "a format that can be written", {
     ".bvh": RegistryEntry("motion in centimetres and degrees", "gesticulator.export.writers:write_bvh_file"),
     ".csv": RegistryEntry("positions and rotations, a row per joint and frame", "gesticulator.export.table:write_csv"),
-    ".face.csv": RegistryEntry("the face in ARKit's names, as Live Link Face records it",
-                               "gesticulator.export.face:write_live_link"),
     ".fbx": RegistryEntry("motion, or your own character, through Blender", "gesticulator.export.fbx:write_fbx"),
     ".glb": RegistryEntry("motion, or your own character, as binary glTF", "gesticulator.export.glb:write_glb"),
     ".html": RegistryEntry("a page that plays and edits the performance", "gesticulator.export.html:write_preview"),
@@ -46,9 +44,6 @@ WRITERS: Registry[RegistryEntry] = Registry("writers", "a format that can be wri
 ELSEWHERE = {".g1.csv": "gesticulator-extra"}
 """Suffix -> the distribution that writes it, for the message where that is not installed: without it, a path such as
 "talk.g1.csv" would become a plain table."""
-
-UNITS = {"cm": 0.01, "m": 1.0}
-"""Unit of length of a BVH file -> metres."""
 
 
 @dataclass(frozen=True)
@@ -108,14 +103,14 @@ def suffix_of(path: str | os.PathLike[str]) -> str:
     """The suffix of a path that selects its format, in lower case: the last one, or the last two if they name a format
     (".g1.csv"); "" without one."""
     suffixes = [suffix.lower() for suffix in Path(path).suffixes]
-    # Two-part formats first: .csv alone would match .face.csv, too.
+    # Two-part formats first: .csv alone would match .g1.csv, too.
     both = "".join(suffixes[-2:])
     return both if both in WRITERS or both in ELSEWHERE else "".join(suffixes[-1:])
 
 
-def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
-    """`InputError` if a file of that name cannot be written: unknown suffix (the known ones are listed), missing
-    dependency, or a unit that its format does not support."""
+def check_output(path: str | os.PathLike[str]) -> None:
+    """`InputError` if a file of that name cannot be written: unknown suffix (the known ones are listed), or missing
+    dependency."""
     target = Path(path)
     suffix = suffix_of(target)
     if suffix not in WRITERS and suffix in ELSEWHERE:
@@ -124,11 +119,6 @@ def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
     if suffix not in WRITERS:
         wrong = f"'{target.suffix}' is not a format that can be written" if target.suffix else "has no suffix"
         raise InputError(target, wrong, f"use one of {', '.join(sorted(WRITERS))}")
-    # Only BVH has no unit of its own: its readers guess.
-    if unit not in UNITS:
-        raise InputError(f"unit {unit}", "is unknown", f"use one of {', '.join(UNITS)}")
-    if unit != "cm" and suffix != ".bvh":
-        raise InputError(target, f"cannot be in {unit}", "the unit is for .bvh; other formats have their own")
     if (needs := WRITERS[suffix].needs) is not None:
         needs.check(target)
     if suffix == ".fbx":
@@ -137,16 +127,11 @@ def check_output(path: str | os.PathLike[str], unit: str = "cm") -> None:
         check_blender(target)
 
 
-def write(path: str | os.PathLike[str], scene: Scene, *, unit: str = "cm") -> Path:
-    """Write a scene atomically in the format of the suffix; unit: of a BVH file. Returns `path`. `InputError` as for
-    `check_output`; OSError for disk errors."""
-    check_output(path, unit)
-    suffix, moved = suffix_of(path), scene.character
-    # The file of a character from FBX is animated by Blender, whatever it is saved as.
-    through_blender = suffix == ".glb" and moved is not None and moved.character.kind == "fbx"
-    writer = cast("Callable[..., Path]", WRITERS.load(".fbx" if through_blender else suffix))
-    # Only the BVH writer takes a unit; `check_output` has rejected others.
-    return writer(Path(path), scene) if unit == "cm" else writer(Path(path), scene, unit=unit)
+def write(path: str | os.PathLike[str], scene: Scene) -> Path:
+    """Write a scene atomically in the format of the suffix. Returns `path`. `InputError` as for `check_output`; OSError
+    for disk errors."""
+    check_output(path)
+    return cast("Callable[[Path, Scene], Path]", WRITERS.load(suffix_of(path)))(Path(path), scene)
 
 
 def write_plan(path: Path, scene: Scene) -> Path:
@@ -156,9 +141,9 @@ def write_plan(path: Path, scene: Scene) -> Path:
     return write_plan_file(path, scene.plan)
 
 
-def write_bvh_file(path: Path, scene: Scene, unit: str = "cm") -> Path:
-    """`.bvh`: write the motion, standing on the floor, at its frame rate. A character from a BVH file keeps that file's
-    hierarchy and unit. Returns `path`."""
+def write_bvh_file(path: Path, scene: Scene) -> Path:
+    """`.bvh`: write the motion in centimetres, standing on the floor, at its frame rate. A character from a BVH file
+    keeps that file's hierarchy and unit. Returns `path`."""
     from data_module.motion import bvh
 
     moved = scene.character
@@ -173,5 +158,5 @@ def write_bvh_file(path: Path, scene: Scene, unit: str = "cm") -> Path:
         from gesticulator.export.nodes import of_character, with_identity_rest
 
         motion = with_identity_rest(of_character(moved))
-    bvh.write_bvh(path, motion, UNITS[unit])
+    bvh.write_bvh(path, motion)
     return path

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.types import Array
-from gesticulator.face.visemes import SILENT, VISEMES, opening
 
 _PARTS = ("visemes", "blink", "brows", "smile", "gaze")
 """Fields over time, in the order of `FaceMotion.values`."""
@@ -35,15 +34,6 @@ class FaceMotion:
     fps: float
     lips_only: bool = False
 
-    def __post_init__(self) -> None:
-        count = len(self.visemes)
-        # Faces come from networks and over wires; what draws them indexes these numbers unchecked.
-        shapes = self.visemes.shape, self.blink.shape, self.brows.shape, self.smile.shape, self.gaze.shape
-        if shapes != ((count, len(VISEMES)), (count,), (count,), (count,), (count, 2)):
-            raise ValueError(f"{shapes} are not the shapes of one face")
-        if not all(np.isfinite(getattr(self, name)).all() for name in _PARTS):
-            raise ValueError("a face needs finite numbers")
-
     def __len__(self) -> int:
         return len(self.visemes)
 
@@ -51,11 +41,6 @@ class FaceMotion:
     def times(self) -> Array:
         """[T] seconds."""
         return np.arange(len(self)) / self.fps
-
-    @property
-    def opening(self) -> Array:
-        """[T] opening of the mouth, 0 to 1."""
-        return opening(self.visemes)
 
     def values(self) -> Array:
         """[T, 20] everything in one table: visemes, blink, brows, smile, and gaze to the left and up."""
@@ -84,10 +69,3 @@ def joined(faces: Sequence[FaceMotion]) -> FaceMotion:
     """Successive parts of a face as a whole; at least one part."""
     parts: dict[str, Any] = {name: np.concatenate([getattr(face, name) for face in faces]) for name in _PARTS}
     return replace(faces[0], **parts)
-
-
-def at_rest(count: int, fps: float) -> FaceMotion:
-    """A face that does nothing, with a shut mouth."""
-    visemes = np.zeros((count, len(VISEMES)))
-    visemes[:, SILENT] = 1.0
-    return FaceMotion(visemes, np.zeros(count), np.zeros(count), np.zeros(count), np.zeros((count, 2)), fps)

@@ -31,7 +31,7 @@ _FREE = 0.2
 _PAUSE = 0.6
 """Seconds without a word at which one path ends and the next begins."""
 _LONGEST = 15.0
-"""Longest path, seconds: its memory grows with the square. A longer one is cut at the widest gap of its second half."""
+"""Longest path, seconds: its memory grows with the square."""
 _LEAST = -1.9
 """Mean logarithm of the probability of its visemes from which a word is heard where it should be."""
 _MOST_UNHEARD = 0.4
@@ -113,16 +113,10 @@ def _runs(words: Sequence[PhonedWord]) -> Iterator[tuple[int, int]]:
     """First and last (excluded) of the words of each path."""
     first = 0
     for at in range(1, len(words) + 1):
-        if at == len(words) or words[at].start - words[at - 1].end > _PAUSE:
+        if at == len(words) or words[at].start - words[at - 1].end > _PAUSE \
+                or words[at].end - words[first].start > _LONGEST:
             yield first, at
             first = at
-        elif words[at].end - words[first].start > _LONGEST:
-            # Not at the limit but at the widest gap before it: a path that ends inside a word loses it.
-            half = words[first].start + _LONGEST / 2
-            later = [cut for cut in range(first + 1, at + 1) if words[cut].start >= half]
-            cut = max(later, key=lambda cut: words[cut].start - words[cut - 1].end)
-            yield first, cut
-            first = cut
 
 
 def _path(weights: Array, words: Sequence[PhonedWord]) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:

@@ -18,8 +18,6 @@ from gesticulator.characters.rig import Character
 from gesticulator.face.motion import FaceMotion
 from gesticulator.face.shapes import VRM, VRM_0, curves, find_shapes, is_lips, jaw_angles
 
-_MOST_TARGETS = 4096
-"""Most morph targets of a mesh."""
 _EYES = {"Left": re.compile(r"(left[ _.]?eye|eye[ _.]?left|eye[_.]l|l[_.]eye|cc_base_l_eye|facial_l_eye)", re.I),
          "Right": re.compile(r"(right[ _.]?eye|eye[ _.]?right|eye[_.]r|r[_.]eye|cc_base_r_eye|facial_r_eye)", re.I)}
 _JAW = re.compile(r"(cc_base_|facial_c_|mixamorig:?|def[-_.])?(jaw|jaw[ _.]?(root|bone|master)|lower[ _]?jaw)", re.I)
@@ -30,11 +28,10 @@ _RICH = 20
 @dataclass(frozen=True)
 class FaceRig:
     """morphs: node of the file -> (index of the target, curve of `shapes.curves`, share), several per target
-    added up; sizes: node -> number of its targets; base: node -> weights at rest. eyes: nodes of the character that
+    added up; base: node -> weights of its targets at rest. eyes: nodes of the character that
     turn with the gaze; jaw: the node that turns with the mouth where no shape opens it, or None."""
 
     morphs: Mapping[int, tuple[tuple[int, str, float], ...]] = field(default_factory=dict)
-    sizes: Mapping[int, int] = field(default_factory=dict)
     base: Mapping[int, Array] = field(default_factory=dict)
     eyes: tuple[int, ...] = ()
     jaw: int | None = None
@@ -50,11 +47,10 @@ class FaceRig:
         known, out = curves(face), {}
         for node, rows in self.morphs.items():
             values = np.tile(self.base[node], (len(face), 1))
-            driven = {index for index, curve, _ in rows if is_lips(curve) or not face.lips_only}
-            values[:, sorted(driven)] = 0.0
-            for index, curve, share in rows:
-                if index in driven and (is_lips(curve) or not face.lips_only):
-                    values[:, index] += share * known[curve]
+            driven = [row for row in rows if is_lips(row[1]) or not face.lips_only]
+            values[:, [index for index, _, _ in driven]] = 0.0
+            for index, curve, share in driven:
+                values[:, index] += share * known[curve]
             out[node] = np.clip(values, 0.0, 1.0)
         return out
 
@@ -95,15 +91,13 @@ def find_face(character: Character) -> FaceRig:
 
 
 def _found(file: GltfFile, character: Character) -> FaceRig:
-    sizes: dict[int, int] = {}
     base: dict[int, Array] = {}
     names: dict[int, list[str]] = {}
     for number, node in enumerate(file.rows("nodes")):
         mesh = file.rows("meshes")[node["mesh"]] if "mesh" in node else {}
         count = max((len(part.get("targets", [])) for part in mesh.get("primitives", [])), default=0)
-        if not 0 < count <= _MOST_TARGETS:
+        if not count:
             continue
-        sizes[number] = count
         # A node overrides its mesh, and both may give fewer weights than there are targets.
         given = node.get("weights", mesh.get("weights", []))
         base[number] = np.array([float(weight) for weight in given][:count] + [0.0] * (count - len(given)))
@@ -114,7 +108,7 @@ def _found(file: GltfFile, character: Character) -> FaceRig:
         node: [(index, *shapes[name]) for index, name in enumerate(listed) if name in shapes]
         for node, listed in names.items()}
     if sum(is_lips(curve) for rows in morphs.values() for _, curve, _ in rows) < _RICH:
-        expressions = _expressions(file, sizes)
+        expressions = _expressions(file, base)
         if any(is_lips(curve) for rows in expressions.values() for _, curve, _ in rows):
             morphs = expressions
     if eyes:
@@ -122,7 +116,7 @@ def _found(file: GltfFile, character: Character) -> FaceRig:
                   for node, rows in morphs.items()}
     morphs = {node: rows for node, rows in morphs.items() if rows}
     opens = any(is_lips(curve) for rows in morphs.values() for _, curve, _ in rows)
-    return FaceRig({node: tuple(rows) for node, rows in morphs.items()}, sizes, base, eyes,
+    return FaceRig({node: tuple(rows) for node, rows in morphs.items()}, base, eyes,
                    None if opens else _jaw(character))
 
 
@@ -134,13 +128,13 @@ def _target_names(mesh: Mapping[str, Any]) -> list[Any]:
     return []
 
 
-def _expressions(file: GltfFile, sizes: Mapping[int, int]) -> dict[int, list[tuple[int, str, float]]]:
+def _expressions(file: GltfFile, base: Mapping[int, Array]) -> dict[int, list[tuple[int, str, float]]]:
     """Node -> (target, curve, share) of the expressions of a VRM."""
     extensions = file.document.get("extensions", {})
-    out: dict[int, list[tuple[int, str, float]]] = {node: [] for node in sizes}
+    out: dict[int, list[tuple[int, str, float]]] = {node: [] for node in base}
 
     def add(node: int, index: int, name: str, share: float) -> None:
-        if node in sizes and 0 <= index < sizes[node]:
+        if node in base and 0 <= index < len(base[node]):
             out[node].append((index, f"vrm_{name}", share))
 
     if "VRMC_vrm" in extensions:

@@ -13,7 +13,7 @@ import numpy as np
 
 from data_module.types import Array
 from gesticulator.face.motion import FaceMotion
-from gesticulator.face.visemes import VISEMES
+from gesticulator.face.visemes import VISEMES, opening
 
 _SIDED = ("eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp", "eyeSquint", "eyeWide")
 _LEFT = [f"{name}Left" for name in _SIDED]
@@ -161,7 +161,7 @@ _LIPS = ("jaw", "mouth", "tongue", "viseme", "vrm", "opening", "cheekPuff")
 def curves(face: FaceMotion) -> dict[str, Array]:
     """All curves of a face by name: ARKit's, "viseme_aa", "vrm_aa" for VRM's presets, and "opening"."""
     return {**arkit(face), **oculus(face), **{f"vrm_{name}": curve for name, curve in vrm(face).items()},
-            "opening": face.opening}
+            "opening": opening(face.visemes)}
 
 
 def find_shapes(names: Iterable[str]) -> dict[str, tuple[str, float]]:
@@ -192,4 +192,4 @@ def is_lips(curve: str) -> bool:
 
 def jaw_angles(face: FaceMotion) -> Array:
     """[T] turn of a jaw bone, radians downwards."""
-    return np.asarray(JAW_OPEN * face.opening)
+    return np.asarray(JAW_OPEN * opening(face.visemes))

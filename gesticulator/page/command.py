@@ -91,9 +91,8 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings) -> None:
             "levels": levels_of(gesticulator.bundle), "speakers": list(gesticulator.bundle.speakers)}
     more = {"live": live, **({} if chosen is None else html.character_data(*chosen, scene.face))}
     if performance.retiming is not None:
-        lines = performance.retiming.lines()
-        print("\n".join(f"  {line}" for line in lines), flush=True)
-        more["notice"] = "The edits were moved onto the new sound. " + " ".join(lines)
+        print(f"  {performance.retiming}", flush=True)
+        more["notice"] = f"The edits were moved onto the new sound. {performance.retiming}"
     server.page = html.page({performance.decided.interpreter: scene}, html.title_of(source), more=more).encode()
     # What is only tried is not saved.
     session.on_edit = lambda request, plan: None if request.get("trial") else save(source, plan)
@@ -116,14 +115,12 @@ def _character(job: Job) -> tuple[tuple[Character, dict[str, int]] | None, bool]
     """The requested character with our joint -> its node in the file, if any, and whether it stands on its legs."""
     if job.character is None:
         return None, False
-    from gesticulator.characters.frames import measure
     from gesticulator.characters.reading import choose
 
     # The mapping may be saved before anything else: it is what a user corrects when joints are wrong.
     character, mapping = choose(job.character.file, job.character.mapping, job.character.save_mapping)
     joints = {joint: character.node_ids[node] for joint, node in mapping.named().items()}
-    sits = job.options.seated or (not job.options.legs and measure(character, mapping).sits)
-    return (character, joints), mapping.legs and not sits
+    return (character, joints), mapping.legs and not job.options.seated
 
 
 def _with_saved_edits(gesticulator: Gesticulator, job: Job) -> Job:

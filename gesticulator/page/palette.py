@@ -12,7 +12,7 @@ from data_module.motion.kinematics import positions_of
 from data_module.types import Array, Motion
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
-from gesticulator.directing.lexeme_names import FAR, LIFTED, MOVES, decoded_motion, hand_ways
+from gesticulator.directing.lexeme_names import FAR, LIFTED, MOVES, hand_ways
 from gesticulator.plan.gestures import ALIASES, GESTURES, REPERTOIRE
 from gesticulator.plan.plan import GestureCue
 
@@ -35,11 +35,11 @@ def moving_figures(bundle: Bundle, speaker: int) -> dict[str, Any]:
 
 
 def _lexemes(bundle: Bundle) -> list[dict[str, Any]]:
-    motion, ways = decoded_motion(bundle), hand_ways(bundle)
-    if motion is None or ways is None:
+    ways = hand_ways(bundle)
+    if ways is None:
         return []
     count = len(bundle.vectors)
-    points = _points(motion).reshape(count, -1, len(JOINTS), 2)
+    points = _points(ways.motion).reshape(count, -1, len(JOINTS), 2)
     silent = set(bundle.silent.tolist())
     out = []
     for lexeme in range(count):

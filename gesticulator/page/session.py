@@ -32,7 +32,7 @@ from gesticulator.plan.plan_file import plan_from
 if TYPE_CHECKING:
     from data_module.types import Motion
     from gesticulator.bundle.bundle import Bundle
-    from gesticulator.directing.knobs import Shaping
+    from gesticulator.directing.shaping import Shaping
     from gesticulator.editing.render import PlanRenderer
     from gesticulator.gesticulator import Gesticulator
     from gesticulator.sampling.loop import GeneratedMotion
@@ -90,8 +90,8 @@ class EditSession:
         # The first edit then computes a window of frames and not the whole take.
         if self._renders_parts and options.plan is not None and not options.plan.pins:
             generated = self._renderer(options).render(options.plan)
-            self._share(rendering, options, self._frame_renderer(options).of_motion(
-                generated, self._shaping(options, generated), performance.motion))
+            self._share(rendering, options, self._frame_renderer(options).render(
+                generated, self._shaping(options, generated), options.plan, None, performance.motion))
         return rendering.number
 
     def answer(self, request: Mapping[str, Any], abandoned: Callable[[], bool] = lambda: False,

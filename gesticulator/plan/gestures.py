@@ -42,15 +42,10 @@ class NamedGesture:
     meaning: str
 
 
-def _read_table() -> dict[str, NamedGesture]:
-    table = read_table(_TABLE, "install the program again")
-    rows = ({key: cell or "" for key, cell in row.items()} for _, row in table)
-    return {row["name"]: NamedGesture(
-        row["name"], tuple(row["category"].split()), row["hands"], row["core"] == "yes", row["weak"] == "yes",
-        row["offensive"] == "yes", row["meaning"]) for row in rows}
-
-
-REPERTOIRE: Mapping[str, NamedGesture] = _read_table()
+_ROWS = ({key: cell or "" for key, cell in row.items()} for _, row in read_table(_TABLE, "install the program again"))
+REPERTOIRE: Mapping[str, NamedGesture] = {row["name"]: NamedGesture(
+    row["name"], tuple(row["category"].split()), row["hands"], row["core"] == "yes", row["weak"] == "yes",
+    row["offensive"] == "yes", row["meaning"]) for row in _ROWS}
 """Name -> gesture, without the other names."""
 GESTURES: Mapping[str, str] = {
     **{name: gesture.meaning for name, gesture in REPERTOIRE.items()},

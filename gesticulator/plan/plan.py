@@ -17,7 +17,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, cast
 
 from msgspec import Meta
 
@@ -39,12 +39,9 @@ Place: TypeAlias = tuple[str | int, ...]
 Energy = Literal["calm", "neutral", "lively"]
 ENERGIES: Mapping[str, tuple[float, float]] = {"calm": (0.6, 0.6), "neutral": (1.0, 1.0), "lively": (1.5, 1.0)}
 """Energy -> factors on intensity and activity. Calm: smaller gestures, in six tenths of the phrases."""
-ENERGY_SIZES, ENERGY_SHARES = zip(*ENERGIES.values(), strict=True)
-"""Factors on intensity and on activity of the energies, in order: of 0, 1 and 2 of a curve, which is linear between."""
 
 Hand = Literal["left", "right", "both"]
-HANDS: tuple[Hand, ...] = get_args(Hand)
-"""Values of handedness, and hands of a gesture unit."""
+"""Hands of a gesture unit."""
 
 Flag = Literal["boundary", "onset", "loud_pseudo", "even_pseudo", "edited"]
 """Kinds of beats at which a block ends: the names of `BeatFlag`, and a beat that a user moved or added."""
@@ -54,9 +51,8 @@ SETTLES = 0.42
 
 PhaseKind = Literal["preparation", "pre-stroke hold", "stroke", "post-stroke hold", "retraction"]
 """Phases of a gesture unit (Kendon; Kita et al.), in their order."""
-CurveKnob = Literal["intensity", "activity", "energy", "height", "speed", "radius"]
-"""Knobs that a curve can vary: intensity, activity, energy (0 calm, 1 neutral, 2 lively), and the three hand controls
-(metres, metres per second, metres)."""
+CurveKnob = Literal["intensity", "height", "speed", "radius"]
+"""Knobs that a curve can vary: intensity, and the three hand controls (metres, metres per second, metres)."""
 
 Seconds = Annotated[float, Meta(ge=0.0)]
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -126,10 +122,6 @@ class LexemeChoice:
     """Its name in `lexicon`."""
     score: float
     """Its score by the interpreter; `score_is` names the kind."""
-    prior: float | None = None
-    """Of the interpreter "advantage": its probability under the behaviour policy."""
-    advantage: float | None = None
-    """Of the interpreter "advantage": its expected reward above the mean, in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -177,11 +169,6 @@ class Block:
     """The score of its lexeme, as those of `alternatives`; null without scores."""
     rank: Annotated[int, Meta(ge=1, le=2**16)] | None = None
     """How many lexemes have a score as high as its lexeme, with itself; null without scores."""
-    chosen: dict[str, float] | None = None
-    """Of the interpreter "advantage": prior and advantage of the lexeme that was played."""
-    runner_up: dict[str, int | float] | None = None
-    """Of the interpreter "advantage": the best other lexeme (id), and by how much its advantage is higher
-    (worth_more)."""
 
 
 @dataclass(frozen=True)
@@ -217,8 +204,6 @@ class PlanKnobs:
     """A named pair of factors on intensity and activity."""
     activity: Share = 1.0
     """Share of the speaking time with gestures."""
-    handedness: Hand | None = None
-    """The hand whose lexemes are preferred; null for no preference."""
     hold_still: tuple[tuple[Seconds, Seconds], ...] = ()
     """Ranges (from, to) in which the hands rest, seconds."""
 
@@ -343,31 +328,6 @@ class KnobCurve:
     """[M] the knob's value at these times, in its unit."""
 
 
-def _share_at(curve: KnobCurve, time: float) -> float:
-    """The factor on activity at a time, seconds, of a curve of activity or of energy."""
-    import numpy as np  # here, because options are checked before anything heavy is imported
-
-    value = np.interp(time, curve.times, curve.values)
-    return float(np.interp(value, range(len(ENERGIES)), ENERGY_SHARES) if curve.knob == "energy" else value)
-
-
-@dataclass(frozen=True)
-class GenerationKnobs:
-    """What blocks are generated with. share: of the speaking time with gestures; curves: factors on it over time, for
-    as far as they change."""
-
-    share: float
-    handedness: str | None
-    curves: tuple[KnobCurve, ...] = ()
-
-    def share_at(self, time: float) -> float:
-        """The share of the speaking time with gestures of a block that begins at `time`, seconds."""
-        share = self.share
-        for curve in self.curves:
-            share *= _share_at(curve, time)
-        return share
-
-
 @dataclass(frozen=True)
 class GesturePlan:
     """The decisions for one recording, and their edits."""
@@ -428,25 +388,6 @@ class GesturePlan:
     def curve(self, knob: str) -> KnobCurve | None:
         """The curve of a knob; None without one."""
         return next((curve for curve in self.curves if curve.knob == knob), None)
-
-    @property
-    def manner(self) -> GenerationKnobs:
-        """What unlocked blocks are generated with; locked ones are with that of the first generation. Intensity and
-        mirroring are applied afterwards, and stillness concerns single blocks (`PlanKnobs.still_at`)."""
-        # A curve that is constant is the same as the knob: it must not count as another manner of generation.
-        share, varying = self.knobs.share, []
-        for curve in filter(None, (self.curve("activity"), self.curve("energy"))):
-            first, *others = [_share_at(curve, time) for time in curve.times]
-            if all(other == first for other in others):
-                share *= first
-            else:
-                varying.append(curve)
-        return GenerationKnobs(share, self.knobs.handedness, tuple(varying))
-
-    @property
-    def drawn_manner(self) -> GenerationKnobs:
-        """What the blocks of the first generation were generated with."""
-        return GenerationKnobs(self.drawn.knobs.share, self.drawn.knobs.handedness)
 
     # Every error about a plan names its file first, then the path, so that an editor can jump there.
     def error(self, place: Place, wrong: str, advice: str) -> InputError:
@@ -514,9 +455,9 @@ def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
     A block is replayed if its beats, lexeme, silence and random keys are those of the first generation, and the knobs
     that influence its generation are too, unless it is locked.
     """
-    # Handedness and activity change every block that is not locked; size and mirroring are applied afterwards.
+    # Activity changes every block that is not locked; size and mirroring are applied afterwards.
     edited = edited_themselves(plan)
-    if plan.manner == plan.drawn_manner:
+    if plan.knobs.share == plan.drawn.knobs.share:
         return edited
     return tuple([changed or not block.locked for changed, block in zip(edited, plan.blocks, strict=True)])
 
@@ -540,10 +481,10 @@ def edited_themselves(plan: GesturePlan) -> tuple[bool, ...]:
 
 
 def shapes(plan: GesturePlan) -> bool:
-    """Whether the plan may change the generated poses, by intensity, mirroring or handedness."""
+    """Whether the plan may change the generated poses, by intensity or mirroring."""
     # Most plans change no pose: then none of the arms' movements need to be remembered.
     knobs = plan.knobs
-    if knobs.size != 1.0 or knobs.handedness is not None or plan.curve("intensity") or plan.curve("energy"):
+    if knobs.size != 1.0 or plan.curve("intensity"):
         return True
     return any(block.intensity != 1.0 or block.mirror or (block.locked and knobs != plan.drawn.knobs)
                for block in plan.blocks)

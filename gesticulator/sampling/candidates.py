@@ -1,33 +1,15 @@
 """Choice among several sampled candidates of a block: the one with the best sum of terms that change gradually, so that
-a small change of pose or sound rarely changes the choice:
+a small change of pose or sound rarely changes the choice.
 
-- Lexeme: -2 log(d / d_0), with d the squared distance of the candidate's movement to the lexeme to play, and d_0 that
-  to its nearest lexeme.
-- Speed limit: a candidate in which a hand or an elbow is faster than people's hands are is rejected,
-  unless all are. One frame in a thousand of the corpus has such a jump, and a model trained on it samples one now and
-  then.
-- Timing: the hands' braking b(t) = max(0, -ds/dt), with s the summed speed of both hands, should lie near the onsets of
-  the block's sound: sum b w / (sum b + b0). w(t) is a Gaussian of the time to the nearest onset, and b0 keeps blocks
-  that hardly move from scoring high.
-- Seam: the hands' acceleration at the start over the mean within the block, at most 2, so that blocks that hardly move
-  are not rejected for it.
-- Body: how deep wrists and elbows are inside the trunk, a capsule between hips and chest; how far a wrist
-  is behind the front of the trunk and an elbow behind its back, where `gesticulator.contacts.default_body` has to move
-  them; how deep a wrist is in a sphere about its shoulder (a folded arm); and how near a forearm with its hand is to
-  the middle of the face; as shares of the radii, mean over the block.
-- Together: -|log(h / h_0) - log(s / s_0)|, with h the mean turning speed of the head on the chest and s that of the
-  hands over the block, and h_0 and s_0 what they are in speech: the head moves when the hands do.
-- Pitch: the mean of p (s - s_m) / s_0 over the frames, with p the pitch in octaves over the voice's mean, s the turning
-  speed of the trunk, s_m its mean over the candidates, and s_0 what it is in speech: the trunk goes with the pitch.
-- Controls: the distance of height, speed and radius of the hands (`data_module.controls`) over the block from their
-  targets, in standard deviations of the training data.
+The terms are the distance of the movement to the lexeme to play, -2 log(d / d_0) with d_0 that to its nearest lexeme;
+braking in time with the onsets (`in_time`); the seam (`jolt`); hands in the body (`depth`); a head that moves when the
+hands do (`apart_from_hands`); a trunk that goes with the pitch (`with_pitch`); and the distance of height, speed and
+radius of the hands from their controls, in standard deviations. A candidate in which a hand or an elbow is faster than
+people's is rejected, unless all are: one frame in a thousand of the corpus has such a jump.
 
 Most candidates share the arms of the first (`systems.movement`); the choice is then of torso and head. What timing
-loses by that is more than made up for by retiming: the block that was chosen is moved in time, by shares of its length
-a t^2 (1 - t)^2 that leave its ends where they are, to where the term of timing is best.
-
-The onsets are those at which beats are placed (`data_module.speech.onsets`). Evaluation of timing uses two other
-detectors (`eval.metrics.eye`).
+loses by that is more than made up for by `retimings` of the block that was chosen. The onsets are those at which beats
+are placed (`data_module.speech.onsets`); evaluation of timing uses two other detectors (`eval.metrics.eye`).
 """
 
 from __future__ import annotations
@@ -79,22 +61,8 @@ _SHIFTS, _STAYS = np.linspace(-1.0, 1.0, 7), 0.1
 """Shares of the most shift of a block's middle that are tried; and what the whole of it must be worth in timing."""
 
 
-@dataclass(frozen=True)
-class CandidateWeights:
-    """The weights of the terms, relative to `timing`; chosen on the validation split."""
-
-    lexeme: float = 2.0
-    """A candidate that is a twentieth nearer to another lexeme loses 0.2."""
-    timing: float = 1.0
-    seam: float = 0.25
-    body: float = 16.0
-    together: float = 1.0
-    pitch: float = 1.5
-    controls: float = 2.0
-    """Per standard deviation of the training data."""
-
-
-WEIGHTS = CandidateWeights()
+LEXEME, SEAM, BODY, TOGETHER, PITCH, CONTROLS = 2.0, 0.25, 16.0, 1.0, 1.5, 2.0
+"""The weights of the terms, relative to timing; chosen on the validation split."""
 
 
 @dataclass(frozen=True)
@@ -121,8 +89,8 @@ class CandidateMotion:
 class CandidateChooser:
     """Chooses among the candidates of a block for one speaker."""
 
-    def __init__(self, bundle: Bundle, speaker: int, weights: CandidateWeights = WEIGHTS) -> None:
-        self._weights, self._statistics, self._speaker = weights, bundle.statistics, speaker
+    def __init__(self, bundle: Bundle, speaker: int) -> None:
+        self._statistics, self._speaker = bundle.statistics, speaker
         self._representation = representation_of(bundle.config)
         skeleton = self._representation.motion(self._statistics.rest_pose[speaker][None], 1.0).skeleton
         # The joint above the shoulders, by whatever name the skeleton has for it.
@@ -145,30 +113,28 @@ class CandidateChooser:
             self._poses(past, blocks, shift)))
 
     def choose(self, speech: SpeechBlock, motion: CandidateMotion, apart: Array, control: Array | None = None) -> int:
-        """The index of the best candidate; the first of equals.
-
-        motion: of C candidates; apart: [C] squared distance of each candidate to the lexeme to play over that to its
-        nearest lexeme; control: rows [K, 2 F], or None. Only the speed limit is about what is shown: a shift depends
-        on how the hands came here, so two takes that parted would go on choosing differently while it fades.
-        """
+        """The index of the best candidate; the first of equals. motion: of C candidates; apart: [C] squared distance of
+        each to the lexeme to play over that to its nearest lexeme; control: rows [K, 2 F], or None."""
         # A stream in a hurry samples one candidate; there is nothing to weigh.
         if len(motion) == 1:
             return 0
-        weights, poses, places = self._weights, motion.poses, motion.places
+        poses, places = motion.poses, motion.places
         times = self._times(speech, poses.shape[1] - _BEFORE)
+        # Only the speed limit is about what is shown: a shift depends on how the hands came here, so two takes that
+        # parted would go on choosing differently while it fades.
         allowed = slow_enough(motion.shown[:, :, :4], times)
         hands = places[allowed, :, :2]
-        score = -weights.lexeme * np.log(apart[allowed].astype(np.float64))
-        score -= weights.body * depth(places[allowed, _BEFORE:])
+        score = -LEXEME * np.log(apart[allowed].astype(np.float64))
+        score -= BODY * depth(places[allowed, _BEFORE:])
         if len(speech.onsets) > 0:
-            score += weights.timing * in_time(hands, times, speech.start, speech.onsets)
-        score -= weights.together * apart_from_hands(poses[allowed][..., self._head], hands, times)
+            score += in_time(hands, times, speech.start, speech.onsets)
+        score -= TOGETHER * apart_from_hands(poses[allowed][..., self._head], hands, times)
         if speech.pitch is not None:
-            score += weights.pitch * with_pitch(poses[allowed][..., self._trunk], times, speech.pitch)
+            score += PITCH * with_pitch(poses[allowed][..., self._trunk], times, speech.pitch)
         # Bounded, because a block that begins at rest has a large ratio and nothing wrong.
-        score -= weights.seam * jolt(hands, times)
+        score -= SEAM * jolt(hands, times)
         if control is not None:
-            score -= weights.controls * self._control_error(hands, times, control)
+            score -= CONTROLS * self._control_error(hands, times, control)
         return int(allowed[score.argmax()])
 
     def retimed(self, speech: SpeechBlock, past: Array, block: Array) -> Array:
@@ -220,29 +186,22 @@ class CandidateChooser:
         return np.concatenate([speech.start - before / frames * np.arange(_BEFORE - 1, -1, -1),
                                speech.start + duration * steps])
 
-    def _measured(self, hands: Array, times: Array) -> Array:
-        """[C, 3] the controlled features of each candidate's hands [C, T, 2, 3]: mean over the block."""
-        inside = hands[:, _BEFORE:]
-        # The same definition as of the training data (`data_module.controls`).
-        steps = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1).mean(-1)
-        return np.stack([inside[:, :, 0, 1].mean(1), steps.sum(1) / (times[-1] - times[_BEFORE - 1]),
-                         np.linalg.norm(inside[..., [0, 2]], axis=-1).mean((1, 2))], axis=-1)
-
     def _control_error(self, hands: Array, times: Array, control: Array) -> Array:
         """[C] distance of each candidate's hands [C, T, 2, 3] from the controlled features, in standard deviations."""
-        measured, width = self._measured(hands, times), len(controls.FEATURES)
-        levels = self._statistics.levels
+        levels, width, inside = self._statistics.levels, len(controls.FEATURES), hands[:, _BEFORE:]
         if levels is None:
             return np.zeros(len(hands))
+        # The same definition as of the training data (`data_module.controls`), mean over the block.
+        steps = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1).mean(-1)
+        measured = np.stack([inside[:, :, 0, 1].mean(1), steps.sum(1) / (times[-1] - times[_BEFORE - 1]),
+                             np.linalg.norm(inside[..., [0, 2]], axis=-1).mean((1, 2))], axis=-1)
         target, given = control[:, :width].mean(0), control[:, width:].mean(0)
         return np.asarray((np.abs((measured - levels.mean) / levels.spread - target) * given).sum(-1))
 
 
 def fastest(hands: Array, times: Array) -> Array:
-    """[C] the greatest speed of a hand, or of a hand and an elbow, in each block, m/s.
-
-    hands: [C, T, 2 or 4, 3] metres at times [T] seconds, the frames before the block and those of the block.
-    """
+    """[C] the greatest speed of a hand, or of a hand and an elbow, in each block, m/s. hands: [C, T, 2 or 4, 3] metres
+    at times [T] seconds, the frames before the block and those of the block."""
     speed = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1) / np.diff(times[_BEFORE - 1:])[:, None]
     return np.asarray(speed.max((1, 2)))
 
@@ -314,10 +273,9 @@ def retimings(frames: int, most: float) -> Array:
 
 
 def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:
-    """[C] share of the hands' braking from `start` on that lies near the onsets [n], seconds; 0 to 1.
-
-    hands: [C, T, 2, 3] metres at times [T] seconds, some frames before `start` and all after it.
-    """
+    """[C] share of the hands' braking from `start` on that lies near the onsets [n], seconds: sum b w / (sum b + b_0),
+    b(t) = max(0, -ds/dt), s the summed speed of both hands [C, T, 2, 3], metres at times [T], and w(t) a Gaussian of
+    the time to the nearest onset. b_0 keeps blocks that hardly move from scoring high."""
     seconds = np.diff(times)
     speed = np.linalg.norm(np.diff(hands, axis=1), axis=-1).sum(-1) / seconds
     between = 0.5 * (times[1:] + times[:-1])
@@ -330,12 +288,9 @@ def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:
 
 
 def apart_from_hands(head: Array, hands: Array, times: Array) -> Array:
-    """[C] how far the head's turning speed in each block is from what goes with the speed of the hands, in natural
-    logarithms.
-
-    head: [C, T, 3 n] rotations of the joints of neck and head as exponential maps, whose sum turns as the head does
-    while they are small; hands, times: see `fastest`.
-    """
+    """[C] |log(h / h_0) - log(s / s_0)|: how far the head's turning speed h in each block is from what goes with the
+    speed s of the hands. head: [C, T, 3 n] rotations of the joints of neck and head as exponential maps, whose sum
+    turns as the head does while they are small; hands, times: see `fastest`."""
     seconds = times[-1] - times[_BEFORE - 1]
     turns = head[:, _BEFORE - 1:].reshape(*head[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
     turned = np.linalg.norm(np.diff(turns, axis=1), axis=-1).sum(1) / seconds
@@ -345,10 +300,7 @@ def apart_from_hands(head: Array, hands: Array, times: Array) -> Array:
 
 def with_pitch(trunk: Array, times: Array, pitch: Array) -> Array:
     """[C] how far the trunk of each block turns faster than in the other blocks where the pitch [K] is high, and slower
-    where it is low; see `apart_from_hands`.
-
-    trunk: [C, T, 3 n] rotations of the joints from hips to chest as exponential maps.
-    """
+    where it is low. trunk: [C, T, 3 n] rotations of the joints from hips to chest as exponential maps."""
     turns = trunk[:, _BEFORE - 1:].reshape(*trunk[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
     speed = np.linalg.norm(np.diff(turns, axis=1), axis=-1) / np.diff(times[_BEFORE - 1:])
     return np.asarray(((speed - speed.mean(0)) / _TRUNK_TURNS * pitch).mean(1))

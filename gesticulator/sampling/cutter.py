@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.blocks import CONTEXT, samples_per_frame, stretch_piece
-from data_module.errors import InputError
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.speech.beats import BeatTracker
 from data_module.speech.front_ends import FrontEnd
@@ -42,8 +41,6 @@ from gesticulator.systems import system_of
 if TYPE_CHECKING:
     from data_module.text.word_vectors import WordEncoder
 
-LATENCIES = ("full", "low")
-"""Latency modes, see `BlockCutter`."""
 TICK = 320
 """Samples (20 ms) that are processed at a time, as a microphone delivers them: two frames, two spectra."""
 _AT_ONCE = 10 * TICK
@@ -122,16 +119,16 @@ class _PauseFlags:
 class BlockCutter:
     """Cuts speech at 16 kHz at its beats as it arrives, and encodes each window of three blocks.
 
-    latency: "full" returns a block once the next block is known, which is the input the models were trained with. "low"
-    returns it once its end is known, with a guess in place of the next block (`_foreseen`). It may be set at any time,
-    and affects the blocks that were not returned yet.
+    low: of low latency. Otherwise a block is returned once the next block is known, which is the input the models were
+    trained with; with it, once its end is known, with a guess in place of the next block (`_foreseen`). It may be set
+    at any time, and affects the blocks that were not returned yet.
     """
 
     def __init__(self, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
-                 latency: str = "full", start: float = 0.0) -> None:
+                 low: bool = False, start: float = 0.0) -> None:
         """words: encoder of the words that `add_words` will add, or None; start: where the first block begins, seconds
         of the sound."""
-        self._config, self._front, self.latency = config, front or front_end_for(config), latency
+        self._config, self._front, self.low = config, front or front_end_for(config), low
         self._length = config.rhythm.frames * samples_per_frame(SAMPLE_RATE, config.rhythm.fps)
         self._context = round(CONTEXT * SAMPLE_RATE)
         self._words = None if words is None else WordTrack(words, config.selection.words_so_far)
@@ -150,20 +147,9 @@ class BlockCutter:
         self._ended = self._beats_given = False
 
     def cut_at(self, beats: Sequence[tuple[float, BeatFlag]]) -> None:
-        """Cut at these beats, rising seconds with their flags, and detect none. Call it before anything is fed."""
-        self._edges += beats
-        self._beats_given = True
-
-    @property
-    def latency(self) -> str:
-        """One of `LATENCIES`."""
-        return "low" if self._low else "full"
-
-    @latency.setter
-    def latency(self, latency: str) -> None:
-        if latency not in LATENCIES:
-            raise InputError(f"latency {latency!r}", "is unknown", f"choose among {', '.join(LATENCIES)}")
-        self._low = latency == "low"
+        """Cut at these beats from now on, rising seconds with their flags, all of them after the last of `uncut`, and
+        detect none."""
+        self._edges, self._beats_given = [self._edges[0], *beats], True
 
     def fork(self) -> BlockCutter:
         """An independent copy, which shares what never changes."""
@@ -184,10 +170,6 @@ class BlockCutter:
     def returned(self) -> int:
         """Number of blocks that were returned."""
         return self._count
-
-    def cut_on_at(self, beats: Sequence[tuple[float, BeatFlag]]) -> None:
-        """Cut at these beats from now on, all of them after the last of `uncut`, and detect none."""
-        self._edges, self._beats_given = [self._edges[0], *beats], True
 
     @property
     def reads(self) -> bool:
@@ -219,7 +201,7 @@ class BlockCutter:
             whole = len(sound) - len(sound) % TICK
             # Only what is returned before the next block is known depends on when that is.
             # Larger steps are faster; the blocks are the same with any size.
-            size = TICK if self._low else _AT_ONCE
+            size = TICK if self.low else _AT_ONCE
             for start in range(0, whole, size):
                 out += self._tick(sound[start:min(start + size, whole)])
             self._pending, self._waiting = [sound[whole:]], len(sound) - whole
@@ -230,18 +212,17 @@ class BlockCutter:
         rest = np.concatenate(self._pending) if self._pending else np.zeros(0, np.float32)
         self._pending, self._waiting, self._ended = [], 0, True
         loudness, onsets = self._analyse(rest)
-        onsets += self._onsets.finish()
-        self._rises += [time for time, _ in onsets]
+        last = self._onsets.finish()
+        self._rises += [time for time, _ in last]
         self._quiet.add(self._start.finish().tolist())
         self._pauses.close()
         self._quiet.close()
         if not self._beats_given:
-            self._edges += self._beats.finish(onsets, loudness.silent.tolist(), self._processed / SAMPLE_RATE)
+            self._edges += self._beats.finish(onsets + last, loudness.silent.tolist(), self._processed / SAMPLE_RATE)
         return list(self._ready_blocks())
 
     def _tick(self, samples: Samples) -> list[SpeechBlock]:
         loudness, onsets = self._analyse(samples)
-        self._rises += [time for time, _ in onsets]
         if not self._beats_given:
             self._edges += self._beats.step(onsets, loudness.silent.tolist(), self._onsets.known_until,
                                             self._processed / SAMPLE_RATE)
@@ -257,7 +238,9 @@ class BlockCutter:
         self._voice.feed(loudness)
         self._pauses.add(loudness.silent.tolist())
         self._quiet.add(self._start.step(loudness.levels, loudness.silent).tolist())
-        return loudness, self._onsets.step(samples, loudness)
+        onsets = self._onsets.step(samples, loudness)
+        self._rises += [time for time, _ in onsets]
+        return loudness, onsets
 
     def _ready_blocks(self) -> Iterator[SpeechBlock]:
         """Cut and encode the blocks that are certain by now."""
@@ -268,7 +251,7 @@ class BlockCutter:
         while len(self._cut) > (self._count > 0):
             at = int(self._count > 0)
             current, last = self._cut[at], len(self._cut) == at + 1
-            if last and not self._ended and not self._low:
+            if last and not self._ended and not self.low:
                 return
             after = self._cut[at + 1] if not last else None if self._ended else self._foreseen(current)
             block = self._encoded(self._cut[0] if at else None, current, after)
@@ -286,7 +269,7 @@ class BlockCutter:
         if self._onsets.known_until <= end + _SAME:
             return False
         # The middle or end of a frame may lie one frame beyond.
-        return self._low or min(self._pauses.certain, self._quiet.certain) > end / FRAME + 1
+        return self.low or min(self._pauses.certain, self._quiet.certain) > end / FRAME + 1
 
     def _cut_block(self, start: float, end: float, flag: BeatFlag) -> _CutBlock:
         ended = self._ended
@@ -295,17 +278,12 @@ class BlockCutter:
         # Pauses are known per frame of 10 ms; a block takes those that begin within it.
         first, last = frame_after(np.array([start, end])).tolist()
         silent = in_pause(self._pauses.between(first, min(last, self._frames) if ended else last))
+        begin, stop = (min(round(edge * SAMPLE_RATE), self._processed) - self._from for edge in (start, end))
+        pitch = None if self._pitch is None else self._pitch.block(
+            self._sound[begin:stop], SAMPLE_RATE, self._config.rhythm.frames)
         return _CutBlock(start, end, flag, self._stretched(start, end), silent,
                          self._quiet.at(frame_before(frames), ended), self._voice.block(end),
-                         np.array([time for time in self._rises if start - _SAME <= time <= end + _SAME]),
-                         self._pitch_of(start, end))
-
-    def _pitch_of(self, start: float, end: float) -> Array | None:
-        """[K] the block's pitch, if candidates are chosen by it."""
-        if self._pitch is None:
-            return None
-        first, last = (min(round(edge * SAMPLE_RATE), self._processed) - self._from for edge in (start, end))
-        return self._pitch.block(self._sound[first:last], SAMPLE_RATE, self._config.rhythm.frames)
+                         np.array([time for time in self._rises if start - _SAME <= time <= end + _SAME]), pitch)
 
     def _foreseen(self, block: _CutBlock) -> _CutBlock:
         """A guess of the next block: of the same length, with the sound so far, continued by its mirror image."""
@@ -339,10 +317,8 @@ class BlockCutter:
         tempo = tempo_column(durations, rhythm.beats.d_max, rhythm.frames)[1]
         low = np.concatenate([levels.low[0], tempo], axis=-1)
         high = low if levels.high is levels.low else np.concatenate([levels.high[0], tempo], axis=-1)
-        text = None
-        if self._words is not None:
-            text = np.concatenate([self._words.rows(part, rhythm.frames, rhythm.fps)
-                                   for part in (before, block, after)])
+        text = None if self._words is None else np.concatenate(
+            [self._words.rows(part, rhythm.frames, rhythm.fps) for part in (before, block, after)])
         return SpeechBlock(self._count, block.start, block.end, (three[0].duration, block.duration, three[2].duration),
                            (three[0].silent, block.silent, three[2].silent), low, high, text, block.quiet,
                            None if after is None else after.quiet, block.flag, onsets=block.onsets,
@@ -414,7 +390,7 @@ def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None,
     """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, its text too.
 
     blocks: cut the speech into these instead of detecting beats. cutters: receives a copy of the cutter before every
-    `CUTTER_EVERY` samples, from which parts can be cut again (`gesticulator.editing.recut`).
+    `CUTTER_EVERY` samples, from which parts can be cut again (`editing.render.Recutter`).
     """
     # Without words the audio-only models are used, which take no rows of text.
     read = words if speech.words is not None else None
@@ -424,12 +400,10 @@ def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None,
         cutter.cut_at([(float(edge), BeatFlag(int(flag)))
                        for edge, flag in zip(blocks.edges[1:], blocks.flags, strict=True)])
     parts: list[SpeechBlock] = []
-    if cutters is None:
-        parts += cutter.feed(speech.samples)
-    else:
-        for at in range(0, len(speech.samples), CUTTER_EVERY):
+    for at in range(0, len(speech.samples), CUTTER_EVERY):
+        if cutters is not None:
             cutters.append(cutter.fork())
-            parts += cutter.feed(speech.samples[at:at + CUTTER_EVERY])
+        parts += cutter.feed(speech.samples[at:at + CUTTER_EVERY])
     features = gathered([*parts, *cutter.finish()], config)
     return features if blocks is None else replace(features, blocks=blocks)
 
@@ -439,10 +413,10 @@ def gathered(parts: Sequence[SpeechBlock], config: Config) -> SpeechFeatures:
     edges: Array = np.array([*(block.start for block in parts), parts[-1].end])
     low = np.stack([block.low for block in parts])
     high = low if parts[0].high is parts[0].low else np.stack([block.high for block in parts])
-    text = None if parts[0].text is None else np.stack([block.text for block in parts if block.text is not None])
+    text, pitch = ([row for row in rows if row is not None] for rows in (
+        [block.text for block in parts], [block.pitch for block in parts]))
     blocks = Blocks(edges, np.array([block.flag for block in parts], np.int8),
                     np.array([block.silent[1] for block in parts]), config.rhythm.frames, config.rhythm.fps)
-    return SpeechFeatures(blocks, low, high, text, np.stack([block.quiet for block in parts]),
-                          tuple(block.onsets for block in parts),
-                          None if parts[0].pitch is None else np.stack([block.pitch for block in parts
-                                                                        if block.pitch is not None]))
+    return SpeechFeatures(blocks, low, high, np.stack(text) if text else None,
+                          np.stack([block.quiet for block in parts]), tuple(block.onsets for block in parts),
+                          np.stack(pitch) if pitch else None)

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -31,7 +31,7 @@ from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import Flags, Span, SpeechBlock, control_rows, representation_of
 from gesticulator.plan.plan import Block, BlockDraw, Flag, LexemeChoice
 from gesticulator.sampling.noise import Keys
-from interpreters.base import BlockFeatures, Explanation, Interpreter, select
+from interpreters.base import BlockFeatures, Interpreter, select
 
 if TYPE_CHECKING:
     from interpreters.planner import UnitDecision
@@ -80,8 +80,7 @@ class Request:
 
     control: rows [K, 2 F], or None. lexeme: the lexeme to show; None lets the interpreter choose. keys: of the noise
     and the choice of an edited block; None for those of the performance. still: [K] frames in which the hands are to
-    rest, or None. bias: [S] added to the interpreter's scores, or None. activity: share of the speaking time with
-    gestures from this block on; None for as before. fast: sample at lower cost, if the system can.
+    rest, or None. fast: sample at lower cost, if the system can.
     """
 
     speech: SpeechBlock
@@ -89,8 +88,6 @@ class Request:
     lexeme: int | None = None
     keys: Keys | None = None
     still: Flags | None = None
-    bias: Scores | None = None
-    activity: float | None = None
     fast: bool = False
 
 
@@ -151,19 +148,6 @@ class GeneratedMotion:
     motion: NDArray[np.float32]
 
 
-class Sampler(Protocol):
-    """The part of a system that the loop calls: the functions of these names in its module (`gesticulator.systems`)."""
-
-    def begin(self, bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
-        """The state before the first block; see `begin` below."""
-
-    def step(self, bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
-        """The next block, and the state after it."""
-
-    def motion_of(self, bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
-        """[N, K, D_m] motion of all blocks of a performance."""
-
-
 # ------------------------------------------------------------------------------------------------------------ the loop
 
 @torch.inference_mode()
@@ -174,7 +158,7 @@ def begin(bundle: Bundle, setup: Setup, text: bool = False, keys: Keys | None = 
     its lexemes as without one, and shows the motion of a second state.
     """
     # A variation runs beside the plain performance, whose lexemes it shows.
-    start = sampler_of(bundle).begin
+    start: Callable[..., State] = bundle.system.begin
     if setup.variation:
         varied = start(bundle, setup, text, Keys(setup.seed, setup.variation))
         return replace(start(bundle, setup, text, Keys(setup.seed)), varied=varied)
@@ -184,23 +168,13 @@ def begin(bundle: Bundle, setup: Setup, text: bool = False, keys: Keys | None = 
 @torch.inference_mode()
 def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
     """The next block, and the state after it."""
-    take = sampler_of(bundle).step
+    take = bundle.system.step
     block, after = take(bundle, setup, state, request)
     if state.varied is None:
         return block, after
     # The lexeme is given, so both states hear the same decisions and move otherwise.
     varied, varied_after = take(bundle, setup, state.varied, replace(request, lexeme=block.lexeme))
     return varied, replace(after, varied=varied_after)
-
-
-def sampler_of(bundle: Bundle) -> Sampler:
-    """The functions of the bundle's system."""
-    return cast(Sampler, bundle.system)
-
-
-def motion_of(bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
-    """[N, K, D_m] motion of all N blocks of a performance."""
-    return sampler_of(bundle).motion_of(bundle, setup, blocks)
 
 
 @torch.inference_mode()
@@ -302,17 +276,15 @@ class Resting:
 def resting(bundle: Bundle, setup: Setup, state: State, request: Request, features: BlockFeatures, still: Flags | None
             ) -> Resting:
     """Decide whether the hands rest: by the gate, by pauses and phrases, and in the frames `still` [K]."""
-    # A plan may hold a curve of activity; then each block has its own.
-    activity = setup.activity if request.activity is None else request.activity
     # At activity 0 the hands rest whatever the gate says.
-    closed, probability, gate = activity == 0, math.nan, state.gate
+    closed, probability, gate = setup.activity == 0, math.nan, state.gate
     if gate is not None and bundle.gate is not None:
         probability, gate = bundle.gate.step(gate, features)
-        closed = not bundle.gate.opened(probability, activity)
+        closed = not bundle.gate.opened(probability, setup.activity)
     if state.rest is None:
         return Resting(closed or (still is not None and bool(still.mean() >= 0.5)), probability, gate, None)
     rest = state.rest.fork()
-    return Resting(rest.analyse(request.speech.span, probability, still, activity), probability, gate, rest)
+    return Resting(rest.analyse(request.speech.span, probability, still), probability, gate, rest)
 
 
 def scores_of(bundle: Bundle, setup: Setup, state: State, features: BlockFeatures) -> tuple[Scores, Any, Any]:
@@ -335,8 +307,7 @@ def choose(setup: Setup, request: Request, scores: Scores, allowed: NDArray[np.i
         return request.lexeme
     # A variation has the lexemes of the first performance, unless the block was edited.
     keys = request.keys or Keys(setup.seed)
-    return select(scores if request.bias is None else scores + request.bias, allowed=allowed,
-                  temperature=setup.temperature,
+    return select(scores, allowed=allowed, temperature=setup.temperature,
                   noise=keys.gumbel(request.speech.keyed_at, len(scores)))
 
 
@@ -356,27 +327,15 @@ def shown(bundle: Bundle, rest: Rest | None, block: Tensor, offset: Tensor | Non
     return past, rest.alive(past[0].cpu().numpy()).astype(np.float32)
 
 
-def decided(speech: SpeechBlock, lexeme: int, scores: Scores, explanation: Explanation | None, keys: Keys,
-            gate: float = math.nan) -> Block:
-    """The block of a plan that records the choice of a lexeme.
-
-    scores: [S] of the interpreter; alternatives are ordered by score, equal ones by number. explanation: of the scores,
-    by interpreters that have one. gate: the gate's probability, NaN without a gate.
-    """
+def decided(speech: SpeechBlock, lexeme: int, scores: Scores, keys: Keys, gate: float = math.nan) -> Block:
+    """The block of a plan that records the choice of a lexeme. scores: [S] of the interpreter; alternatives are ordered
+    by score, equal ones by number; gate: the gate's probability, NaN without a gate."""
     # Stable, so equal scores come in the order of their numbers on every machine.
     best = np.argsort(-scores, kind="stable")[:BEST].tolist()
     draw = BlockDraw(keys.seed, keys.variation, speech.number)
     block = Block(speech.start, speech.end, lexeme, speech.silent[1], draw, cast(Flag, speech.flag.name.lower()),
-                  gate=None if math.isnan(gate) else gate)
-    if np.isfinite(scores[lexeme]):  # an edit may ask for a lexeme that the interpreter rules out
-        block = replace(block, score=float(scores[lexeme]), rank=int(np.sum(scores >= scores[lexeme])))
-    if explanation is None:
-        return replace(block, alternatives=tuple(LexemeChoice(n, "", float(scores[n])) for n in best))
-    lexemes = [*best, lexeme]
-    prior, advantage = np.exp(explanation.log_prior[lexemes]).tolist(), explanation.advantage[lexemes].tolist()
-    other = next((rank for rank, n in enumerate(best) if n != lexeme), 0)
-    return replace(
-        block, alternatives=tuple(LexemeChoice(n, "", float(scores[n]), prior[rank], advantage[rank])
-                                  for rank, n in enumerate(best)),
-        chosen={"prior": prior[-1], "advantage": advantage[-1]},
-        runner_up={"id": best[other], "worth_more": advantage[other] - advantage[-1]})
+                  gate=None if math.isnan(gate) else gate,
+                  alternatives=tuple(LexemeChoice(n, "", float(scores[n])) for n in best))
+    # An edit may ask for a lexeme that the interpreter rules out.
+    return replace(block, score=float(scores[lexeme]), rank=int(np.sum(scores >= scores[lexeme]))) \
+        if np.isfinite(scores[lexeme]) else block

@@ -9,11 +9,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from data_module.registry import Registry, RegistryEntry
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from torch import nn
 
     from gesticulator.bundle.config import Config
@@ -27,7 +29,8 @@ class System(Protocol):
     its training stages in order (`gesticulator.training.stages`), whether or not the settings want each. CODEBOOK: the
     name of the tensor of code vectors in the lexicon's file. BLOCKS: blocks at the beat are generated one by one, so
     that a single one can be generated again; IN_CONTEXT: the motion of a lexeme depends on the block before; SILENCE:
-    some lexemes are silent (RG 6.4.1); VARIES: the same lexemes can be sampled as different motion.
+    some lexemes are silent (RG 6.4.1); VARIES: the same lexemes can be sampled as different motion. begin, step: of the
+    same arguments as those of `gesticulator.sampling.loop`; motion_of: the motion [N, K, D_m] of all N blocks.
     """
 
     NAME: str
@@ -38,6 +41,9 @@ class System(Protocol):
     IN_CONTEXT: bool
     SILENCE: bool
     VARIES: bool
+    begin: Callable[..., Any]
+    step: Callable[..., Any]
+    motion_of: Callable[..., Any]
 
     def codebook_shape(self, config: Config) -> tuple[int, int]:
         """(S, D_s): the number of lexemes, and the width of a lexeme's vector."""

@@ -112,8 +112,10 @@ def style(sizes: Sizes, reads: bool) -> UnitStyleInterpreter:
 def begin(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
     """The state before the first block: the body at rest, nothing planned, nothing sampled."""
     state = at_rest(bundle, setup, text, keys)
+    sampler = FlowSampler(bundle, setup.speaker)
+    style_state = None if sampler.style is None else sampler.style.start(setup.speaker)
     return replace(state, planner=None if bundle.planner is None else bundle.planner.start(setup.speaker),
-                   generator=FlowState.start(bundle, setup.speaker))
+                   generator=FlowState(sampler, style=style_state))
 
 
 def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
@@ -144,15 +146,15 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     keys = request.keys or state.keys
     offset = None if state.offset is None else state.offset.at(speech.span.times)
     shift = None if offset is None else torch.cat([(state.past - state.generated)[0], offset])
-    block, code, generator = state.generator.sample(
-        BlockToSample(speech, features, lexeme, unit, keys, shift, fast=request.fast,
-                      hidden=rest is not None and rest.rests_wholly, biased=request.bias is not None),
+    block, code, generator = state.generator.sampler.sample(
+        state.generator, BlockToSample(speech, features, lexeme, unit, keys, shift, request.fast,
+                                       rest is not None and rest.rests_wholly),
         state.generated)
 
     # 5. What is shown: rest, idle motion, and the offset that joins it to what was shown before.
     past, motion = shown(bundle, rest, block, offset)
     faded = state.offset is None or state.offset.over(speech.end)
-    record = decided(speech, lexeme, scores, setup.interpreter.explain(interpreter), keys, rested.probability)
+    record = decided(speech, lexeme, scores, keys, rested.probability)
     after = replace(state, lexeme=lexeme, past=past, generated=past if offset is None else past - offset,
                     interpreter=interpreter, unguided=unguided, generator=generator, gate=rested.gate, unit=unit,
                     rest=rest, until=speech.end, offset=None if faded else state.offset)
@@ -290,7 +292,8 @@ def set_out(bundle: Bundle, setup: Setup, state: State, speech: SpeechBlock) -> 
     return replace(state, offset=Offset(speech.start, past[-1] - first, velocity),
                    generated=first.expand_as(past)[None], lexeme=lexeme, interpreter=interpreter, unguided=interpreter,
                    planner=None if state.planner is None else state.planner.begins(),
-                   generator=state.generator.restarted(speech.start))
+                   # Without the blocks before, but for how long speech or silence has lasted.
+                   generator=replace(state.generator, lstm=None, past=None, base=None, set_out=speech.start))
 
 
 # --------------------------------------------------------------------------------------------------- the flow generator
@@ -327,7 +330,7 @@ _NEAREST = 1e-6
 class BlockToSample:
     """What one block is sampled for. keys: of its noise; shift: [2 K, D_m] what will be added to the past and to the
     block where they are shown, or None; fast: at lower cost; hidden: rest will take the block's place, so any motion
-    will do; biased: its lexeme was chosen with a bias, so that the arms should be seen to follow it."""
+    will do."""
 
     speech: SpeechBlock
     features: BlockFeatures
@@ -337,7 +340,6 @@ class BlockToSample:
     shift: Tensor | None = None
     fast: bool = False
     hidden: bool = False
-    biased: bool = False
 
 
 class _Style(NamedTuple):
@@ -363,20 +365,6 @@ class FlowState:
     style: UnitStyleState | None = None
     set_out: float = 0.0
 
-    @classmethod
-    def start(cls, bundle: Bundle, speaker: int) -> FlowState:
-        """Before the first block."""
-        sampler = FlowSampler(bundle, speaker)
-        return cls(sampler, style=None if sampler.style is None else sampler.style.start(speaker))
-
-    def restarted(self, time: float) -> FlowState:
-        """Without the blocks before, but for how long speech or silence has lasted; time: seconds."""
-        return replace(self, lstm=None, past=None, base=None, set_out=time)
-
-    def sample(self, block: BlockToSample, past: Tensor) -> tuple[Tensor, Tensor, FlowState]:
-        """A block [1, K, D_m] after the motion past [1, K, D_m], its style code [1, d_z], and the state after it."""
-        return self.sampler.sample(self, block, past)
-
 
 class FlowSampler:
     """Samples blocks of one speaker from the flow generator. It has no state of its own."""
@@ -401,7 +389,7 @@ class FlowSampler:
                           for factor, width in zip(factors, basis.widths, strict=True)]).to(self.device)
 
     def sample(self, state: FlowState, block: BlockToSample, past: Tensor) -> tuple[Tensor, Tensor, FlowState]:
-        """See `FlowState.sample`."""
+        """A block [1, K, D_m] after the motion past [1, K, D_m], its style code [1, d_z], and the state after it."""
         speech, basis = block.speech, self.generator.basis
         added = past.new_zeros(1, basis.width)
         if state.past is not None and state.base is not None:  # the motion may differ from what was sampled: rest
@@ -424,26 +412,25 @@ class FlowSampler:
     def _sampled(self, block: BlockToSample, past: Tensor, base: Tensor, context: Tensor, gains: list[float],
                  code: Tensor) -> Tensor:
         """[1, K, D_m] the best of several candidates, moved in time to the onsets of the sound."""
-        speech = block.speech
-        draw = _Draw(self, base, context, torch.tensor(gains, device=self.device)[:, None] * self.share, FLOW_STEPS)
+        speech, steps = block.speech, FLOW_STEPS
+        pull = torch.tensor(gains, device=self.device)[:, None] * self.share
         if block.fast:
             # One candidate, few steps, no guidance.
-            draw = _Draw(self, base, context[:1], draw.pull[:0], FAST_STEPS)
-            _, only = draw(self._noise(block, 1, code))
+            context, pull, steps = context[:1], pull[:0], FAST_STEPS
+            _, only = self._drawn(base, context, pull, steps, self._noise(block, 1, code))
             if not self.chooser.too_fast(speech, self._motion(past, only, block.shift)):
                 return only
         # What is requested of the hands can only be followed by a choice among different arms; otherwise all candidates
         # share the arms of the first. A choice of arms would turn every small change of sound into another gesture.
-        same = block.features.control is None and not block.biased
+        same = block.features.control is None
         noise = self._noise(block, CANDIDATES, code)
-        coefficients, blocks = draw(noise, same)
+        coefficients, blocks = self._drawn(base, context, pull, steps, noise, same)
         motion = self._motion(past, blocks, block.shift)
         if self.chooser.too_fast(speech, motion) or self.chooser.before_face(motion):
             # Guidance extrapolates, now and then beyond anything in the data; so does the noise.
-            calm = _Draw(self, base, context[:1], draw.pull[:0], draw.steps)
-            further = [calm(_CALM * noise, same)]
-            if same and len(noise) > 1 and not block.fast:
-                further.append(draw(noise.roll(-1, 0), same))  # other arms
+            further = [self._drawn(base, context[:1], pull[:0], steps, _CALM * noise, same)]
+            if same and not block.fast:  # other arms
+                further.append(self._drawn(base, context, pull, steps, noise.roll(-1, 0), same))
             coefficients = torch.cat([coefficients, *(each for each, _ in further)])
             blocks = torch.cat([blocks, *(each for _, each in further)])
             motion = motion.joined(self._motion(past, blocks[len(motion):], block.shift))
@@ -453,6 +440,17 @@ class FlowSampler:
         best = self.chooser.choose(speech, motion, _array(apart), None if control is None else _array(control))
         return torch.as_tensor(self.chooser.retimed(speech, _array(past[0]), _array(blocks[best])),
                                device=self.device)[None]
+
+    def _drawn(self, base: Tensor, context: Tensor, pull: Tensor, steps: int, noise: Tensor, same: bool = False
+               ) -> tuple[Tensor, Tensor]:
+        """Coefficients [C, n] of candidates with noise [C, n], and the blocks [C, K, D_m] that they give over the base
+        [1, K, D_m]. context: [1 + G, 1, C]; pull: [G, n] of the guidance; same: all with the arms of the first."""
+        noise = torch.where(self.trunk, noise, noise[:1]) if same else noise
+        # The arms of the first are guided by their own predictions; the trunks, which are hardly guided, by the same.
+        coefficients = self.generator.draw(context[:, 0], pull, noise, steps, same)
+        if same:
+            coefficients = torch.where(self.trunk, coefficients, coefficients[:1])
+        return coefficients, (base + self.generator.basis.expand(coefficients)) * self.generator.present
 
     def _motion(self, past: Tensor, blocks: Tensor, shift: Tensor | None) -> CandidateMotion:
         return self.chooser.motion(_array(past[0]), _array(blocks), None if shift is None else _array(shift))
@@ -508,30 +506,6 @@ class FlowSampler:
             features.low[None, None], lexemes, past[:, None], pasts.ratio[None], where[None, None], self.speaker,
             control, torch.tensor([condition == "audio" for condition in left_out], device=self.device), None, row,
             codes), list(gains.values())
-
-
-@dataclass(frozen=True)
-class _Draw:
-    """Sampling of one block. base: [1, K, D_m]; context: [1 + G, 1, C], pull: [G, n] of the guidance; steps: of the
-    Adams method."""
-
-    sampler: FlowSampler
-    base: Tensor
-    context: Tensor
-    pull: Tensor
-    steps: int
-
-    def __call__(self, noise: Tensor, same: bool = False) -> tuple[Tensor, Tensor]:
-        """Coefficients [C, n] of candidates with this noise [C, n], and the blocks [C, K, D_m] that they give. same:
-        all with the arms of the first."""
-        trunk, generator = self.sampler.trunk, self.sampler.generator
-        if same:
-            noise = torch.where(trunk, noise, noise[:1])
-        # The arms of the first are guided by their own predictions; the trunks, which are hardly guided, by the same.
-        coefficients = generator.draw(self.context[:, 0], self.pull, noise, self.steps, same)
-        if same:
-            coefficients = torch.where(trunk, coefficients, coefficients[:1])
-        return coefficients, (self.base + generator.basis.expand(coefficients)) * generator.present
 
 
 def _array(values: Tensor) -> Array:

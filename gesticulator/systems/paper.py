@@ -156,7 +156,7 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
         block = approach_rest(state.past[:, -1:], block, settings.rest_decay)
     past, motion = shown(bundle, rested.rest, block)
 
-    record = decided(speech, lexeme, scores, setup.interpreter.explain(interpreter), request.keys or state.keys,
+    record = decided(speech, lexeme, scores, request.keys or state.keys,
                      rested.probability)
     after = replace(state, lexeme=lexeme, past=past, generated=past, interpreter=interpreter, unguided=unguided,
                     generator=generator._replace(style=style_state), gate=rested.gate, rest=rested.rest,

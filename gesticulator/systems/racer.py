@@ -98,7 +98,7 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     code = choose(setup, request, scores)
     if setup.activity == 0:
         code = bundle.rest_lexeme(setup.speaker)
-    record = decided(request.speech, code, scores, setup.interpreter.explain(interpreter), state.keys)
+    record = decided(request.speech, code, scores, state.keys)
     after = replace(state, lexeme=code, interpreter=interpreter, unguided=unguided, until=request.speech.end)
     return BlockMotion(record, code, np.empty((0, 0), np.float32), np.empty(0, np.float32)), after
 

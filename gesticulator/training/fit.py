@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import pickle
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -22,16 +21,12 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from data_module.errors import InputError
-from data_module.files import parse_json, rename
+from data_module.files import new_file
 from gesticulator.bundle.config import FitSettings
-
-__all__ = ["FitOptions", "Task", "fit"]
 
 Batch = dict[str, Tensor]
 MakeBatch = Callable[[np.random.Generator, int], Batch]
 Losses = Callable[[Batch, float], dict[str, Tensor]]
-Validate = Callable[[], dict[str, float]]
 
 LARGEST_GRADIENT = 1.0
 """Largest gradient norm; longer gradients are clipped."""
@@ -66,11 +61,8 @@ def _optimisers(model: nn.Module, settings: FitSettings) -> list[tuple[torch.opt
     # Tensors compare elementwise, so parameters are told apart by identity.
     apart = {id(parameter) for parameter, _ in sparse}
     dense = [p for p in model.parameters() if p.requires_grad and id(p) not in apart]
-    # Without decay both are the same.
-    adam = torch.optim.AdamW if settings.weight_decay else torch.optim.Adam
-    extra: dict[str, Any] = {"weight_decay": settings.weight_decay} if settings.weight_decay else {}
-    out: list[tuple[torch.optim.Optimizer, float]] = [
-        (adam(dense, lr=settings.rate, betas=settings.betas, **extra), settings.rate)]
+    out: list[tuple[torch.optim.Optimizer, float]] = [(torch.optim.AdamW(
+        dense, lr=settings.rate, betas=settings.betas, weight_decay=settings.weight_decay), settings.rate)]
     for parameter, rate in sparse:
         out.append((torch.optim.SparseAdam([parameter], lr=rate, betas=settings.betas), rate))
     return out
@@ -78,13 +70,8 @@ def _optimisers(model: nn.Module, settings: FitSettings) -> list[tuple[torch.opt
 
 def save_checkpoint(path: Path, step: int, parts: Sequence[Any]) -> None:
     """Save everything that the next step depends on in one file, replaced atomically."""
-    temporary = path.with_suffix(".tmp")
-    with temporary.open("wb") as stream:
+    with new_file(path) as stream:
         torch.save({"step": step, "parts": [part.state_dict() for part in parts]}, stream)
-        stream.flush()
-        # Synced before it is renamed: a crash must not leave an empty file under the final name.
-        os.fsync(stream.fileno())
-    rename(temporary, path)
 
 
 def load_checkpoint(path: Path, parts: Sequence[Any]) -> int:
@@ -127,18 +114,9 @@ class BestWeights:
 
 def open_log(path: Path, from_step: int) -> TextIO:
     """The log with one JSON line per step; lines after the resumed step are dropped."""
-    lines = []
-    if path.is_file():
-        lines = [line for line in path.read_text().splitlines() if line and _step_of(line) < from_step]
-    path.write_text("".join(line + "\n" for line in lines))
+    lines = path.read_text().splitlines() if path.is_file() else []
+    path.write_text("".join(line + "\n" for line in lines[:from_step]))
     return path.open("a", buffering=1)
-
-
-def _step_of(line: str) -> int:
-    try:
-        return int(parse_json(line, "a log of training", "delete it", python=True)["step"])
-    except (InputError, KeyError, TypeError, ValueError):
-        return 2**62  # a line cut short by a kill
 
 
 @dataclass(frozen=True)
@@ -148,14 +126,17 @@ class Task:
     make_batch(rng, size): a batch from random numbers alone. losses(batch, progress): the terms, keyed like the model's
     `weights`; None for the model's own. validate(): figures on the validation split. before_step(step): a hook that
     must depend on the step alone. watch: the figure of `validate` to minimise for early stopping, if the settings have
-    patience; "" for none.
+    patience; "" for none. learner: what is trained, if not the model of the stage itself. finish(): what follows the
+    last step; returns the figures.
     """
 
     make_batch: MakeBatch
     losses: Losses | None = None
-    validate: Validate | None = None
+    validate: Callable[[], dict[str, float]] | None = None
     before_step: Callable[[int], None] | None = None
     watch: str = ""
+    learner: nn.Module | None = None
+    finish: Callable[[], dict[str, float]] | None = None
 
 
 @dataclass(frozen=True)
@@ -213,26 +194,6 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
     if task.validate is not None and not figures:
         figures = task.validate()
     return figures
-
-
-def late_gain(log: Path) -> float:
-    """Relative improvement of the first validation figure in the last quarter of a run, from its log `STAGE.jsonl`:
-    (b(3/4) - b(1)) / |b(3/4)|, with b the lowest so far (whose weights a run with patience keeps). 0 without
-    improvement; NaN without a validation before the last quarter."""
-    validations: list[tuple[int, float]] = []
-    steps = 0
-    for line in log.read_text().splitlines():
-        row = parse_json(line, log, "train it again", python=True)
-        steps = int(row["step"]) + 1
-        figure = next((value for key, value in row.items() if key.startswith("val_")), None)
-        if figure is not None:
-            validations.append((steps, float(figure)))
-    before = [value for step, value in validations if step <= 0.75 * steps]
-    if not before:
-        return math.nan
-    # The lowest so far, as a run with patience keeps the weights of that validation.
-    least = min(before)
-    return (least - min(value for _, value in validations)) / abs(least) if least else 0.0
 
 
 class _Learner:

@@ -1,4 +1,4 @@
-// Knobs that vary over time: size, activity and energy of the gestures, and height, speed and radius of the hands. Each is a list of points,
+// Knobs that vary over time: size of the gestures, and height, speed and radius of the hands. Each is a list of points,
 // [seconds, value]; one point is a value for the whole take. A plan with another curve is a new plan.
 
 /** The knobs: what they are called, their unit, the range of the row on the timeline, the step of values, and the value
@@ -6,8 +6,6 @@
 export function knobsOf(levels) {
   const knobs = {
     intensity: { name: "size", unit: "", low: 0, high: 2, step: 0.05, neutral: 1 },
-    activity: { name: "activity", unit: "", low: 0, high: 1, step: 0.05, neutral: 1 },
-    energy: { name: "energy", unit: "", scale: "calm below, lively above", low: 0, high: 2, step: 0.05, neutral: 1 },
   };
   const named = { height: ["height of the hands", "m"], speed: ["speed of the hands", "m/s"], radius: ["radius of the hands", "m"] };
   for (const [knob, [low, , high]] of Object.entries(levels ?? {})) {

@@ -29,9 +29,7 @@ export class Inspector {
     this.slide("intensity", (value) => edits.setIntensity(this.session.plan, ...this.stretch, value));
     this.slide("knob-intensity", (value) => edits.setKnob(this.session.plan, "intensity", value));
     this.slide("knob-activity", (value) => edits.setKnob(this.session.plan, "activity", value));
-    for (const name of ["energy", "handedness"]) {
-      $(`knob-${name}`).addEventListener("change", (event) => this.session.edit(edits.setKnob(this.session.plan, name, event.target.value || null)));
-    }
+    $("knob-energy").addEventListener("change", (event) => this.session.edit(edits.setKnob(this.session.plan, "energy", event.target.value)));
     $("knob-mirror").addEventListener("click", () => this.session.edit(edits.setKnob(this.session.plan, "mirror", !this.session.plan.knobs?.mirror)));
     $("hold-still").addEventListener("click", () => this.holdStill());
     $("lexeme").addEventListener("change", (event) => this.choose(Number(event.target.value)));
@@ -138,9 +136,6 @@ export class Inspector {
     $("card-name").textContent = many ? "" : block.name ?? "";
     const flag = $("card-flag"), kind = plan.blocks[last].flag ?? "edited";
     flag.replaceChildren(signPicture(kind), `ends on: ${TITLES[kind] ?? kind}${block.silent ? " · silent" : ""}`);
-    const worth = many ? null : worthInWords(block);
-    $("worth").hidden = !worth;
-    $("worth").textContent = worth ?? "";
     $("score-is").textContent = `score: ${plan.score_is ?? "log-probability"}`;
   }
 
@@ -183,7 +178,6 @@ export class Inspector {
     this.setSlider("knob-intensity", knobs.intensity ?? 1);
     this.setSlider("knob-activity", knobs.activity ?? 1);
     $("knob-energy").value = knobs.energy ?? "neutral";
-    $("knob-handedness").value = knobs.handedness ?? "";
     $("knob-mirror").setAttribute("aria-pressed", String(Boolean(knobs.mirror)));
     const { plan } = this.session, still = knobs.hold_still ?? [];
     $("still").replaceChildren(...still.map(([from, to], k) => removable(`still ${minutes(from, 1)} to ${minutes(to, 1)}`, () => (
@@ -200,14 +194,4 @@ export class Inspector {
 
 function removable(text, remove) {
   return element("li", {}, element("span", {}, text), element("button", { "type": "button", "aria-label": `Remove ${text}`, "onclick": remove }, "×"));
-}
-
-/** What the reward weighed, in a sentence: how likely people make the lexeme, what it is worth, and the runner-up. */
-function worthInWords({ lexeme, chosen, runner_up: other }) {
-  if (!chosen || !other) return null;
-  const percent = chosen.prior < 0.01 ? "under 1 %" : `${Math.round(chosen.prior * 100)} %`;
-  const sized = (value) => (Math.abs(value) < 0.05 ? "as much" : `${Math.abs(value).toFixed(1)} sd ${value > 0 ? "more" : "less"}`);
-  const usual = Math.abs(chosen.advantage) < 0.05 ? "as much as the usual choice" : `${sized(chosen.advantage)} than the usual choice`;
-  return `Lexeme ${lexeme}: people choose it here in ${percent} of cases; by the reward it is worth ${usual}. `
-    + `Runner-up ${other.id}: it would have been worth ${sized(other.worth_more)}.`;
 }

@@ -34,7 +34,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data_module.arrays import read_numbers
+from data_module.arrays import as_floats, read_npz
 from data_module.errors import InputError
 from data_module.types import Array
 from eval.metrics.eye.body import CommonBody
@@ -83,7 +83,11 @@ class ReferenceSpace:
     def load(cls, path: str | os.PathLike[str]) -> ReferenceSpace:
         """Read a file of statistics (.npz: mean, sd, axes, own_mean, own_root); InputError where it is none."""
         wanted = ("mean", "sd", "axes", "own_mean", "own_root")
-        mean, sd, axes, center, root = read_numbers(path, wanted, f"give {REFERENCE}")
+        arrays = read_npz(path, wanted, f"give {REFERENCE}")
+        numbers = [as_floats(array) for array in arrays.values() if array.dtype.kind in "fiu"]
+        if arrays.keys() != set(wanted) or len(numbers) < len(wanted) or not all(np.isfinite(n).all() for n in numbers):
+            raise InputError(path, f"lacks finite numbers called {', '.join(wanted)}", f"give {REFERENCE}")
+        mean, sd, axes, center, root = (as_floats(arrays[name]) for name in wanted)
         k = len(axes) if axes.ndim else 0
         # Files of statistics come from outside, so every shape is looked at before anything is divided.
         shapes = (mean.shape, sd.shape, axes.shape, center.shape, root.shape)

@@ -15,50 +15,28 @@ from eval.metrics.fgd import frechet_distance
 from eval.stats import Interval
 
 POOLED, TO_CORPUS = "eye_frechet_pooled", "eye_frechet_corpus"
-ROLLED = {"eye_above_1": "eye_rolled_1", "eye_above_2": "eye_rolled_2"}
-"""PMB above chance, and the same when the system gets the sound shifted in time."""
-_TITLES = {POOLED: "window Frechet distance to real, all clips together",
-           TO_CORPUS: "window Frechet distance to the corpus, all clips together",
-           "eye_rolled_1": "the same with the sound rolled by 60 blocks, %, first",
-           "eye_rolled_2": "the same with the sound rolled by 60 blocks, %, second"}
 CORPUS = "corpus"
-
-
-def rows() -> list[str]:
-    """The figures of a table, top to bottom."""
-    # A figure of the shifted sound stands below that of the sound itself.
-    return [*(row for name in EYE_METRICS for row in (name, ROLLED.get(name)) if row), POOLED, TO_CORPUS]
-
-
-def heading(name: str) -> str:
-    """Title and unit of a row."""
-    return _TITLES[name] if name in _TITLES else EYE_METRICS[name].heading
 
 
 @dataclass
 class EyeSample:
     """The measured clips of one system. values: figure -> one of each clip; windows: of each clip, [n, 40]; groups: of
-    each clip, those of one group are alike; seconds: of all clips."""
+    each clip, those of one group are alike."""
 
-    values: dict[str, list[float]] = field(default_factory=lambda: {name: [] for name in rows()})
+    values: dict[str, list[float]] = field(
+        default_factory=lambda: {name: [] for name in (*EYE_METRICS, POOLED, TO_CORPUS)})
     windows: list[Array] = field(default_factory=list)
     groups: list[str] = field(default_factory=list)
-    seconds: float = 0.0
 
     def add(self, motion: Motion, voice: VoiceActivity | None = None, edges: Array | None = None,
-            space: ReferenceSpace | None = None, *, group: str = "", rolled: Motion | None = None) -> None:
-        """Measure a clip. voice: of its own speech; edges: of its own blocks; rolled: what the system makes of the same
-        sound rolled."""
+            space: ReferenceSpace | None = None, *, group: str = "") -> None:
+        """Measure a clip. voice: of its own speech; edges: of its own blocks."""
         body = eye.common_body(motion)
         figures = eye.of_body(body, voice, edges, space)
-        if rolled is not None and voice is not None:
-            late = eye.figures(rolled, voice)
-            figures |= {name: late[figure] for figure, name in ROLLED.items()}
         for name, values in self.values.items():
             values.append(figures.get(name, math.nan))
         self.windows.append(frechet.windows(body))
         self.groups.append(group or str(len(self.groups)))
-        self.seconds += body.duration
 
     def figures(self, space: ReferenceSpace | None = None, corpus: EyeSample | None = None) -> dict[str, Interval]:
         """Every row: the mean of the clips with its interval (groups are drawn together), and the distances of all

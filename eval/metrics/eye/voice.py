@@ -8,8 +8,7 @@ Theory: one detector of beats can be pleased by accident, so there are two that 
   the summed speed of both hands falls fastest.
 
 For each, PMB above chance at 0.1 s: 100 (PMB - chance) / (100 - chance), one to one as in `eval.metrics.pmb`, chance
-the mean over 100 circular shifts. Percent. Beside it belongs what a system makes of the same sound with its blocks'
-features rolled by 60 blocks and its grid kept: a system that only moves on its grid loses nothing by that.
+the mean over 100 circular shifts. Percent. A system that moves on the grid of its blocks alone is above chance, too.
 
 - hand speed in speech and in silence, m/s, and their ratio. Silence is told by level against the recording's own
   quiet 5 % and loud 5 %.

@@ -14,7 +14,7 @@ from gesticulator.bundle.bundle import Bundle, TextSource, rest_distances
 from gesticulator.bundle.config import Config
 from gesticulator.systems import system_of
 from gesticulator.training.stages.advantage import ADVANTAGE, COUNTERFACTUALS
-from gesticulator.training.stages.base import Node, Run, Stage, closure
+from gesticulator.training.stages.base import Node, Run, Stage
 from gesticulator.training.stages.corpus import BLOCKS, Corpus
 from gesticulator.training.stages.generator import GENERATOR
 from gesticulator.training.stages.heads import GATE, PLANNER
@@ -27,7 +27,7 @@ from gesticulator.training.stages.speech import CONTRAST, CORPUS, ENCODER, SPEEC
 __all__ = ["ADVANTAGE", "BLOCKS", "CODEC", "CONTRAST", "CORPUS", "COUNTERFACTUALS", "ENCODER", "EPISODES", "GATE",
            "GENERATOR", "INTERPRETER", "INTERPRETER_TEXT", "LABELS", "LEXICON", "PLANNER", "Q_LITERAL", "Q_NETWORK",
            "REWARD", "REWARD_JUDGE", "SPEECH", "STAGES", "STYLE", "STYLE_TEXT", "TOKENS", "Corpus", "Labelled", "Node",
-           "Run", "Stage", "Tokens", "assemble", "closure", "wanted"]
+           "Run", "Stage", "Tokens", "assemble", "wanted"]
 
 STAGES: dict[str, Stage[Any]] = {stage.name: stage for stage in (
     SPEECH, CONTRAST, LEXICON, CODEC, INTERPRETER, INTERPRETER_TEXT, GATE, PLANNER, REWARD, REWARD_JUDGE, Q_NETWORK,

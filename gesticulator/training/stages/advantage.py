@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -180,7 +179,7 @@ def critic_batch(corpus: Corpus, data: CounterfactualRewards, windows: dict[str,
             "heard": torch.as_tensor(trained_on)[windows["episode"]]}
 
 
-def _train(run: Run, model: Critics, folder: Path) -> Figures:
+def _task(run: Run, model: Critics) -> fitting.Task:
     config, corpus, data = run.config.advantage, run.get(CORPUS), run.get(COUNTERFACTUALS)
     unit = data.unit
     rng = np.random.default_rng(run.seed(ADVANTAGE))
@@ -200,9 +199,8 @@ def _train(run: Run, model: Critics, folder: Path) -> Figures:
         rows = [model.losses(fitting.moved(b, run.device)) for b in checks]
         return {key: float(torch.stack([row[key] for row in rows]).mean()) for key in rows[0]}
 
-    task = fitting.Task(lambda rng, size: critic_batch(corpus, data, data.windows(rng, size, config.decisions), unit,
+    return fitting.Task(lambda rng, size: critic_batch(corpus, data, data.windows(rng, size, config.decisions), unit,
                                                        trained_on), validate=validate)
-    return run.fit(ADVANTAGE, model, task, folder)
 
 
 ADVANTAGE: Stage[Critics] = Stage(
@@ -210,4 +208,4 @@ ADVANTAGE: Stage[Critics] = Stage(
     wanted=lambda config: config.schedules.cql.steps > 0 and config.schedules.advantage.steps > 0,
     needs=lambda config: (*_needs(config), COUNTERFACTUALS),
     build=lambda run: models.build("advantage", model_sizes(run)),
-    train=_train)
+    train=_task)

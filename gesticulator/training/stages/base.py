@@ -8,20 +8,18 @@ knows which results remain valid after a change of settings.
 from __future__ import annotations
 
 import json
-import os
-import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import nn
 
 from data_module.errors import InputError
-from data_module.files import read_object, rename, write_text
+from data_module.files import read_object, write_bytes, write_text
 from data_module.layers import freeze
 from data_module.store import Store
 from gesticulator.bundle.config import Config, FitSettings, digest
@@ -30,16 +28,6 @@ from gesticulator.training import fit as fitting
 T = TypeVar("T")
 M = TypeVar("M", bound=nn.Module)
 Figures = dict[str, float]
-
-
-def no_needs(config: Config) -> Sequence[Node[Any]]:
-    """For a node that depends on the data alone."""
-    return ()
-
-
-def always(config: Config) -> bool:
-    """For a stage that all settings require."""
-    return True
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +41,7 @@ class Node(Generic[T]):
 
     name: str
     settings: tuple[str | Callable[[Config], Any], ...]
-    needs: Callable[[Config], Sequence[Node[Any]]] = no_needs
+    needs: Callable[[Config], Sequence[Node[Any]]] = lambda config: ()
     make: Callable[[Run], T] | None = None
 
 
@@ -61,17 +49,17 @@ class Node(Generic[T]):
 class Stage(Node[M]):
     """A node that is a trained model.
 
-    build: the untrained model. train: one call of `Run.fit`; returns the last validation figures. schedule: name of its
-    schedule in `Config.schedules` (schedule_of: if it depends on the settings). wanted: whether the settings require
-    it. finish: converts the trained module to the one used (a learner also holds its target network). part: its name
-    in a bundle, "" for none.
+    build: the untrained model. train: the task that it learns, or the figures of a model that was fitted without steps.
+    schedule: name of its schedule in `Config.schedules` (schedule_of: if it depends on the settings). wanted: whether
+    the settings require it. finish: converts the trained module to the one used (a learner also holds its target
+    network). part: its name in a bundle, "" for none.
     """
 
     build: Callable[[Run], nn.Module] | None = None
-    train: Callable[[Run, Any, Path], Figures] | None = None
+    train: Callable[[Run, Any], fitting.Task | Figures] | None = None
     schedule: str = ""
     schedule_of: Callable[[Config], FitSettings] | None = None
-    wanted: Callable[[Config], bool] = always
+    wanted: Callable[[Config], bool] = lambda config: True
     finish: Callable[[nn.Module], M] = cast(Any, lambda model: model)  # noqa: RUF009
     part: str = ""
 
@@ -161,21 +149,18 @@ class Run:
         if not finished(folder, model):
             folder.mkdir(parents=True, exist_ok=True)
             assert stage.train is not None
-            keep(folder, model, stage.train(self, model, folder))
+            task = stage.train(self, model)
+            keep(folder, model, task if isinstance(task, dict) else self._fit(stage, model, task, folder))
             # Only now: a kill in between finds the finished stage or the checkpoint.
             (folder / f"{stage.name}.ckpt").unlink(missing_ok=True)
         # Read back also after training, so that a first run uses exactly what a resumed one would.
         model.cpu().load_state_dict(load_file(folder / WEIGHTS))
         return read_object(folder / FIGURES, "delete it, and train again", python=True)
 
-    def fit(self, stage: Stage[Any], model: nn.Module, task: fitting.Task, folder: Path) -> Figures:
-        """The training loop with this run's settings."""
-        return fitting.fit(stage.name, model, task, self.schedule(stage), folder, fitting.FitOptions(
+    def _fit(self, stage: Stage[Any], model: nn.Module, task: fitting.Task, folder: Path) -> Figures:
+        figures = fitting.fit(stage.name, task.learner or model, task, self.schedule(stage), folder, fitting.FitOptions(
             seed=self.seed(stage), device=self.device, progress=self.progress))
-
-    def redo(self, stage: Stage[Any]) -> None:
-        """Delete a finished or started stage."""
-        shutil.rmtree(self.folder(stage), ignore_errors=True)
+        return figures if task.finish is None else task.finish()
 
 
 WEIGHTS, FIGURES = "weights.safetensors", "figures.json"
@@ -184,12 +169,8 @@ WEIGHTS, FIGURES = "weights.safetensors", "figures.json"
 
 def keep(folder: Path, model: nn.Module, figures: Figures) -> None:
     """Write a trained stage: weights first, then the figures, each atomically."""
-    temporary = folder / f"{WEIGHTS}.tmp"
-    save_file({key: value.detach().cpu().contiguous() for key, value in model.state_dict().items()}, temporary)
-    # Sync before the rename: a crash must not leave a valid name on missing data.
-    with temporary.open("rb") as written:
-        os.fsync(written.fileno())
-    rename(temporary, folder / WEIGHTS)
+    weights = {key: value.detach().cpu().contiguous() for key, value in model.state_dict().items()}
+    write_bytes(folder / WEIGHTS, save(weights))
     write_text(folder / FIGURES, json.dumps(figures))
 
 
@@ -206,20 +187,3 @@ def finished(folder: Path, model: nn.Module | None = None) -> bool:
     # A run that diverged leaves whole files of numbers that are none.
     return len(weights) > 0 and all(
         bool(torch.isfinite(value).all()) for value in weights.values())
-
-
-def closure(stages: Sequence[Stage[Any]], config: Config) -> Iterator[Stage[Any]]:
-    """These stages and all stages that they need, each once, requirements first."""
-    visited: set[str] = set()
-
-    def visit(node: Node[Any]) -> Iterator[Stage[Any]]:
-        if node.name in visited:
-            return
-        visited.add(node.name)
-        for need in node.needs(config):
-            yield from visit(need)
-        if isinstance(node, Stage):
-            yield node
-
-    for stage in stages:
-        yield from visit(stage)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +18,6 @@ from tqdm import tqdm
 from data_module import blocks as block_module
 from data_module import controls
 from data_module.blocks import first_pose, normalise_motion
-from data_module.errors import InputError
 from data_module.files import new_file
 from data_module.speech.silence import reference_level
 from data_module.store import Store
@@ -32,35 +29,15 @@ if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
 
 
-@dataclass(frozen=True)
-class CachedBlocks:
-    """The blocks of a store on disk. names: [R] of the recordings; files: [R] of their blocks, each with the stretched
-    audio [N, L] beside it (.npy); features: [R] files of their audio features, None without a front end; words:
-    recording -> word vectors [W, d_t]; frames: K; name: a hash of everything here."""
-
-    names: tuple[str, ...]
-    files: tuple[Path, ...]
-    features: tuple[Path, ...] | None
-    words: Mapping[str, NDArray[np.float16]]
-    frames: int
-    name: str
-
-    def arrays(self, recording: int, only: tuple[str, ...] | None = None) -> dict[str, NDArray[Any]]:
-        """The blocks of a recording, by name of the array."""
-        return read_arrays(self.files[recording], only)
-
-    def features_of(self, recording: int) -> dict[str, NDArray[Any]]:
-        """Features of a recording, by level; one column of zeros without a front end."""
-        if self.features is None:
-            count = len(self.arrays(recording, only=("silent",))["silent"])
-            return {"low": np.zeros((count, 3 * self.frames, 1), np.float16)}
-        return read_arrays(self.features[recording])
-
-
 def cached_blocks(store: Store, config: Config, folder: Path, encoder: SpeechEncoder | None = None, *, workers: int = 1,
-                  progress: bool = True) -> CachedBlocks:
-    """Cut and encode a store, or use what is in `folder` under the same settings. Without the encoder that the front
-    end needs there are no features."""
+                  progress: bool = True
+                  ) -> tuple[list[dict[str, NDArray[Any]]], Mapping[str, NDArray[np.float16]], tuple[Path, ...]]:
+    """Cut and encode a store, or use what is in `folder` under the same settings.
+
+    Returns the blocks of each recording by name of the array; recording -> word vectors [W, d_t]; and the files of the
+    blocks, each with the stretched audio [N, L] beside it (.npy). Without the encoder that the front end needs the
+    audio features are one column of zeros.
+    """
     # Only what changes the blocks: other settings reuse the folder.
     key = digest(store.fingerprint, config.rhythm, config.motion.representation, config.motion.joints,
                  controls.WINDOW, BRIDGE)
@@ -68,15 +45,17 @@ def cached_blocks(store: Store, config: Config, folder: Path, encoder: SpeechEnc
     files = tuple(blocks / f"{name}.npz" for name in store.names)
     _all(_cut_one, [(str(store.path), name, config, file) for name, file in zip(store.names, files, strict=True)],
          workers, "blocks", progress)
-    features, encoded = None, ""
+    rows = [read_arrays(file) for file in files]
     if encoder is not None or config.front_end.name != "vqwav2vec":
         encoded = digest(blocks.name, config.front_end, weights_hash(encoder) if encoder else "")
-        features = tuple(folder / f"features-{encoded}" / file.name for file in files)
+        features = [folder / f"features-{encoded}" / file.name for file in files]
         _all(_encode_one, [(file, config, encoder, target) for file, target in zip(files, features, strict=True)],
              workers, "features", progress)
+        rows = [{**row, **read_arrays(levels)} for row, levels in zip(rows, features, strict=True)]
+    else:
+        rows = [{**row, "low": np.zeros((len(row["silent"]), 3 * config.rhythm.frames, 1), np.float16)} for row in rows]
     words = word_file(store, config, folder, progress=progress)
-    return CachedBlocks(store.names, files, features, {} if words is None else read_arrays(words),
-                        config.rhythm.frames, digest(key, encoded, words.name if words else ""))
+    return rows, {} if words is None else read_arrays(words), files
 
 
 def _cut_one(store_path: str, name: str, config: Config, target: Path) -> None:
@@ -160,20 +139,16 @@ def word_file(store: Store, config: Config, folder: Path, *, progress: bool = Tr
     key = digest(store.fingerprint, encoder.name, encoder.fingerprint)
     cache = folder / f"words-{key}.npz"
     if not whole(cache):
-        # Like numpy's savez, but one array at a time.
-        with new_file(cache) as file, zipfile.ZipFile(file, "w") as archive:
-            for info in tqdm(store.recordings, desc="words", disable=not progress):
-                words = store.load(info.name).speech.words
-                if words is not None and any(word.text for word in words):
-                    with archive.open(f"{info.name}.npy", "w", force_zip64=True) as stream:
-                        np.lib.format.write_array(stream, encoder.encode(words).astype(np.float16), allow_pickle=False)
+        vectors: dict[str, NDArray[Any]] = {}
+        for info in tqdm(store.recordings, desc="words", disable=not progress):
+            words = store.load(info.name).speech.words
+            if words is not None and any(word.text for word in words):
+                vectors[info.name] = encoder.encode(words).astype(np.float16)
+        _write(cache, vectors)
     return cache
 
 
 def read_arrays(file: Path, only: tuple[str, ...] | None = None) -> dict[str, NDArray[Any]]:
-    """The arrays of a cached file, or only `only`; InputError if it is damaged."""
-    try:
-        with np.load(file, allow_pickle=False) as arrays:
-            return {key: arrays[key] for key in arrays.files if only is None or key in only}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(file, f"is damaged ({error})", "delete it and start again") from None
+    """The arrays of a cached file, or only `only`."""
+    with np.load(file, allow_pickle=False) as arrays:
+        return {key: arrays[key] for key in arrays.files if only is None or key in only}

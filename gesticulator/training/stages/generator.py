@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -31,7 +30,7 @@ LONGEST_INSERT = 10
 """Longest inserted run of silence, in blocks (5 s at most)."""
 
 
-def _train_flow(run: Run, model: FlowGenerator, folder: Path) -> Figures:
+def _flow_task(run: Run, model: FlowGenerator) -> fitting.Task:
     config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
     parts = sequences(corpus, labelled.labels, "train", labelled.style_numbers)
     control = config.control if config.generator.use_control else None
@@ -50,9 +49,8 @@ def _train_flow(run: Run, model: FlowGenerator, folder: Path) -> Figures:
                 / len(batches)}
 
     checks = validation(corpus, labelled.labels, config.generator.blocks, moving=True)
-    task = task_of(run, windows, checks, validate, tables, "flow",
+    return task_of(run, windows, checks, validate, tables, "flow",
                    lambda batch, progress: model.losses(batch, progress, lexicon.nearest))
-    return run.fit(GENERATOR, model, task, folder)
 
 
 def _movements(run: Run) -> MovementLexicon:
@@ -65,13 +63,13 @@ def _build(run: Run) -> Generator | FlowGenerator:
     # The flow generates coefficients of the lexicon's basis, so it takes over basis and scale.
     if isinstance(model, FlowGenerator):
         lexicon, corpus = _movements(run), run.get(CORPUS)
-        known = torch.as_tensor(corpus.some("train"))
+        known = torch.as_tensor(corpus.select("train"))
         model.adopt(lexicon.basis, lexicon.basis.coefficients(corpus.motion[known], corpus.pasts[known]),
                     lexicon.added(torch.arange(lexicon.size)))
     return model
 
 
-def _train_regression(run: Run, model: Generator, folder: Path) -> Figures:
+def _regression_task(run: Run, model: Generator) -> fitting.Task:
     config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
     parts = sequences(corpus, labelled.labels, "train", labelled.style_numbers)
     if config.silence.augmentation > 0:
@@ -97,10 +95,9 @@ def _train_regression(run: Run, model: Generator, folder: Path) -> Figures:
         return {"reconstruction": float(sum(t[0] for t in totals)) / len(totals),
                 "perceptual": float(sum(t[1] for t in totals)) / len(totals)}
 
-    task = task_of(run, windows, validation(corpus, labelled.labels, config.window), validate,
+    return task_of(run, windows, validation(corpus, labelled.labels, config.window), validate,
                    losses=lambda batch, progress: model.losses({**batch, "lexeme": vectors(batch)}, progress,
                                                                lexicon.encode))
-    return run.fit(GENERATOR, model, task, folder)
 
 
 def _unit_nodes(config: Config) -> tuple[Node[Any], ...]:
@@ -114,5 +111,4 @@ GENERATOR: Stage[Generator | FlowGenerator] = Stage(
     settings=("system", "generator", "window", "control", "silence.augmentation"),
     needs=lambda config: (CORPUS, LEXICON, LABELS, *_unit_nodes(config)), schedule="generator", part="generator",
     build=_build,
-    train=lambda run, model, folder: (_train_flow if isinstance(model, FlowGenerator) else _train_regression)(
-        run, model, folder))
+    train=lambda run, model: (_flow_task if isinstance(model, FlowGenerator) else _regression_task)(run, model))

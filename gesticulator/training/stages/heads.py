@@ -1,15 +1,13 @@
 """The activity gate, the planner of gesture units, and the style codes of those units.
 
 The gate decides whether a block is gestured (RG 8, third limitation). The planner is trained on the phases of gesture
-measured on the corpus' motion. The style codes (RG 6.3) are measured on the units too; `train_interpreter` trains their
+measured on the corpus' motion. The style codes (RG 6.3) are measured on the units too; `unit_style_task` trains their
 interpreter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -19,7 +17,7 @@ from data_module.motion.phases import HandPhases, Phase, hand_places, phases_of
 from data_module.types import Array
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
-from gesticulator.bundle.features import Statistics, representation_of
+from gesticulator.bundle.features import representation_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.corpus import BLOCKS, Corpus
@@ -50,14 +48,8 @@ def edges_of(corpus: Corpus, recording: int) -> Array:
 def hands_of(corpus: Corpus, config: Config, recording: int) -> Array:
     """[T, 2, 3] places of the left and the right hand over the hips, metres, at `RATE`."""
     rows = corpus.motion[torch.as_tensor(corpus.blocks_of(recording))].double().numpy()
-    return hands_of_blocks(rows, corpus.statistics, int(corpus.speaker_of[recording]), config,
-                           edges_of(corpus, recording))
-
-
-def hands_of_blocks(rows: Array, statistics: Statistics, speaker: int, config: Config, edges: Array) -> Array:
-    """[T, 2, 3] places of the hands, as `hands_of`, of blocks [M, K, D_m] with edges [M + 1] seconds, normalised by the
-    statistics of a speaker."""
-    poses = statistics.denormalise(rows.reshape(-1, rows.shape[-1]), speaker)
+    edges = edges_of(corpus, recording)
+    poses = corpus.statistics.denormalise(rows.reshape(-1, rows.shape[-1]), int(corpus.speaker_of[recording]))
     motion = representation_of(config).motion(poses, config.rhythm.fps)
     frames = rows.shape[1]
     shares = np.arange(1, frames + 1) / frames
@@ -121,7 +113,7 @@ def _plain_windows(run: Run) -> tuple[Windows, list[fitting.Batch]]:
             validation(corpus, labelled.labels, length))
 
 
-def _train(run: Run, model: UnitPlanner, folder: Path) -> Figures:
+def _planner_task(run: Run, model: UnitPlanner) -> fitting.Task:
     corpus, labelled, units = run.get(CORPUS), run.get(LABELS), run.get(UNITS)
     train = corpus.select("train")
     model.count(labelled.hinted[train], units[train])
@@ -131,30 +123,28 @@ def _train(run: Run, model: UnitPlanner, folder: Path) -> Figures:
         means = {name: sum(float(losses[name]) for losses in each) / len(each) for name in each[0]}
         return {"nll": sum(means.values()), **means}
 
-    task = task_of(run, *_plain_windows(run), validate, {"units": torch.as_tensor(units)}, "nll")
-    return run.fit(PLANNER, model, task, folder)
+    return task_of(run, *_plain_windows(run), validate, {"units": torch.as_tensor(units)}, "nll")
 
 
 PLANNER: Stage[UnitPlanner] = Stage(
     "planner", settings=("planner", "window"), needs=lambda config: (CORPUS, LABELS, UNITS), schedule="planner",
     wanted=lambda config: config.schedules.planner.steps > 0, part="planner",
-    build=lambda run: models.planner(model_sizes(run)), train=_train)
+    build=lambda run: models.planner(model_sizes(run)), train=_planner_task)
 
 
-def _train_gate(run: Run, model: ActivityGate, folder: Path) -> Figures:
+def _gate_task(run: Run, model: ActivityGate) -> fitting.Task:
     active = torch.as_tensor(run.get(LABELS).active.astype(np.float32))
 
     def validate(batches: list[fitting.Batch]) -> Figures:
         return {"nll": sum(float(model.losses(b)["activity"]) for b in batches) / len(batches)}
 
-    task = task_of(run, *_plain_windows(run), validate, {"active": active}, "nll")
-    return run.fit(GATE, model, task, folder)
+    return task_of(run, *_plain_windows(run), validate, {"active": active}, "nll")
 
 
 GATE: Stage[ActivityGate] = Stage(
     "gate", settings=("gate", "window"), needs=lambda config: (CORPUS, LABELS), schedule="gate",
     wanted=lambda config: config.schedules.gate.steps > 0, part="gate",
-    build=lambda run: models.gate(model_sizes(run)), train=_train_gate)
+    build=lambda run: models.gate(model_sizes(run)), train=_gate_task)
 
 
 _LONGEST_UNIT = 14
@@ -227,7 +217,7 @@ UNIT_CODES: Node[NDArray[np.float32]] = Node(
 """[N, d_z] the style codes of the blocks' units."""
 
 
-def train_interpreter(run: Run, model: UnitStyleInterpreter, folder: Path, stage: Stage[Any]) -> Figures:
+def unit_style_task(run: Run, model: UnitStyleInterpreter) -> fitting.Task:
     """Train on the codes of the training split, then set the gain on those of the validation split."""
     acting = torch.as_tensor(run.get(UNITS)[:, 0] != PHASES.index("rest")).float()
 
@@ -242,5 +232,4 @@ def train_interpreter(run: Run, model: UnitStyleInterpreter, folder: Path, stage
         return {"code_error": float((predicted - measured).pow(2).mean())}
 
     codes = {"code": torch.as_tensor(run.get(UNIT_CODES)), "acting": acting}
-    task = task_of(run, *_plain_windows(run), validate, codes, "code_error")
-    return run.fit(stage, model, task, folder)
+    return task_of(run, *_plain_windows(run), validate, codes, "code_error")

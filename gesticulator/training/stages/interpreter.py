@@ -7,7 +7,6 @@ measured on gesture units (`gesticulator.training.stages.heads`).
 from __future__ import annotations
 
 from itertools import islice
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.corpus import Corpus
 from gesticulator.training.stages.generator import GENERATOR
-from gesticulator.training.stages.heads import UNIT_CODES, UNITS, train_interpreter
+from gesticulator.training.stages.heads import UNIT_CODES, UNITS, unit_style_task
 from gesticulator.training.stages.lexicon import LABELS, LEXICON, model_sizes
 from gesticulator.training.stages.speech import CORPUS
 from gesticulator.training.stages.windows import AT_ONCE, VALIDATED, Windows, sequences, task_of, validation
@@ -33,7 +32,7 @@ from interpreters.lstm import LstmInterpreter, StyleInterpreter
 from interpreters.planner import UnitStyleInterpreter
 
 
-def _train(run: Run, model: LstmInterpreter, folder: Path, stage: Stage[LstmInterpreter], text: bool) -> Figures:
+def _task(run: Run, model: LstmInterpreter, text: bool) -> fitting.Task:
     config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
     parts = sequences(corpus, labelled.hinted, "train", labelled.style_numbers, text)
     windows = Windows(corpus, parts, config.window, text=text,
@@ -51,8 +50,7 @@ def _train(run: Run, model: LstmInterpreter, folder: Path, stage: Stage[LstmInte
             count += float(valid.sum())
         return {"accuracy": right / count, "nll": nll / count}
 
-    task = task_of(run, windows, validation(corpus, labelled.hinted, config.window, text), validate, watch="nll")
-    return run.fit(stage, model, task, folder)
+    return task_of(run, windows, validation(corpus, labelled.hinted, config.window, text), validate, watch="nll")
 
 
 _SHAPED_BY = ("window", "control", "silence.hint")
@@ -61,7 +59,7 @@ INTERPRETER: Stage[LstmInterpreter] = Stage(
     "interpreter", settings=(lambda config: config.interpreter.without_text(), *_SHAPED_BY),
     needs=lambda config: (CORPUS, LEXICON, LABELS), schedule="interpreter", part="interpreter",
     build=lambda run: models.build("interpreter", model_sizes(run)),
-    train=lambda run, model, folder: _train(run, model, folder, INTERPRETER, False))
+    train=lambda run, model: _task(run, model, False))
 
 
 def init_from_audio_only(config: Config) -> bool:
@@ -84,7 +82,7 @@ INTERPRETER_TEXT: Stage[LstmInterpreter] = Stage(
         config.schedules.interpreter_text if init_from_audio_only(config) else config.schedules.interpreter),
     wanted=lambda config: bool(config.text.encoder) and config.interpreter.reads,
     part="interpreter_text", build=_build_text,
-    train=lambda run, model, folder: _train(run, model, folder, INTERPRETER_TEXT, True))
+    train=lambda run, model: _task(run, model, True))
 
 
 @torch.inference_mode()
@@ -107,10 +105,9 @@ _HELD_OUT = 10
 """One in this many training recordings is held back for validation, since only training blocks have style codes."""
 
 
-def _train_style(run: Run, model: StyleInterpreter | UnitStyleInterpreter, folder: Path, stage: Stage[Any], text: bool
-           ) -> Figures:
+def _style_task(run: Run, model: StyleInterpreter | UnitStyleInterpreter, text: bool) -> fitting.Task:
     if isinstance(model, UnitStyleInterpreter):
-        return train_interpreter(run, model, folder, stage)
+        return unit_style_task(run, model)
     config, corpus, labelled = run.config, run.get(CORPUS), run.get(LABELS)
     generator = run.get(GENERATOR)
     assert isinstance(generator, Generator) and generator.styles is not None
@@ -127,8 +124,7 @@ def _train_style(run: Run, model: StyleInterpreter | UnitStyleInterpreter, folde
 
     # Codes by block: they are numbered by the training blocks, and all others have the code 0.
     of_blocks = {"code": table[torch.as_tensor(labelled.style_numbers)]}
-    task = task_of(run, windows, checks, validate, of_blocks, "code_error")
-    return run.fit(stage, model, task, folder)
+    return task_of(run, windows, checks, validate, of_blocks, "code_error")
 
 
 def _style_needs(config: Config) -> tuple[Node[Any], ...]:
@@ -140,9 +136,9 @@ STYLE: Stage[StyleInterpreter | UnitStyleInterpreter] = Stage(
     "style", settings=(lambda config: config.style.without_text(), "window"), needs=_style_needs, schedule="style",
     wanted=lambda config: config.generator.styled, part="style",
     build=lambda run: models.build("style", model_sizes(run)),
-    train=lambda run, model, folder: _train_style(run, model, folder, STYLE, False))
+    train=lambda run, model: _style_task(run, model, False))
 STYLE_TEXT: Stage[StyleInterpreter] = Stage(
     "style_text", settings=("style", "window", "text"), needs=lambda config: (CORPUS, LEXICON, LABELS, GENERATOR),
     schedule="style", part="style_text", build=lambda run: models.build("style_text", model_sizes(run)),
     wanted=lambda config: config.generator.styled and bool(config.text.encoder) and config.style.text_features > 0,
-    train=lambda run, model, folder: _train_style(run, model, folder, STYLE_TEXT, True))
+    train=lambda run, model: _style_task(run, model, True))

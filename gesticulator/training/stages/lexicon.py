@@ -4,7 +4,6 @@ it: lexemes, silent lexemes, and their frequencies (RG 6.4.1)."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from gesticulator.bundle.features import Sizes, representation_of
 from gesticulator.systems import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
-from gesticulator.training.stages.corpus import BLOCKS, MEASURED, Corpus, evenly, sizes
+from gesticulator.training.stages.corpus import BLOCKS, Corpus, sizes
 from gesticulator.training.stages.speech import CORPUS
 from lexicon import inventory as inventories
 from lexicon.autoencoder import Lexicon
@@ -45,7 +44,7 @@ _TOGETHER = 4096
 def _fit_movements(run: Run, model: MovementLexicon) -> Figures:
     """Fit in closed form and by k-means, on the CPU, without steps."""
     corpus = run.get(BLOCKS)
-    known = torch.as_tensor(corpus.some("train"))
+    known = torch.as_tensor(corpus.select("train"))
     mask = corpus.mask[torch.as_tensor(corpus.recording)[known]]
     model.fit(corpus.motion[known], corpus.pasts[known], mask, run.seed(LEXICON))
     return _held_figures(run, model)
@@ -54,15 +53,15 @@ def _fit_movements(run: Run, model: MovementLexicon) -> Figures:
 def _held_figures(run: Run, model: MovementLexicon) -> Figures:
     """`movement_figures` on the validation split (on the training split if it is empty)."""
     corpus = run.get(BLOCKS)
-    held = torch.as_tensor(corpus.some("val") if corpus.recordings("val") else corpus.some("train"))
+    held = torch.as_tensor(corpus.select("val") if corpus.recordings("val") else corpus.select("train"))
     return movement_figures(model, corpus.motion[held], corpus.pasts[held])
 
 
-def _train_movements(run: Run, model: MovementVqVae, folder: Path) -> Figures:
+def _movements_task(run: Run, model: MovementVqVae) -> fitting.Task:
     """The VQ-VAE over movements: the basis in closed form, encoder, lexemes and decoder by steps, and the levels below
     by k-means."""
     corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)
-    known = torch.as_tensor(corpus.some("train"))
+    known = torch.as_tensor(corpus.select("train"))
     mask = corpus.mask[torch.as_tensor(corpus.recording)[known]]
     # Closed forms on the CPU in double precision, and the corpus need not fit on a GPU.
     model.cpu()
@@ -82,11 +81,13 @@ def _train_movements(run: Run, model: MovementVqVae, folder: Path) -> Figures:
         if step == begin:
             learner.start_codebook(coefficients.to(run.device), run.seed(LEXICON))
 
-    run.fit(LEXICON, learner, fitting.Task(make_batch, before_step=before_step), folder)
-    # Back on the CPU, where the coefficients of all blocks are.
-    learner.cpu()
-    learner.finish(coefficients, corpus.pasts[known], run.seed(LEXICON))
-    return _held_figures(run, model)
+    def finish() -> Figures:
+        # Back on the CPU, where the coefficients of all blocks are.
+        learner.cpu()
+        learner.finish(coefficients, corpus.pasts[known], run.seed(LEXICON))
+        return _held_figures(run, model)
+
+    return fitting.Task(make_batch, before_step=before_step, learner=learner, finish=finish)
 
 
 @torch.no_grad()
@@ -110,13 +111,13 @@ def _use(labels: Tensor, size: int) -> Figures:
             "perplexity": perplexity(labels, size)}
 
 
-def _train_lexicon(run: Run, model: BlockLexicon, folder: Path) -> Figures:
+def _lexicon_task(run: Run, model: BlockLexicon) -> fitting.Task | Figures:
     if isinstance(model, MovementVqVae):
-        return _train_movements(run, model, folder)
+        return _movements_task(run, model)
     if isinstance(model, MovementLexicon):
         return _fit_movements(run, model)
     corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)
-    known, some, val = map(torch.as_tensor, (corpus.select("train"), corpus.some("train"), corpus.some("val")))
+    known, val = map(torch.as_tensor, (corpus.select("train"), corpus.select("val")))
     recording = torch.as_tensor(corpus.recording)
 
     def make_batch(rng: np.random.Generator, size: int) -> fitting.Batch:
@@ -127,17 +128,17 @@ def _train_lexicon(run: Run, model: BlockLexicon, folder: Path) -> Figures:
 
     def before_step(step: int) -> None:
         if step == begin:
-            model.start_codebook(corpus.motion[some].to(run.device), run.seed(LEXICON))
+            model.start_codebook(corpus.motion[known].to(run.device), run.seed(LEXICON))
 
     def validate() -> Figures:
-        return lexicon_figures(model, corpus.motion[val if len(val) else some].to(run.device))
+        return lexicon_figures(model, corpus.motion[val if len(val) else known].to(run.device))
 
-    return run.fit(LEXICON, model, fitting.Task(make_batch, validate=validate, before_step=before_step), folder)
+    return fitting.Task(make_batch, validate=validate, before_step=before_step)
 
 
 LEXICON: Stage[BlockLexicon] = Stage(
     "lexicon", settings=("system", "lexicon", *_MOTION), needs=lambda config: (BLOCKS,), schedule="lexicon",
-    part="lexicon", train=_train_lexicon,
+    part="lexicon", train=_lexicon_task,
     build=lambda run: models.build("lexicon", sizes(run.config, run.get(BLOCKS))))
 
 
@@ -162,12 +163,11 @@ def _starts(corpus: Corpus, split: str, length: int) -> NDArray[np.int64]:
     return np.concatenate(starts)
 
 
-def _train_codec(run: Run, model: RacerCodec, folder: Path) -> Figures:
+def _codec_task(run: Run, model: RacerCodec) -> fitting.Task:
     """Train on windows of as many codes as a decision sees (120 frames in the paper)."""
     corpus, length = run.get(BLOCKS), run.config.cql.decisions
     known = _starts(corpus, "train", length)
     held = (_starts(corpus, "val", length) if corpus.recordings("val") else known)[::length]
-    held, begun = (evenly(starts, MEASURED // length) for starts in (held, known[::length]))
 
     def crops(starts: NDArray[np.int64]) -> Tensor:
         return corpus.motion[torch.as_tensor(starts)[:, None] + torch.arange(length)].flatten(1, 2)
@@ -178,10 +178,10 @@ def _train_codec(run: Run, model: RacerCodec, folder: Path) -> Figures:
 
     def before_step(step: int) -> None:
         if step == 0:
-            model.start_codebook(crops(begun).to(run.device), run.seed(CODEC))
+            model.start_codebook(crops(known[::length]).to(run.device), run.seed(CODEC))
 
-    return run.fit(CODEC, model, fitting.Task(make_batch, before_step=before_step, validate=lambda: codec_figures(
-        model, crops(held).to(run.device))), folder)
+    return fitting.Task(make_batch, before_step=before_step,
+                        validate=lambda: codec_figures(model, crops(held).to(run.device)))
 
 
 @torch.no_grad()
@@ -196,7 +196,7 @@ def codec_figures(model: RacerCodec, true: Tensor) -> Figures:
 
 CODEC: Stage[RacerCodec] = Stage(
     "codec", settings=("racer", "cql.decisions", *_MOTION), needs=lambda config: (BLOCKS,), schedule="lexicon",
-    part="lexicon", train=_train_codec,
+    part="lexicon", train=_codec_task,
     build=lambda run: models.build("lexicon", sizes(run.config, run.get(BLOCKS))))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -20,7 +19,7 @@ from gesticulator.training.presets import LITERAL
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.corpus import Corpus, sizes
 from gesticulator.training.stages.interpreter import INTERPRETER
-from gesticulator.training.stages.lexicon import LABELS, TOKENS, Labelled, model_sizes
+from gesticulator.training.stages.lexicon import LABELS, TOKENS, model_sizes
 from gesticulator.training.stages.reward import REWARD, reward_table, step_reward
 from gesticulator.training.stages.speech import CORPUS
 from interpreters.base import BlockFeatures
@@ -50,17 +49,13 @@ def features_of(corpus: Corpus) -> Callable[[int], BlockFeatures]:
     return features
 
 
-def silent_of(labelled: Labelled) -> SilentLexemes:
-    """The silent lexemes for `interpreters.episodes.build`."""
-    return SilentLexemes(labelled.silent, labelled.nearest)
-
-
 def recorded_episodes(run: Run, split: str, reward: Reward) -> Episodes:
     """RACER's own data set: the lexemes of the performers and nothing else, of a split (of the training split if it is
     empty)."""
     corpus, labelled = run.get(CORPUS), run.get(LABELS)
     takes = takes_of(corpus, labelled.hinted, split if corpus.recordings(split) else "train")
-    return build(takes, LITERAL, reward, silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy())
+    return build(takes, LITERAL, reward, silent=SilentLexemes(labelled.silent, labelled.nearest),
+                 vectors=run.get(TOKENS).vectors.numpy())
 
 
 def _make_episodes(run: Run) -> Episodes:
@@ -70,7 +65,7 @@ def _make_episodes(run: Run) -> Episodes:
     if INTERPRETER.name in system_of(config).STAGES:
         others["sampled"] = run.get(INTERPRETER)
     return build(takes_of(corpus, labelled.hinted, "train"), config.episodes, step_reward(run),
-                 silent=silent_of(labelled), vectors=run.get(TOKENS).vectors.numpy(),
+                 silent=SilentLexemes(labelled.silent, labelled.nearest), vectors=run.get(TOKENS).vectors.numpy(),
                  policies=BehaviourPolicies(others, features_of(corpus)), seed=run.seed(EPISODES))
 
 
@@ -105,8 +100,7 @@ def new_q_network(config: Config, corpus: Corpus, vectors: Tensor, silent: NDArr
                                                             silent=tuple(silent.tolist()))))
 
 
-def _train(run: Run, learner: ConservativeQ, folder: Path, stage: Stage[QNetwork], episodes: Episodes,
-           reward: Reward) -> Figures:
+def _task(run: Run, learner: ConservativeQ, episodes: Episodes, reward: Reward) -> fitting.Task:
     """Fit a Q-network to episodes; `reward` is that of a step of the validation recordings."""
     corpus, config, held = run.get(CORPUS), learner.config, recorded_episodes(run, "val", reward)
     checks = [q_batch(corpus, held.windows(fitting.generator_for(3, i), _WINDOWS, config.decisions))
@@ -116,9 +110,8 @@ def _train(run: Run, learner: ConservativeQ, folder: Path, stage: Stage[QNetwork
     def validate() -> Figures:
         return q_figures(learner, [fitting.moved(b, run.device) for b in checks])
 
-    task = fitting.Task(lambda rng, size: q_batch(corpus, episodes.windows(rng, size, config.decisions)),
+    return fitting.Task(lambda rng, size: q_batch(corpus, episodes.windows(rng, size, config.decisions)),
                         validate=validate, before_step=learner.before_step)
-    return run.fit(stage, learner, task, folder)
 
 
 @torch.no_grad()
@@ -141,12 +134,9 @@ def q_figures(learner: ConservativeQ, batches: Sequence[dict[str, Tensor]]) -> d
 
 def _q_stage(name: str, settings: str, episodes: Node[Episodes], reward: Callable[[Run], Reward]) -> Stage[QNetwork]:
     """A Q-network trained on `episodes`; settings: the names of its settings and of its schedule."""
-    def train(run: Run, learner: ConservativeQ, folder: Path) -> Figures:
-        return _train(run, learner, folder, Q_NETWORK if name == Q_NETWORK.name else Q_LITERAL, run.get(episodes),
-                      reward(run))
-
     return Stage(
-        name, settings=(settings, "silence.hint"), schedule=settings, part=name, train=train,
+        name, settings=(settings, "silence.hint"), schedule=settings, part=name,
+        train=lambda run, learner: _task(run, learner, run.get(episodes), reward(run)),
         needs=lambda config: (CORPUS, TOKENS, LABELS, REWARD, episodes),
         wanted=lambda config: min(config.schedules.cql.steps, getattr(config.schedules, settings).steps) > 0,
         build=lambda run: ConservativeQ(models.build(name, model_sizes(run))),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -235,7 +234,7 @@ def groups(blocks: NDArray[np.int64], valid: NDArray[np.float32], silent: NDArra
     return out
 
 
-def _train(run: Run, model: RewardEnsemble, folder: Path, stage: Stage[RewardEnsemble], fold: int) -> Figures:
+def _task(run: Run, model: RewardEnsemble, fold: int) -> fitting.Task:
     config, corpus, labelled, tokens = model.config, run.get(CORPUS), run.get(LABELS), run.get(TOKENS)
     movements = isinstance(tokens, MovementLexicon)
     audio = block_audio(corpus)
@@ -259,18 +258,14 @@ def _train(run: Run, model: RewardEnsemble, folder: Path, stage: Stage[RewardEns
         figures = [model.figures(fitting.moved(b, run.device)) for b in checks]
         return {key: float(np.mean([f[key] for f in figures])) for key in figures[0]}
 
-    task = fitting.Task(windows.sample, validate=validate, before_step=model.before_step)
-    return run.fit(stage, model, task, folder)
+    return fitting.Task(windows.sample, validate=validate, before_step=model.before_step)
 
 
 def _reward_stage(name: str, settings: str, fold: int, build: Callable[[Sizes], RewardEnsemble]
                   ) -> Stage[RewardEnsemble]:
-    def train(run: Run, model: RewardEnsemble, folder: Path) -> Figures:
-        return _train(run, model, folder, (REWARD, REWARD_JUDGE)[fold], fold)
-
     return Stage(name, settings=(settings, "silence.hint"), needs=lambda config: (CORPUS, TOKENS, LABELS),
-                 schedule="reward", wanted=lambda config: config.schedules.cql.steps > 0, train=train,
-                 build=lambda run: build(model_sizes(run)))
+                 schedule="reward", wanted=lambda config: config.schedules.cql.steps > 0,
+                 build=lambda run: build(model_sizes(run)), train=lambda run, model: _task(run, model, fold))
 
 
 REWARD = _reward_stage("reward", "reward", 0, models.reward)

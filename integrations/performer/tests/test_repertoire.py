@@ -16,13 +16,13 @@ from gesticulator_performer.strokes import StrokeSet, standing_body
 from gesticulator_performer.types import Spoken
 from procedural import planned, played, procedural_strokes
 
-from data_module.build import main
 from data_module.errors import InputError
 from data_module.files import read_table
 from data_module.motion import rotation
 from data_module.motion.bvh import read_bvh
 from data_module.truth import SCRIPTED, Phrase, Syllable
 from data_module.types import Speech, Word
+from gesticulator.cli import main
 from gesticulator.directing.meaning_cues import meaning_cues
 from gesticulator.plan.gestures import REPERTOIRE
 
@@ -144,7 +144,7 @@ def test_a_played_take_shows_its_pose_at_the_apex(strokes: StrokeSet) -> None:
 def test_the_build_refuses_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for more, message in ((["--hours", "0"], "--hours: is 0"), (["--seed", "-1"], "--seed: is -1")):
         with pytest.raises(SystemExit) as stopped:
-            main(["performer", "--out", str(tmp_path / "store"), *more])
+            main(["build", "performer", "--out", str(tmp_path / "store"), *more])
         assert stopped.value.code == 2 and message in capsys.readouterr().err
     with pytest.raises(InputError, match=r"holds no takes\.csv"):
         read_repertoire(tmp_path / "nothing")

@@ -15,7 +15,7 @@ import numpy as np
 
 from data_module.files import lock, new_folder, write_text
 from data_module.motion import rotation
-from data_module.motion.bvh import bvh_text
+from data_module.motion.bvh import write_bvh
 from data_module.motion.skeletons import FINGERED
 from data_module.types import Array, Motion
 from gesticulator.directing.gesture_phases import GestureDraw, drawn_gesture
@@ -62,7 +62,7 @@ def _drawn(gesture: NamedGesture, folder: Path, seed: int) -> Iterator[dict[str,
             draw = drawn_gesture(cue, at, seed)
             motion, begin = _take(cue, at, draw, seed)
             name = f"{label}_{size}_{number + 1}.bvh"
-            (folder / name).write_text(bvh_text(motion, 1.0), encoding="utf-8")
+            write_bvh(folder / name, motion, 1.0)
             yield {"file": name, "label": label, "size": size, "hand": _hand(draw), "licence": LICENCE,
                    **_marks(draw, at - begin)}
 
