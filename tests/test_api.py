@@ -103,14 +103,13 @@ def test_a_str_is_what_is_said_and_a_path_is_a_file(g: Gesticulator, tmp_path: P
 # ----------------------------------------------------------------------------------------------------- options
 
 @pytest.mark.parametrize(("options", "said"), [
-    ({"seed": -1}, "seed -1: is out of range"), ({"seed": 1.5}, "seed 1.5"), ({"seed": None}, "seed None"),
+    ({"seed": -1}, "seed -1: is not a whole number in range"), ({"seed": 1.5}, "seed 1.5"), ({"seed": None}, "seed None"),
     ({"seed": True}, "seed True"), ({"temperature": float("nan")}, "temperature nan"),
-    ({"temperature": float("inf")}, "temperature inf"), ({"temperature": "warm"}, "temperature 'warm'"),
+    ({"temperature": float("inf")}, "temperature inf"), ({"temperature": "warm"}, "temperature warm"),
     ({"fps": float("nan")}, "fps nan"), ({"fps": 0}, "fps 0"), ({"fps": None}, "fps None"),
     ({"activity": 1.5}, "activity 1.5"), ({"gain": 100}, "gain 100"), ({"speaker": "nobody"}, "speaker nobody"),
-    ({"interpreter": "oracle"}, "interpreter oracle"), ({"hand_height": "sky"}, "hand_height 'sky'"),
-    ({"hand_speed": -1.0}, "hand_speed -1.0"), ({"hand_height": float("nan")}, "hand_height nan"),
-    ({"hand_radius": Path("nowhere.csv")}, "nowhere.csv"),
+    ({"interpreter": "oracle"}, "interpreter oracle"), ({"hand_height": "sky"}, "--hand-height 'sky'"),
+    ({"hand_speed": -1.0}, "--hand-speed -1.0"), ({"hand_height": float("nan")}, "--hand-height nan"),
     ({"hand_height": 0.1, "controls": Controls()}, "one or the other"),
 ])
 def test_options_out_of_range_are_input_errors(options: dict[str, Any], said: str, g: Gesticulator) -> None:
@@ -118,14 +117,12 @@ def test_options_out_of_range_are_input_errors(options: dict[str, Any], said: st
         g(voice(), RATE, **options)
 
 
-def test_hands_are_arguments_in_every_form(g: Gesticulator, tmp_path: Path) -> None:
+def test_hands_are_arguments_in_every_form(g: Gesticulator) -> None:
     levels = g.bundle.levels
     assert levels is not None
     high = levels.value("height", "high")
-    (tmp_path / "curve.csv").write_text(f"time,value\n0,{high}\n1,{high}\n")
     base = g(voice(), RATE, controls=Controls(height=high))
-    for asked in ("high", high, repr(high), Curve((0.0, 1.0), (high, high)), tmp_path / "curve.csv",
-                  np.float64(high)):
+    for asked in ("high", high, repr(high), Curve((0.0, 1.0), (high, high)), np.float64(high)):
         assert same(g(voice(), RATE, hand_height=asked), base), asked
     assert not same(g(voice(), RATE), base)
     two = g(voice(), RATE, hand_height="high", hand_speed=0.8)
@@ -140,13 +137,6 @@ def test_gain_is_decibels() -> None:
 
 
 # ----------------------------------------------------------------------------------------------------- devices
-
-@pytest.mark.parametrize("device", ["nonsense", "cuda:99", *([] if torch.cuda.is_available() else ["cuda"])])
-def test_a_device_that_is_not_there_is_one_line(device: str) -> None:
-    with pytest.raises(InputError, match=f"device {device}") as refused:
-        Gesticulator.from_pretrained(device=device)
-    assert "\n" not in str(refused.value)
-
 
 @pytest.mark.parametrize("interpreter", ["lstm", "cql", "statistical"])
 def test_every_tensor_is_made_on_the_models_device(g: Gesticulator, interpreter: str) -> None:
