@@ -103,7 +103,8 @@ def test_a_str_is_what_is_said_and_a_path_is_a_file(g: Gesticulator, tmp_path: P
 # ----------------------------------------------------------------------------------------------------- options
 
 @pytest.mark.parametrize(("options", "said"), [
-    ({"seed": -1}, "seed -1: is not a whole number in range"), ({"seed": 1.5}, "seed 1.5"), ({"seed": None}, "seed None"),
+    ({"seed": -1}, "seed -1: is not a whole number in range"), ({"seed": 1.5}, "seed 1.5"),
+    ({"seed": None}, "seed None"),
     ({"seed": True}, "seed True"), ({"temperature": float("nan")}, "temperature nan"),
     ({"temperature": float("inf")}, "temperature inf"), ({"temperature": "warm"}, "temperature warm"),
     ({"fps": float("nan")}, "fps nan"), ({"fps": 0}, "fps 0"), ({"fps": None}, "fps None"),
