@@ -188,6 +188,7 @@ def run_settings_of(args: argparse.Namespace) -> RunSettings:
 def settings_of(args: argparse.Namespace, upper: bool = False) -> Job:
     """A job without recording and files, with the settings of all jobs of a command: the arguments of
     `performance_arguments`. upper: only the upper body is written. `InputError` for options that exclude each other."""
+    # Two sources of words could contradict each other.
     if args.transcribe is not None and args.text is not None:
         raise InputError("--transcribe", "hears words, and --text gives them", "leave one of them out")
     values = {field.name: getattr(args, field.name) for field in fields(InferenceOptions) if "flag" in field.metadata}

@@ -64,6 +64,7 @@ def sharded(rows: Sequence[ManifestRow], shard: int, count: int) -> list[Manifes
     loads = [(0.0, index) for index in range(1, count + 1)]
     chosen = []
     # By name, not by path: the folder may lie elsewhere on another machine.
+    # Longest first: at the end no worker does a long one while the others wait.
     for row in sorted(rows, key=lambda row: (-row.seconds, Path(row.input).name)):
         load, index = heapq.heappop(loads)
         # Recordings of unknown duration still take some time, so they are spread too.
@@ -104,6 +105,7 @@ def run_jobs(jobs: Sequence[Job], settings: RunSettings, processing: Processing)
     folder = bundle_folder(settings.bundle)
     # A broken bundle is refused before recordings are hashed, which may take minutes.
     read_index(folder)
+    # The index holds the hashes of all files of the bundle, so its own stands for them.
     made_by = file_hash(folder / INDEX)
     # The number of threads decides the last bits of the output.
     digests = [hashlib.sha256(f"{job.digest} {settings.threads}".encode()).hexdigest() for job in jobs]

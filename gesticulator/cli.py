@@ -71,6 +71,7 @@ class Command:
         # Before anything is printed, also where a verb is run without the program.
         steady_streams()
         with one_line_errors(PROGRAM):
+            # Parsed within: errors of arguments are one line, too.
             code = self.run(self.parser(program).parse_args(argv))
             sys.stdout.flush()  # raise errors of a full disk or a closed pipe here
             return code

@@ -238,6 +238,7 @@ class Gesticulator:
         from gesticulator.directing.directions import check_plan_of
 
         assert options.plan is not None
+        # Lexemes are numbers in one lexicon, and times belong to one sound.
         check_plan_of(self.bundle, options.plan, sound_hash(speech))
         renderer = renderer or self.plan_renderer(speech, options)
         performance = self.assemble(self.assembler(speech, options), renderer.render(options.plan))
@@ -298,6 +299,7 @@ class Gesticulator:
         checked = InferenceOptions(**options)
         if checked.transcribe is not None:
             raise InputError("transcribe", "is not for streams", "give the words by add_words")
+        # After the options: what is wrong with them is said at once.
         self.warm(text)
         return self._stream(sample_rate, latency, text, checked)
 

@@ -22,6 +22,7 @@ EXIT_PART_FAILED = 1
 def run(args: argparse.Namespace) -> int:
     """Process all recordings; exit code 0, 1 if some failed, 2 if none succeeded."""
     jobs, settings = jobs_of(args), run_settings_of(args)
+    # Warnings of libraries mean nothing to a user of the command.
     with our_warnings():
         if settings.is_batch:
             done, total = _run_batch(jobs, settings)
@@ -87,6 +88,7 @@ def _run_batch(jobs: Sequence[Job], settings: RunSettings) -> tuple[int, int]:
 def _process(jobs: Sequence[Job], settings: RunSettings) -> Callable[[str], float]:
     """Load the models; returns a function that processes the recording at a path and returns its duration in
     seconds."""
+    # By path and not by number: a row of the manifest knows its recording by it.
     worker, by_path = _worker(jobs, settings), {str(job.source): job for job in jobs}
 
     def process(path: str) -> float:

@@ -107,15 +107,13 @@ def _content(value: Any) -> object:
     if isinstance(value, InferenceOptions | CharacterRequest):
         return [(entry.name, _content(getattr(value, entry.name))) for entry in fields(value)]
     if isinstance(value, str | os.PathLike) and Path(value).is_file():
-        # Time and size in the key of the cache: a changed file is hashed again.
-        status = Path(value).stat()
-        return _cached_hash(Path(value), status.st_mtime_ns, status.st_size)
+        return _cached_hash(Path(value))
     return value
 
 
 @lru_cache(maxsize=64)
-def _cached_hash(path: Path, _modified: int, _size: int) -> str:
-    """A character of many megabytes is read once for all recordings, unless it changes."""
+def _cached_hash(path: Path) -> str:
+    """A character of many megabytes is read once for all recordings."""
     return file_hash(path)
 
 
@@ -275,6 +273,7 @@ class Worker:
         begin = time.perf_counter()
         performance = self._laid_out(job, self.performed(job, speech))
         factor = (time.perf_counter() - begin) / speech.duration
+        # Files appear whole, so what is there after an error can be used.
         written = [performance.save(target) for target in job.targets]
         pages = [f"open {page} in a browser to watch it" for page in written if page.suffix.lower() == ".html"]
         lexemes = performance.lexemes.tolist()

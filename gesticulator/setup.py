@@ -50,6 +50,7 @@ class SetupResolver:
             raise InputError(f"variation {options.variation}", "needs a generator that samples, and this bundle's is "
                              "deterministic", "leave it out, or choose another seed")
         chosen = options.interpreter or bundle.interpreters[0]
+        # An object may have `start` and `step` alone, and gets defaults for the rest.
         interpreter = as_interpreter(bundle.interpreter_named(chosen, text) if isinstance(chosen, str) else chosen)
         temperature = options.temperature
         if temperature is None and interpreter.name in INTERPRETERS:

@@ -247,6 +247,7 @@ class Stream:
                 yield self._frames(first, part)
                 first = self._path.next
         finally:
+            # A caller may stop early: closing sets media time to the frames that were returned.
             parts.close()
 
     def feed(self, samples: NDArray[Any]) -> StreamFrames:
@@ -363,6 +364,7 @@ class Stream:
 
     def _feed(self, samples: NDArray[Any]) -> _Parts:
         sound = self._sound.take(samples)
+        # No samples are no speech: they only ask for frames that are due.
         if len(samples):
             self._speak()
             if self._face is not None:
@@ -433,6 +435,7 @@ class Stream:
 
     def _end_utterance(self) -> _Parts:
         """Generate the rest of the utterance, and set media time to its end."""
+        # Without sound there is no utterance to end.
         if self._sound.seconds == 0 or self._cutter is None:
             return
         cutter, sound = self._cutter, self._sound.finish()
@@ -469,6 +472,7 @@ class Stream:
 
     def _advance(self, until: float) -> _Parts:
         """Generate idle motion until all frames before `until` seconds are final."""
+        # A little less, because a whole number of frames must not become one more by rounding.
         count, frames = math.ceil(until * self.fps - 1e-6), self._bundle.frames
         none = np.zeros((0, self._shown[-1][1].shape[1]), np.float32)
         waiting = self._path.push(np.zeros(0), none, count)

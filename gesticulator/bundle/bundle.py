@@ -267,6 +267,7 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
     """Write a bundle atomically; an existing bundle is replaced, any other folder is left alone."""
     def write(folder: Path) -> None:
         for name, module in bundle.parts.items():
+            # Policies are played without the models that judge them.
             if name in JUDGES:
                 continue
             # A tied part names its codebook, because lexeme 7 of another one is another gesture.
@@ -307,10 +308,12 @@ def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
     # Before any weights: the width of word vectors decides shapes of the interpreters.
     text = None if index["text"] is None else TextSource(**index["text"])
     speakers, silent = tuple(index["speakers"]), np.array(index["silent_lexemes"], dtype=np.int64)
+    # Frequencies and distances lie in the file of the statistics, but belong to the lexicon.
     statistics, tensors = _statistics(folder, weights, config, speakers)
     sizes = Sizes(config, representation_of(config).width, len(statistics.low.mean), len(statistics.high.mean),
                   index["audio_levels"] == 2, len(speakers), text.width if text else 0, statistics.present,
                   silent=tuple(silent.tolist()))
+    # The shapes of some models depend on the codebook.
     vectors = _codebook(folder, weights, config)
     if len(silent) and silent.max() >= len(vectors):
         raise InputError(folder / INDEX, f"names silent lexemes beyond the {len(vectors)} of the lexicon",
@@ -333,6 +336,7 @@ def _codebook(folder: Path, weights: Weights, config: Config) -> Tensor:
 def _statistics(folder: Path, weights: Weights, config: Config, speakers: tuple[str, ...]
                 ) -> tuple[Statistics, dict[str, NDArray[np.float64]]]:
     """The statistics, and all arrays of their file."""
+    # Stored in single precision; in double, normalising and its inverse do not drift apart.
     tensors = {key: value.double().numpy() for key, value in weights.read(_STATISTICS, None).items()}
     levels = {key.removeprefix("levels_"): value for key, value in tensors.items() if key.startswith("levels_")}
     motion, count, size = representation_of(config).width, len(speakers), system_of(config).codebook_shape(config)[0]

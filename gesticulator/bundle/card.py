@@ -12,6 +12,7 @@ def model_card(bundle: Bundle) -> str:
     """The model card as Markdown: training data, validation figures and limits."""
     p, c = bundle.provenance, bundle.config
     hours, reads = p["hours"], bundle.text is not None
+    # One row for each figure: stages have different ones.
     figures = "\n".join(f"| {stage} | {name} | {value:.4g} |" for stage, values in bundle.figures.items()
                         for name, value in values.items())
     return f"""# Model card

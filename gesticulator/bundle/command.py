@@ -16,6 +16,7 @@ def _arguments(p: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
+    # Here, because torch takes seconds and the verb is listed without it.
     from data_module.layers import parameter_count
     from gesticulator.bundle.bundle import load
     from gesticulator.bundle.files import FORMAT, bundle_folder

@@ -273,6 +273,7 @@ def front_end_for(config: Config, encoder: SpeechEncoder | None = None) -> Front
                       SAMPLE_RATE, robust=settings.robust)
     if settings.name == "mel":
         return mel
+    # Imported late, because it needs transformers.
     from data_module.speech.learned_front_ends import front_end
 
     return front_end(settings.name, mel, encoder=encoder, layers=settings.layers or None)
@@ -282,6 +283,7 @@ def tempo_column(durations: Array, longest: float, frames: int) -> Features:
     """[N, 3K, 1]: log(duration / longest) of the block before, the block and the block after, on their rows."""
     # Stretching blocks to one length hides how long they were; this column tells the models.
     logs = np.log(durations / longest)
+    # The ends are repeated: beyond them there is no block whose length could be given.
     padded = np.concatenate([logs[:1], logs, logs[-1:]])
     three = np.stack([padded[:-2], padded[1:-1], padded[2:]], axis=1)
     return np.repeat(three, frames, axis=1)[..., None].astype(np.float32)

@@ -46,6 +46,7 @@ def bundle_folder(given: str | os.PathLike[str] | None) -> Path:
     """
     if given is None:
         return NAMED["default"]
+    # A `Path` is a folder, whatever its name.
     return NAMED[given] if isinstance(given, str) and given in NAMED else Path(given)
 
 
@@ -106,10 +107,9 @@ def read_index(path: str | Path) -> dict[str, Any]:
     format."""
     folder = Path(path)
     file = folder / INDEX
-    if not folder.exists():
-        raise InputError(folder, "does not exist", "give the folder of a bundle, default or paper")
     if not file.is_file():
-        raise InputError(folder, f"is not a bundle (no {INDEX})", "give a folder that gesticulator train made")
+        raise InputError(folder, f"is not a bundle (no {INDEX})", "give default, paper, or a folder that gesticulator "
+                         "train made")
     index = read_object(file, "copy the bundle again")
     # Checked first: with another format all other messages would mislead.
     version = index.get("format")
@@ -156,6 +156,7 @@ class Weights:
             raise InputError(file, "is not the file that the bundle was made with (wrong SHA-256)",
                              "copy the bundle again")
         try:
+            # `load` gives no metadata, so the header is read a second time for them.
             with safe_open(file, framework="pt") as opened:
                 made_with = opened.metadata() or {}
             tensors = load_tensors(data)

@@ -139,6 +139,7 @@ class LazyParts(UserDict[str, Any]):
     def __getitem__(self, name: str) -> nn.Module:
         part = self.data[name]
         if not isinstance(part, nn.Module):
+            # Kept, because loading reads and checks a file.
             part = self.data[name] = part()
         return part
 
@@ -151,6 +152,7 @@ def stored_parts(weights: Weights, sizes: Sizes, device: torch.device) -> LazyPa
 
 def _opened(part: BundlePart, name: str, weights: Weights, sizes: Sizes, device: torch.device) -> nn.Module:
     tied = lexicon_hash(sizes.lexemes) if part.tied else None
+    # Before the model is built: a width in a broken index could take all memory.
     tensors = weights.read(part.file, shapes(name, sizes), tied)
     model = part.build(sizes)
     model.load_state_dict(tensors)

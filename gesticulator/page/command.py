@@ -9,7 +9,7 @@ import tempfile
 import webbrowser
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,6 +46,7 @@ def run(args: argparse.Namespace) -> int:
 
     settings = run_settings_of(args)
     job = _job(args)
+    # The port comes first: one that is taken is found before the models load.
     with PageServer(args.port) as server, our_warnings(), limited_threads(settings.threads):
         _prepare(server, job, settings)
         _serve(server, args.no_browser)
@@ -72,6 +73,7 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings) -> None:
     """Generate the performance, and give the server its page and the renderer of edited plans."""
     from gesticulator.export import html
     from gesticulator.gesticulator import Gesticulator
+    from gesticulator.page.palette import moving_figures
     from gesticulator.page.session import EditSession, levels_of
 
     source = job.source
@@ -101,14 +103,9 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings) -> None:
     gc.collect()
     gc.freeze()
     server.render = session.answer
-    server.figures = cache(partial(_figures, gesticulator, performance.decided.speaker))
-
-
-def _figures(gesticulator: Gesticulator, speaker: str | None) -> bytes:
-    """The figures of the palette as JSON."""
-    from gesticulator.page.palette import moving_figures
-
-    return json.dumps(moving_figures(gesticulator.bundle, gesticulator.resolver.speaker(speaker))).encode()
+    # Decoding all lexemes takes a second: only when the palette is opened, and once.
+    speaker = gesticulator.resolver.speaker(performance.decided.speaker)
+    server.figures = cache(lambda: json.dumps(moving_figures(gesticulator.bundle, speaker)).encode())
 
 
 def _character(job: Job) -> tuple[tuple[Character, dict[str, int]] | None, bool]:

@@ -100,4 +100,5 @@ def _points(motion: Motion) -> Array:
 
 
 def _text(points: Array) -> str:
+    # As bytes, because hundreds of figures are sent when the palette opens.
     return base64.b64encode(np.clip(np.round(points), -127, 127).astype(np.int8).tobytes()).decode("ascii")

@@ -102,6 +102,7 @@ class _PageHandler(BaseHTTPRequestHandler):
     server: PageServer
     protocol_version = "HTTP/1.1"
     server_version = "gesticulator"
+    # The version of Python is not told to everyone who asks.
     sys_version = ""
     timeout = PATIENCE
     _begun = False
@@ -111,6 +112,7 @@ class _PageHandler(BaseHTTPRequestHandler):
         if not self._is_ours():
             return
         place = self._place()
+        # To read, the secret is enough: another origin cannot see the answer.
         if place == "figures":
             self._answer(HTTPStatus.OK, self.server.figures(), "application/json")
         elif place == "":
