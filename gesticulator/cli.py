@@ -20,6 +20,8 @@ from typing import NoReturn
 from data_module.errors import InputError, complain, one_line_errors
 from data_module.registry import Registry, RegistryEntry
 
+__all__ = ["Command", "main"]
+
 PROGRAM = "gesticulator"
 DEFAULT = "infer"
 """The verb used if the first word is not a verb: `gesticulator speech.wav -o gesture.bvh`."""
