@@ -13,7 +13,7 @@ from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.files import lexicon_hash
 from gesticulator.directing.record import Origin
 from gesticulator.options import HandControl, InferenceOptions, interpreter_name
-from gesticulator.plan.plan import PlanMeaning
+from gesticulator.plan.plan import ENERGIES, PlanMeaning
 from gesticulator.sampling.loop import Setup
 from gesticulator.version import __version__
 from interpreters import INTERPRETERS
@@ -49,7 +49,7 @@ class SetupResolver:
         """The setup of a performance. text: its words are read. `InputError` for options that the bundle cannot
         follow."""
         bundle, defaults = self._bundle, self._bundle.config.selection
-        activity = (defaults.activity if options.activity is None else options.activity) * options.energy_share
+        activity = (defaults.activity if options.activity is None else options.activity) * ENERGIES[options.energy][1]
         # With rest by phrases (silence.rest=life) activity works without a gate, which would only rank the phrases.
         if 0 < activity < 1 and "gate" not in bundle.parts and not bundle.rests_by_phrase:
             raise InputError(f"activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")

@@ -92,6 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
         redraw(Path(arguments.out))
         return 0
     systems = _checked(arguments)
+    # Imported here: --list and --tables need not wait for torch.
     from eval.ablate.ablation import Ablation
     from eval.ablate.cells import CellStore
     from eval.ablate.run import RgRows

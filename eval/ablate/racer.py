@@ -128,6 +128,7 @@ class RacerRows:
     def shared(self) -> str:
         """Hash of what the rows share: all models, and what scores motion."""
         bundle = self.bundle
+        # Generator and style play what is chosen, so figures of motion depend on them, too.
         models = (bundle.block_lexicon, bundle.interpreter, bundle.reward, bundle.reward_judge, bundle.encoder,
                   bundle.generator, bundle.style)
         return configs.digest(VERSION, [weights_hash(model) for model in models if model is not None],
@@ -136,6 +137,7 @@ class RacerRows:
     def cell_key(self, name: str, seed: int) -> str:
         """Hash of everything that shapes a row's cell."""
         names = [self.corpus.names[take.recording] for take in self.decisions.takes]
+        # A change of the supervised row is one of the actor-critic that begins as it.
         begins_as = self.config(RACER_SUPERVISED) if ROWS[name].train == "actor-critic" else None
         return configs.digest(self.shared, self.config(name), ROWS[name].train, begins_as, seed, names)
 
@@ -297,6 +299,7 @@ TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
 def trained(racer: RacerRows, name: str, seed: int) -> Policy:
     """The network of a row, trained at its first use."""
     if (name, seed) not in racer._trained:
+        # Kept for the actor-critic, which begins as the supervised network of its seed.
         config = racer.config(name)
         model, make_batch = TRAININGS[ROWS[name].train](racer, config, racer.untrained(name, seed), seed)
         # No checkpoint is kept: what roll-outs remembered would be lost, so a resumed training would be another one.

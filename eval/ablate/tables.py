@@ -155,6 +155,7 @@ def write(cells: Cells, facts: Mapping[str, Any], out: Path, about: Provenance,
     decided: where the verdicts do, if they are of another commit.
     """
     rows: Rows = facts["rows"]
+    # RACER's table has no line where none of its rows was run.
     titles = [title for title in TABLES if title != "RACER Table 2" or any(map(is_racer, rows))]
     save([corpus_table(facts), about_table(facts), *(paper_table(title, rows) for title in titles), curve_table(rows)],
          out / "table.json", about)

@@ -138,6 +138,7 @@ def measure(generated: Sequence[Array], real: Sequence[Array], *, paired: bool =
     counts = (sum(map(len, generated)), sum(map(len, real)))
     if paired and len(generated) != len(real):
         raise ValueError(f"{len(generated)} generated clips cannot be paired with {len(real)} real ones")
+    # By the width of the features, which clips too short for a window have as well.
     needed = ENOUGH * max((clip.shape[1] for clip in (*generated, *real)), default=1)
     if min(counts) < 2:
         return Figure(math.nan, Interval.undefined(), math.nan, counts, needed)

@@ -80,7 +80,7 @@ def mismatch(values: Array, *, seed: int = 0, draws: int = DRAWS) -> Mismatch:
         return Mismatch(nan, nan, Interval(nan, nan, nan, n), nan, f"{n} clips with a value: a wrong speech takes two")
     right = np.diag(table)
     wrong = (table.sum(axis=1) - right) / (n - 1)
-    # Up to seven clips every assignment is tried, and p is exact.
+    # Up to seven clips every assignment is tried, and p is exact; else the right one counts as drawn, so p is never 0.
     test = permutation_test((np.arange(n),), lambda speech, axis: table[np.arange(n), speech].mean(axis=axis),
                             permutation_type="pairings", alternative="greater", n_resamples=draws, rng=seed)
     return Mismatch(float(right.mean()), float(wrong.mean()), mean_interval(right - wrong, seed=seed),

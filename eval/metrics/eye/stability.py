@@ -66,6 +66,7 @@ def healed(apart: NDArray[np.bool_], within: float, hz: float = HZ) -> float:
 def difference(first: CommonBody, second: CommonBody, within: float = UNIT) -> Difference:
     """Of two takes; within: seconds in which they should come together again."""
     frames = min(len(first), len(second))
+    # Wrists alone: what a viewer follows, and what parts first.
     away = np.linalg.norm(first.hands[:frames] - second.hands[:frames], axis=-1)
     return Difference(100.0 * float(away.mean()), healed(away.max(axis=1) > ALIKE, within))
 
