@@ -112,10 +112,10 @@ class Gesticulator:
         recording, note = self._with_words(_prepared(recording, checked), text, checked.transcribe)
         # The words are in the speech from here on, and in the plan.
         checked = replace(checked, transcribe=None)
-        if checked.cues or checked.hold_still:
+        if checked.cues:
             from gesticulator.directing.cues import without_mismatches
 
-            checked = without_mismatches(checked, recording.words or (), recording.duration)
+            checked = without_mismatches(checked, recording.words or ())
         performance = self._generate(recording, checked, encoded)
         return performance.labelled(name, () if note is None else (note,))
 

@@ -248,8 +248,8 @@ def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> R
 
     # An unclear rig is an error here, before any sound is read.
     rig, mapping = choose(character.file, character.mapping, character.save_mapping)
-    note = note_of(rig, mapping.joints["Hips"])
     retargeter = Retargeter(rig, mapping, contacts=character.contacts, legs=character.legs)
+    note = note_of(rig, mapping.joints["Hips"])
     remarks = [note] if note else []
     remarks += [f"{doubt}; look at the result" for doubt in retargeter.doubts]
     for remark in () if quiet else remarks:

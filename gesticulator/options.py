@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from data_module.errors import InputError, shown
-from gesticulator.plan.plan import ENERGIES, PlanKnobs, shapes, shows_meanings
+from gesticulator.plan.plan import ENERGIES, PlanKnobs, shapes
 
 if TYPE_CHECKING:
     from data_module.controls import Controls, Curve
@@ -224,8 +224,7 @@ class InferenceOptions:
         """Whether options change the generated poses."""
         # Energy changes the size as well as how often somebody gestures.
         resized = self.intensity != 1.0 or ENERGIES[self.energy][0] != 1.0
-        return bool(self._moves or resized
-                    or (self.plan is not None and (shapes(self.plan) or shows_meanings(self.plan))))
+        return bool(self._moves or resized or (self.plan is not None and shapes(self.plan)))
 
     @property
     def mirrored(self) -> bool:

@@ -206,14 +206,6 @@ def test_a_bird_is_refused_and_half_a_body_is_not(lies: bool, tmp_path: Path) ->
         assert Retargeter(character).mapping.joints.keys() >= {"LeftHand", "RightHand", "Head"}
 
 
-def test_hands_without_arms_are_refused_with_what_is_missing_alone(tmp_path: Path) -> None:
-    """Half bodies for headsets: head and hands float, and hips and head are there."""
-    body = figure(spelled({}, "{side}{part}"), "A").without("Shoulder", "Arm", "Leg", "Foot", "ToeBase")
-    body.parents |= {"LeftHand": "Spine2", "RightHand": "Spine2"}
-    with pytest.raises(InputError, match=r"could be LeftArm, LeftForeArm, RightArm, RightForeArm \("):
-        Retargeter(read_character(write(tmp_path / "half.glb", body)))
-
-
 @pytest.mark.parametrize(("missing", "named"), [(("Arm", "ForeArm", "Hand"), "RightArm, RightForeArm, RightHand"),
                                                 (("ForeArm", "Hand"), "RightForeArm, RightHand"),
                                                 (("Hand",), "RightHand")])
@@ -221,7 +213,7 @@ def test_a_missing_arm_is_named_and_no_leg_taken_for_it(missing: tuple[str, ...]
     """One refusal said that a thigh was both the left arm and the right thigh."""
     body = figure(spelled({}, MIXAMO), "A", FINGERS)
     body.without(*(key for key in body.places if key.startswith(("RightHand", *("Right" + part for part in missing)))))
-    with pytest.raises(InputError, match=rf"no joint that could be {named} \(.*gestures need both"):
+    with pytest.raises(InputError, match=f"no joint that could be {named}.*gestures need both"):
         Retargeter(read_character(write(tmp_path / "one_arm.glb", body)))
 
 

@@ -92,10 +92,7 @@ def test_the_pose_that_a_file_stands_in_does_not_matter(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("damage", [
     lambda data: data[:200], lambda data: b"glTF" + data[8:], lambda data: b"no glTF at all",
-    # As long as before, so that the parts still fit: an accessor beyond its buffer, and a node that is its own child.
-    lambda data: data.replace(b'"byteOffset": 0', b'"byteOffset": 9'),
-    lambda data: data.replace(b'"children": [1]', b'"children": [0]'),
-    lambda data: data.replace(b'"componentType": 5126', b'"componentType": 9999'),
+    lambda data: data.replace(b'"children": [1]', b'"children": [0]'),  # a node that is its own child
 ])
 def test_a_broken_glb_is_refused_in_a_line(damage, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     file = tmp_path / "broken.glb"

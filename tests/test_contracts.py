@@ -21,7 +21,7 @@ from data_module.errors import InputError
 from data_module.registry import Registry, RegistryEntry
 from eval.pictures import PLOTS
 from gesticulator.characters.reading import READERS, read_character
-from gesticulator.cli import VERBS, Command
+from gesticulator.cli import Command
 from gesticulator.export.writers import WRITERS
 from gesticulator.training.presets import preset
 from gesticulator.training.stages import STAGES
@@ -78,7 +78,7 @@ def test_a_stage_is_trained_and_kept_by_what_shapes_it(name: str) -> None:
     assert run.schedule(stage).steps >= 0
 
 
-@pytest.mark.parametrize("point", sorted(entry_points(group=VERBS.group)), ids=lambda point: point.name)
+@pytest.mark.parametrize("point", sorted(entry_points(group="gesticulator.commands")), ids=lambda point: point.name)
 def test_a_verb_is_a_command_with_a_summary_and_an_example(point: EntryPoint) -> None:
     command = getattr(importlib.import_module(point.module), point.attr)
     assert isinstance(command, Command) and command.summary

@@ -107,33 +107,6 @@ def test_a_folder_that_another_process_holds_is_refused_until_it_dies(place: str
     assert [file.name for file in tmp_path.rglob("*")] == ([] if beside else ["work"])
 
 
-def test_threads_hold_a_folder_one_after_the_other(tmp_path: Path) -> None:
-    inside, most, refused = 0, 0, 0
-    guard = threading.Lock()
-
-    def work() -> None:
-        nonlocal inside, most, refused
-        for _ in range(50):
-            try:
-                with lock(tmp_path / "w", "work"):
-                    with guard:
-                        inside += 1
-                        most = max(most, inside)
-                    time.sleep(0.001)
-                    with guard:
-                        inside -= 1
-            except InputError:
-                with guard:
-                    refused += 1
-
-    threads = [threading.Thread(target=work) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert most == 1 and refused > 0
-
-
 def test_a_lock_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(files, "WAIT", 0.01)
     order: list[str] = []

@@ -69,8 +69,6 @@ def test_a_cue_of_unknown_name_is_refused_before_any_recording_is_done(capsys: p
 
 def test_what_a_recording_cannot_fulfil_is_a_warning(g: Gesticulator) -> None:
     spoken = Speech(voice(), RATE, (Word("bread", 0.2, 0.6), Word("and", 0.7, 0.9), Word("Bread,", 1.0, 1.6)))
-    with pytest.warns(OptionWarning, match="beyond the end"):
-        g(spoken, hold_still=((2.0, 9.0),))
     wave = GestureCue("wave", "bread", 2)
     with pytest.warns(OptionWarning) as cues:
         directed = g(spoken, cues=(wave, GestureCue("nod", "bread", 3), GestureCue("nod", "zebra")))

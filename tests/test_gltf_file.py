@@ -90,7 +90,7 @@ def _row(name: str, **change: Any) -> Change:
     (_accessor(count=32_000_000_000), "accessors[0] asks for"), (_accessor(count=-1), "accessors[0].count is -1"),
     (_accessor(count=True), "count is True"), (_accessor(count=1e9), "count is 1000000000.0"),
     (_accessor(bufferView=99), "accessors[0].bufferView is 99"), (_accessor(componentType=[1]), "componentType is [1]"),
-    (_accessor(type="MAT9"), "type is 'MAT9'"), (_accessor(byteOffset=1 << 50), "byteOffset is 1125899906842624"),
+    (_accessor(type="MAT9"), "type is MAT9"), (_accessor(byteOffset=1 << 50), "byteOffset is 1125899906842624"),
     (_accessor(sparse=7), "sparse is 7"),
     (_accessor(sparse={"count": 10**6, "indices": {}, "values": {}}), "sparse.count is 1000000"),
     (_row("bufferViews", byteLength=1 << 35), "bufferViews[0] lies beyond its buffer"),

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from data_module.types import Array
-from gesticulator.contacts.limbs import bend, swivel
+from gesticulator.contacts.limbs import bend, swing, swivelled
 
 UPPER, LOWER = 0.4, 0.3
 SOCKET = np.array([0.2, 1.4, 0.0])
@@ -99,7 +99,10 @@ def swung(angles: Array, shift: float, iterations: int) -> tuple[dict[int, Array
     turns = {node: turn @ matrices for node, matrices in bent(
         np.tile(BELOW, (len(angles), 1)), np.array([0.0, 0.0, 1.0])).items()}
     for _ in range(iterations):
-        swivel(turns, Arm(), CHAIN, np.tile([0.0, 0.0, shift], (len(angles), 1)))
+        socket, hinge, tip = (Arm().place(turns, node) for node in CHAIN)
+        upper = swivelled(hinge - socket, tip - hinge, np.tile([0.0, 0.0, shift], (len(angles), 1)))
+        turns[0] = swing(hinge - socket, upper) @ turns[0]
+        turns[1] = swing(tip - hinge, tip - socket - upper) @ turns[1]
     elbow = Arm().place(turns, 1) - SOCKET
     return turns, np.arctan2(elbow[:, 0], elbow[:, 2])
 

@@ -9,71 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import chromium
 from javascript import printed_by
-from live_double import TURN, served
 from pipecat_gesticulator import Joint, Poses, SteadyPlayer, Welcome
 from pipecat_gesticulator.messages import LONGEST, MessageReader, hello_messages, pose_messages, to_rtvi
 
 from data_module.motion import rotation
-from gesticulator.live.limits import ServerLimits
-from gesticulator.live.server import Page
 
 FOLDER = Path(__file__).resolve().parents[1] / "integrations" / "gesticulator-client"
-_PATIENCE = 240_000
-"""Milliseconds for what the page does, on a machine that many share."""
-HTML = b"""<!doctype html><meta charset="utf-8"><script type="module">
-import * as client from "/index.js";
-Object.assign(window, { client, events: [] });
-const numbers = new Map();
-window.talk = async (seconds, slowly) => {
-  const stream = window.stream = new client.GestureStream(location.origin.replace("http", "ws") + "/stream",
-    { sampleRate: 16000, onEvent: (event) => window.events.push(event) });
-  await stream.ready;
-  for (let k = 0; k < seconds * 10; k++) {
-    stream.send(new Float32Array(1600));
-    if (slowly) await new Promise((go) => setTimeout(go, 20));
-  }
-  stream.idle(0.5);
-  stream.finish();
-};
-document.body.dataset.ready = "true";
-</script><body></body>"""
-
-
 def node(script: str) -> Any:
     """What a module in the package's folder prints as JSON."""
     return printed_by(script, FOLDER)
-
-
-def test_a_stream_in_the_browser_comes_back_and_lacks_no_frame() -> None:
-    pages = {f"/{file.name}": Page(file.read_bytes(), "text/javascript") for file in (FOLDER / "src").glob("*.js")}
-    pages["/"] = Page(HTML, "text/html; charset=utf-8")
-    with served(ServerLimits(), pages) as (server, port), chromium() as browser:
-        page = browser.new_page()
-        page.set_default_timeout(_PATIENCE)
-        complaints: list[str] = []
-        page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.goto(f"http://127.0.0.1:{port}/")
-        page.wait_for_selector("body[data-ready=true]", state="attached")
-        page.evaluate("() => { window.talk(5, true); }")
-        page.wait_for_function("() => window.stream?.total > 60")
-        for connection in list(server.connections):
-            page_socket = connection.socket.transport
-            page_socket.get_loop().call_soon_threadsafe(page_socket.abort) if hasattr(page_socket, "get_loop") \
-                else page_socket._loop.call_soon_threadsafe(page_socket.abort)
-        page.wait_for_function("() => window.events.some((event) => event.type === 'done')")
-        events = page.evaluate("() => window.events.filter((event) => event.type !== 'poses')")
-        kinds = [event["type"] for event in events]
-        assert kinds.count("lost") == kinds.count("back") == 1 and kinds[-1] == "done"
-        frames = page.evaluate("() => [...window.stream.frames].map(([k, { turns, source }]) => "
-                               "[k, turns[0], turns[2], source])")
-        assert [k for k, *_ in frames] == list(range(330))
-        # The double tells the number of its frame, counted from where its connection began.
-        turned = np.array([2 * np.arctan2(y, w) for _, w, y, _ in frames]) / TURN
-        begin = next(k for k, *_, source in frames if source == 1)
-        np.testing.assert_allclose(turned, [*range(begin), *range(330 - begin)], atol=1e-3)
-        assert complaints == []
 
 
 SOCKETS = """

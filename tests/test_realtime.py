@@ -1,5 +1,5 @@
-"""Agents that speak by OpenAI's Realtime API, and synthesisers that stream over HTTP: each is played by a server that
-speaks the documented format, beside our server with its models."""
+"""Agents that speak by OpenAI's Realtime API, played by a server that speaks the documented format, beside our server
+with its models."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ import base64
 import importlib.util
 import json
 import sys
-import threading
 import wave
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager, contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -161,54 +159,3 @@ def test_an_agents_answer_gets_gestures_and_an_interruption_is_told_to_both(
         places = [at for at in np.flatnonzero(sound[:begin] == first[1000]) - 1000
                   if at >= 0 and np.array_equal(sound[at:at + len(first)], first)]
         assert len(places) == 1
-
-
-@contextmanager
-def synthesiser(sound: bytes) -> Iterator[str]:
-    """HTTP as documented: JSON in, raw sound out, chunked; chunks of an odd length end within a sample."""
-    class Handler(BaseHTTPRequestHandler):
-        protocol_version = "HTTP/1.1"
-
-        def do_POST(self) -> None:
-            asked = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-            known = asked["response_format"] == "pcm" and asked["input"] and asked["model"] and asked["voice"]
-            self.send_response(200 if known else 400)
-            self.send_header("Content-Type", "audio/pcm")
-            self.send_header("Transfer-Encoding", "chunked")
-            self.end_headers()
-            for at in range(0, len(sound), 3001):
-                piece = sound[at:at + 3001]
-                self.wfile.write(f"{len(piece):x}\r\n".encode() + piece + b"\r\n")
-            self.wfile.write(b"0\r\n\r\n")
-
-        def log_message(self, *_: Any) -> None:
-            pass
-
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
-    thread.start()
-    try:
-        yield f"http://127.0.0.1:{server.server_port}/v1/audio/speech"
-    finally:
-        server.shutdown()
-        thread.join()
-
-
-def test_a_streamed_voice_gets_the_gestures_of_the_whole_recording(monkeypatch: pytest.MonkeyPatch) -> None:
-    sound = speech(3.0)
-    example("realtime_agent", monkeypatch)
-    program = example("streaming_tts", monkeypatch)
-    recorder = program.Recorder()
-
-    async def talk(url: str) -> float:
-        async with asyncio.timeout(120), gestures() as server:
-            return float(await program.speak(url, server, "It was this big.", recorder))
-
-    with synthesiser(sound) as url:
-        fps = asyncio.run(talk(url))
-    np.testing.assert_array_equal(recorder.sound, np.frombuffer(sound, "<i2"))
-    numbers = sorted(recorder.poses)
-    assert numbers == list(range(round(3.0 * fps)))
-    truth = Gesticulator.from_pretrained().stream(RATE)
-    made = np.concatenate([truth.feed(np.frombuffer(sound, "<i2")).rotations, truth.finish().rotations])
-    np.testing.assert_allclose(np.array([recorder.poses[number][0] for number in numbers]), made, atol=1e-6)

@@ -22,8 +22,6 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from live_double import LOOK_AHEAD, TURN, TellingStream, figure, opener
 from pipecat_gesticulator import Hello, PosePlayer, Poses, connect
 from prometheus_client.parser import text_string_to_metric_families
@@ -193,11 +191,6 @@ async def test_every_message_fits_the_published_schema() -> None:
         assert kinds[0] == "hello" and kinds[-1] == "done"
 
 
-JSON = st.recursive(st.none() | st.booleans() | st.integers(-3, 200_000) | st.floats() | st.text(max_size=5),
-                    lambda own: st.lists(own, max_size=3) | st.dictionaries(st.text(max_size=5), own, max_size=3),
-                    max_leaves=5)
-
-
 def test_codes_are_those_of_the_schema() -> None:
     assert {str(int(code)) for code in CloseCode} == set(published()["close_codes"])
 
@@ -259,28 +252,6 @@ async def test_media_time_goes_on_from_where_the_voice_was_heard(heard: float) -
             if isinstance(message, Poses):
                 player.add(message)
         assert player.end == pytest.approx(heard + 0.5 + 1.0)
-
-
-@in_loop
-async def test_idle_without_end_goes_with_the_clock_until_there_is_sound() -> None:
-    async with running() as at, connect(at.url, Hello(RATE)) as stream:
-        begin = asyncio.get_running_loop().time()
-        await stream.idle()
-        got = 0
-        async for message in stream:
-            if isinstance(message, Poses):
-                got += len(message)
-                spent = asyncio.get_running_loop().time() - begin
-                assert abs(got / 60 - spent) < 0.35
-                if got >= 60:
-                    break
-        await stream.send(pcm(1.0))
-        await stream.finish()
-        async for message in stream:
-            if isinstance(message, Poses):
-                assert message.first == got
-                got += len(message)
-        assert got < 60 * 2.5, "idling ended when there was sound"
 
 
 @in_loop
@@ -384,31 +355,6 @@ async def test_the_token_is_asked_for() -> None:
 
 
 @in_loop
-async def test_a_minute_of_idle_time_comes_a_block_at_a_time_and_ends_where_it_is_asked_to() -> None:
-    limits = replace(LIMITS, waiting_seconds=100.0, unread_bytes=2**24)
-    async with running(limits, work=0.0) as at:
-        async with open_socket(at.url, max_size=None) as ws:
-            await ws.send(Hello(RATE).text())
-            assert json.loads(await ws.recv())["type"] == "hello"
-            await ws.send('{"type": "idle", "seconds": 50}')
-            await ws.send('{"type": "finish"}')
-            packets = [Poses.unpack(message) async for message in ws if isinstance(message, bytes)]
-        assert_whole(packets, 50.0)
-        assert max(len(one) for one in packets) <= 0.4 * 60 + 1
-        code, reason = await closed_with(at.url, Hello(RATE).text(), *['{"type": "idle", "seconds": 60}'] * 2)
-        assert code == CloseCode.TOO_MUCH_SOUND and "wait" in reason
-        async with connect(at.url, Hello(RATE)) as stream:
-            await stream._say({"type": "idle", "seconds": 50, "until_sound": True})
-            await stream.send(pcm(1.0))
-            await stream.finish()
-            messages = [message async for message in stream]
-            length = sum(len(one) for one in messages if isinstance(one, Poses))
-            spoken = [one for one in messages if isinstance(one, dict) and one.get("state") == "speaking"]
-            # The sound follows whatever was idled before it came.
-            assert 60 <= length < 60 * 51 and spoken[0]["time"] * 60 == pytest.approx(length - 60, abs=0.1)
-
-
-@in_loop
 async def test_streams_take_turns_whatever_one_of_them_asked_for() -> None:
     """Beside a stream that was sent eight seconds at once, one that speaks now waits for one turn of it at a time."""
     async with running(work=0.05) as at, connect(at.url, Hello(RATE)) as greedy, \
@@ -492,42 +438,6 @@ async def test_a_failure_in_a_stream_is_one_line(caplog: pytest.LogCaptureFixtur
         await closed_with(at.url, Hello(RATE).text(), b"\xff\x7f" * 1000)
     failures = [record.getMessage() for record in caplog.records if "a model failed" in record.getMessage()]
     assert len(failures) == 1 and "4500" in failures[0] and "\n" not in failures[0]
-
-
-MESSAGES = st.lists(st.one_of(
-    st.binary(max_size=50),
-    st.text(max_size=20),
-    JSON.map(json.dumps),
-    st.sampled_from([Hello(RATE).text(), '{"type":"finish"}', '{"type":"idle","seconds":0.1}', '{"type":"interrupt"}',
-                     '{"type":"listen"}', '{"type":"speak"}', '{"type":"idle"}', '{"type":"idle","seconds":-1}']),
-    st.dictionaries(st.sampled_from(["type", "protocol", "sample_rate", "format", "fps", "seed", "options", "time"]),
-                    JSON | st.sampled_from(["hello", "interrupt", "idle", "float32"]), max_size=5).map(json.dumps),
-), max_size=8)
-
-
-def test_no_message_ends_the_server() -> None:
-    """Whatever is sent, after a hello or not, the server closes with a code of its own and serves the next."""
-    async def test() -> None:
-        async with running(replace(LIMITS, quiet_seconds=0.2, hello_seconds=0.2)) as at:
-            loop = asyncio.get_running_loop()
-
-            async def attack(messages: list[str | bytes], greet: bool) -> None:
-                try:
-                    async with asyncio.timeout(60):
-                        code, _ = await closed_with(at.url, *([Hello(RATE).text()] if greet else []), *messages)
-                    assert str(code) in published()["close_codes"]
-                except UnicodeEncodeError:
-                    pass  # text that cannot be sent
-
-            @given(MESSAGES, st.booleans())
-            def fuzz(messages: list[str | bytes], greet: bool) -> None:
-                asyncio.run_coroutine_threadsafe(attack(messages, greet), loop).result()
-
-            await asyncio.to_thread(fuzz)
-            assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
-            assert figure(at.server, "closed_total", code=str(int(CloseCode.FAILED))) == 0
-
-    asyncio.run(test())
 
 
 # ---------------------------------------------------------------- health, figures, the end

@@ -23,7 +23,7 @@ from gesticulator.bundle.files import read_index
 from gesticulator.training import command as train
 from gesticulator.training import fit as fitting
 from gesticulator.training import presets
-from gesticulator.training.stages import BLOCKS, LABELS, STAGES, Run, Stage, training
+from gesticulator.training.stages import BLOCKS, LABELS, STAGES, Run, training
 from gesticulator.training.stages.corpus import prepare
 from gesticulator.training.stages.windows import Windows, sequences, with_silence
 
@@ -192,48 +192,6 @@ def test_text_without_words_is_refused_before_the_work(tiny_store: Path, work: P
     with pytest.raises(InputError, match=r"no recording with words.*text\.encoder"):
         train_short(Store.open(tiny_store), tmp_path / "b", own)
     assert not list(own.glob("speech-*"))
-
-
-class Small(torch.nn.Module):
-    """One number that learns to be 3."""
-
-    weights = {"error": 1.0}  # noqa: RUF012
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.number = torch.nn.Parameter(torch.zeros(1))
-
-    def losses(self, batch: fitting.Batch, progress: float = 1.0) -> dict[str, torch.Tensor]:
-        return {"error": (self.number - 3).pow(2).sum()}
-
-
-def small_stage(times: list[int]) -> Stage[Small]:
-    def train(run: Run, model: Small) -> fitting.Task:
-        times.append(1)
-        return fitting.Task(lambda rng, size: {}, validate=lambda: {"left": float((model.number - 3).abs())})
-
-    return Stage("gate", (), schedule="gate", build=lambda run: Small(), train=train)
-
-
-@pytest.mark.parametrize(("name", "damage"), [
-    ("figures.json", b""), ("figures.json", b"[1]"), ("figures.json", b'{"left": 0.'), ("weights.safetensors", b""),
-    ("weights.safetensors", b"\x00" * 40), ("weights.safetensors", None), ("figures.json", None)])
-def test_a_damaged_stage_is_told_from_a_whole_one_and_done_again(name: str, damage: bytes | None, tiny_store: Path,
-                                                                 tmp_path: Path) -> None:
-    times: list[int] = []
-    stage = small_stage(times)
-
-    def value() -> float:
-        run = Run(presets.preset("tiny"), Store.open(tiny_store), tmp_path, progress=False)
-        found = float(run.get(stage).number)
-        assert run.finished(stage) and run.figures["gate"]["left"] == pytest.approx(3 - found)
-        return found
-
-    first = value()
-    assert value() == first and len(times) == 1, "a whole one is read"
-    file = next(tmp_path.glob(f"gate-*/{name}"))
-    file.unlink() if damage is None else file.write_bytes(damage)
-    assert value() == first and len(times) == 2
 
 
 def test_silent_augmentation_holds_poses_and_keeps_its_budget(tiny_store: Path, work: Path) -> None:

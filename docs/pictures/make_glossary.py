@@ -352,27 +352,10 @@ def matched_beats(s: Scene) -> Figure:
     return figure
 
 
-def bundle(s: Scene) -> Figure:
-    """The files of the shipped bundle and their sizes."""
-    folder = ROOT / "gesticulator" / "assets" / "bundle"
-    files = sorted(folder.iterdir(), key=lambda path: path.stat().st_size)
-    figure, (axis,) = canvas((2.4,))
-    sizes = [path.stat().st_size / 1e6 for path in files]
-    axis.barh(range(len(files)), sizes, color=[TEAL if path.suffix == ".safetensors" else AMBER for path in files])
-    for row, size in enumerate(sizes):
-        text = f" {size:.2f} MB" if size >= 0.1 else f" {1000 * size:.0f} kB"
-        axis.text(size, row, text, va="center", fontsize=8, color=SOFT)
-    plain(axis, time=False)
-    axis.set_xticks([])
-    axis.set_xlim(0, 1.15 * max(sizes))
-    axis.set_yticks(range(len(files)), [path.name for path in files], fontsize=8)
-    return figure
-
-
 PICTURES: dict[str, Callable[[Scene], Figure]] = {
     "onset": onset, "beat": beat, "block": block, "stretching": stretching, "lexeme": lexeme, "lexicon": lexicon,
     "silent-lexeme": silent_lexeme, "interpreter": interpreter, "control": control, "generator": generator,
-    "matched-beats": matched_beats, "bundle": bundle}
+    "matched-beats": matched_beats}
 """Name of the file, without .png -> what draws it."""
 
 

@@ -30,6 +30,7 @@ class ActorCritic(nn.Module, InterpreterDefaults):
         discount; Bailando has 1, which would not compare with the other rows."""
         super().__init__()
         self.actor, self.gamma, sizes = actor, gamma, actor.config
+        # A test's network may have no layer to share.
         branch = min(BRANCH, sizes.layers)
         self.shared = sizes.layers - branch
         self.critic = nn.ModuleList(Layer(sizes.width, sizes.heads, DROPOUT) for _ in range(branch))

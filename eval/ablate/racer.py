@@ -128,6 +128,7 @@ class RacerRows:
     def shared(self) -> str:
         """Hash of what the rows share: all models, and what scores motion."""
         bundle = self.bundle
+        # Generator and style play what is chosen, so figures of motion depend on them, too.
         models = (bundle.block_lexicon, bundle.interpreter, bundle.reward, bundle.reward_judge, bundle.encoder,
                   bundle.generator, bundle.style)
         return configs.digest(VERSION, [weights_hash(model) for model in models if model is not None],
@@ -136,6 +137,7 @@ class RacerRows:
     def cell_key(self, name: str, seed: int) -> str:
         """Hash of everything that shapes a row's cell."""
         names = [self.corpus.names[take.recording] for take in self.decisions.takes]
+        # A change of the supervised row is one of the actor-critic that begins as it.
         begins_as = self.config(RACER_SUPERVISED) if ROWS[name].train == "actor-critic" else None
         return configs.digest(self.shared, self.config(name), ROWS[name].train, begins_as, seed, names)
 
@@ -241,11 +243,6 @@ def sampled(policy: ActorCritic, corpus: Corpus, rng: np.random.Generator) -> Ch
     return choose
 
 
-def epsilon_at(step: int, steps: int) -> float:
-    """How often the online row tries anything, at a step of so many."""
-    return max(LEAST_EPSILON, 1 - (1 - LEAST_EPSILON) * step / max(1.0, GREEDY_AT * steps))
-
-
 def offline(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
     """Conservative Q-learning, or what the settings leave of it, on the recorded episodes (RACER Eq. 11)."""
     episodes = rewarded(racer, config)
@@ -267,7 +264,8 @@ class Acting(ConservativeQ):
         if step % ACT_EVERY == 0:
             # Exploration falls with the steps, so late episodes are nearly what the policy itself would do.
             rng = np.random.default_rng([self._seed, step, 1])  # not the numbers that the step's batch is drawn with
-            epsilon = epsilon_at(step, self._config.schedules.cql.steps)
+            share = step / max(1.0, GREEDY_AT * self._config.schedules.cql.steps)
+            epsilon = max(LEAST_EPSILON, 1 - (1 - LEAST_EPSILON) * share)
             with without_dropout(self.online):
                 self._memory.add(self._simulator.collect(
                     epsilon_greedy(self.online, self._racer.corpus, epsilon, rng), rng,
@@ -301,6 +299,7 @@ TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
 def trained(racer: RacerRows, name: str, seed: int) -> Policy:
     """The network of a row, trained at its first use."""
     if (name, seed) not in racer._trained:
+        # Kept for the actor-critic, which begins as the supervised network of its seed.
         config = racer.config(name)
         model, make_batch = TRAININGS[ROWS[name].train](racer, config, racer.untrained(name, seed), seed)
         # No checkpoint is kept: what roll-outs remembered would be lost, so a resumed training would be another one.
@@ -308,5 +307,7 @@ def trained(racer: RacerRows, name: str, seed: int) -> Policy:
             fitting.fit(f"{name}, seed {seed}", model, fitting.Task(
                 make_batch, before_step=model.before_step), config.schedules.cql, Path(scratch),
                 fitting.FitOptions(seed=seed, checkpoint_seconds=float("inf"), progress=racer.context.progress))
-        racer._trained[name, seed] = freeze(model.online if isinstance(model, ConservativeQ) else model)
+        policy: Policy = model.online if isinstance(model, ConservativeQ) else model
+        freeze(policy)
+        racer._trained[name, seed] = policy
     return racer._trained[name, seed]

@@ -77,8 +77,9 @@ def run(arguments: argparse.Namespace) -> list[Path]:
     """Draw it; the picture's path."""
     context = EvalContext.of(arguments)
     motions, silent = decoded(context.bundle), context.bundle.silent
+    # A lexicon may have more lexemes than the motion ever uses.
     counts = np.bincount(context.labels, minlength=len(motions))
-    # The most used first, without lexemes that the motion never uses.
+    # The most used first: a sheet of all would be too small to read.
     order = [lexeme for lexeme in np.argsort(-counts, kind="stable")[:MOST].tolist() if counts[lexeme]]
     titles = [f"{lexeme}{' (silent)' if lexeme in silent else ''}, {100 * counts[lexeme] / counts.sum():.1f} %"
               for lexeme in order]

@@ -1,4 +1,4 @@
-"""Head movements between utterances: nodding to another's voice, occasional tilts, looking away in thought.
+"""Head movements between utterances: nodding to another's voice, and looking away in thought.
 
 Turns are added to the knots at playback, each a function of time that begins after the last knot already played, so the
 motion never jumps. A turn is a (e((t - start) / rise) - e((t - end) / fall)) with e = `gesticulator.body.life.eased`.
@@ -27,14 +27,12 @@ _BREATH = 0.3
 """Silence after which a listener nods, seconds: the end of a phrase."""
 _SPOKEN = 1.2
 """Least speech of the other between two nods, seconds."""
-_TILT, _TILT_EVERY, _TILT_HOLDS = 4.0, 5.5, 2.4
-"""A tilt: degrees to a side, seconds of listening between tilts, and seconds that it is held."""
 _AWAY, _UP = 13.0, 6.0
 """Looking away in thought: degrees to a side, and up."""
 _TURNS = 0.5
-"""Duration of tilting or looking away, and of coming back, seconds."""
+"""Duration of looking away, and of coming back, seconds."""
 _MOST = 16
-"""Most turns at a time."""
+"""Most turns at a time: sound may come faster than it is played."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ class HeadTurns:
         self._count = 0
         self._loudness: LoudnessTracker | None = None
         self._rest = np.zeros(0, np.float32)
-        self._spoken = self._quiet = self._listened = 0.0
+        self._spoken = self._quiet = 0.0
 
     def __call__(self, times: Array) -> Array | None:
         """[T, 3 J] radians to add to the exponential maps at rising `times` [T] seconds; None without any turn."""
@@ -76,7 +74,6 @@ class HeadTurns:
         self._turns = [turn for turn in self._turns if turn.end is None or turn.end + turn.fall > times[0]]
         if not self._turns:
             return None
-        # Turns add up: a nod during a tilt is both.
         degrees = sum(turn.share(times)[:, None] * np.array(turn.degrees) for turn in self._turns)
         return np.einsum("td,dja->tja", degrees, self._mixing).reshape(len(times), -1)
 
@@ -85,11 +82,13 @@ class HeadTurns:
         self._turns = [turn if turn.end is not None else replace(turn, end=max(at, turn.start + turn.rise))
                        for turn in self._turns if turn.start <= at]
         self._loudness, self._rest = None, self._rest[:0]
-        self._spoken = self._quiet = self._listened = 0.0
+        self._spoken = self._quiet = 0.0
 
     def look_away(self, at: float) -> None:
         """Look to a side and up from `at` seconds until released."""
-        self._add(_Turn(at, _TURNS, None, _TURNS, (-_UP, _AWAY * self._side(), 0.0)))
+        self._count += 1
+        side = 1.0 if uniform(self.seed, _CHANNEL, np.array([self._count]))[0] < 0.5 else -1.0
+        self._turns.append(_Turn(at, _TURNS, None, _TURNS, (-_UP, _AWAY * side, 0.0)))
 
     @property
     def side(self) -> float:
@@ -106,25 +105,14 @@ class HeadTurns:
             loudness = self._loudness.step(frame_levels(sound[start:start + size], SAMPLE_RATE))
             # By majority of the frames of a step: a click is not speech.
             silent = bool(loudness.silent.mean() > 0.5)
-            self._listened += step
             self._quiet = self._quiet + step if silent else 0.0
             self._spoken += 0.0 if silent else step
             now = at + start / SAMPLE_RATE
             # A nod answers the end of a phrase: enough speech, then a short silence.
             if self._quiet >= _BREATH - 1e-9 and self._spoken >= _SPOKEN:
                 self._spoken = 0.0
-                for after, degrees in _NOD:
-                    self._add(_Turn(now + after, _DIP, now + after + _DIP, _RISE, (degrees, 0.0, 0.0)))
-            if self._listened >= _TILT_EVERY:
-                self._listened = 0.0
-                self._add(_Turn(now, _TURNS, now + _TURNS + _TILT_HOLDS, _TURNS, (0.0, 0.0, _TILT * self._side())))
+                self._turns += [_Turn(now + after, _DIP, now + after + _DIP, _RISE, (degrees, 0.0, 0.0))
+                                for after, degrees in _NOD]
+                del self._turns[_MOST:]
         # Samples that do not fill a step wait for the next call, so the size of packets changes nothing.
         self._rest = sound[len(sound) - len(sound) % size:]
-
-    def _side(self) -> float:
-        self._count += 1
-        return 1.0 if uniform(self.seed, _CHANNEL, np.array([self._count]))[0] < 0.5 else -1.0
-
-    def _add(self, turn: _Turn) -> None:
-        if len(self._turns) < _MOST:
-            self._turns.append(turn)

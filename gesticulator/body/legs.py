@@ -37,7 +37,6 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -169,40 +168,35 @@ class Steps:
         self._socket = abs(float(WHOLE_BODY.offsets[WHOLE_BODY.index("LeftUpLeg")][0]))
         self._to_ball = np.array([0.0, ball[1], ball[2]])
         self._next_shift = 0
-        self._placed = [[(-1, self._places(foot, -1)[0])] for foot in range(len(SIDES))]
-
-    def begins(self, shift: int) -> float:
-        """Start of the step after a weight shift, seconds."""
-        return float(self._weight.begins(np.array([shift]))[0]) + _STEP_AFTER
+        self._stands = [self._places(foot, -1)[0] for foot in range(len(SIDES))]
+        self._lands = list(self._stands)  # after the last step that is known
+        self._steps: list[tuple[float, int, Array]] = []
+        """Start in seconds, foot, and the change of its place."""
 
     def over(self, times: Array) -> tuple[Array, Array]:
         """[T] how far the hips are over one leg, 0 to 1, and [T] over which (the sign of its side)."""
         self._extend(float(times.max()))
         held, side = np.zeros(len(times)), np.zeros(len(times))
-        for foot, (_, sign) in enumerate(SIDES):
-            for shift, _ in self._placed[foot][1:]:
-                begin = self.begins(shift)
-                # A tenth of a second into the step the foot leaves the floor: the hips are over the other one by then.
-                early, late = begin + 0.1 - _OVER_IN, begin + _STEP_LASTS + _OVER_OUT
-                near = slice(*np.searchsorted(times, [early, late]))
-                way = eased((times[near] - early) / _OVER_IN) - eased((times[near] - late + _OVER_OUT) / _OVER_OUT)
-                held[near], side[near] = way, -sign
+        for begin, foot, _ in self._steps:
+            # A tenth of a second into the step the foot leaves the floor: the hips are over the other one by then.
+            early, late = begin + 0.1 - _OVER_IN, begin + _STEP_LASTS + _OVER_OUT
+            near = slice(*np.searchsorted(times, [early, late]))
+            held[near] = eased((times[near] - early) / _OVER_IN) - eased((times[near] - late + _OVER_OUT) / _OVER_OUT)
+            side[near] = -SIDES[foot][1]
         return held, side
 
     def feet(self, times: Array) -> Feet:
         """Both feet at rising `times` [T], seconds."""
         self._extend(float(times.max()))
-        ball = np.tile([placed[0][1] for placed in self._placed], (len(times), 1, 1))  # along X and Z, yaw
+        ball = np.tile(self._stands, (len(times), 1, 1))  # along X and Z, yaw
         slow, lift, heel = ball.copy(), np.zeros(ball.shape[:2]), np.zeros(ball.shape[:2])
-        for foot, placed in enumerate(self._placed):
-            for (_, before), (shift, after) in pairwise(placed):
-                since = times - self.begins(shift)
-                s = since / _STEP_LASTS
-                flight = (s - _LIFTED) / (_LANDED - _LIFTED)
-                ball[:, foot] += eased(flight)[:, None] * (after - before)
-                slow[:, foot] += eased(since / (_STEP_LASTS + _OVER_OUT))[:, None] * (after - before)
-                lift[:, foot] += _bump(flight)
-                heel[:, foot] += _bump(s / _HEEL_DOWN)
+        for begin, foot, change in self._steps:
+            s = (times - begin) / _STEP_LASTS
+            flight = (s - _LIFTED) / (_LANDED - _LIFTED)
+            ball[:, foot] += eased(flight)[:, None] * change
+            slow[:, foot] += eased((times - begin) / (_STEP_LASTS + _OVER_OUT))[:, None] * change
+            lift[:, foot] += _bump(flight)
+            heel[:, foot] += _bump(s / _HEEL_DOWN)
         yaw, heel = np.radians(ball[..., 2]), np.radians(_HEEL) * heel
         turn = rotation.multiply(abouts(UP, yaw), abouts(_LEFTWARD, heel))
         flat = np.stack([ball[..., 0], SOLE + _LIFT * lift, ball[..., 1]], -1)
@@ -212,9 +206,9 @@ class Steps:
 
     def forget(self, before: float) -> None:
         """Drop steps completed before this time in seconds, so that memory stays bounded."""
-        for placed in self._placed:
-            while len(placed) > 1 and self.begins(placed[1][0]) + _STEP_LASTS + _OVER_OUT < before:
-                del placed[0]
+        while self._steps and self._steps[0][0] + _STEP_LASTS + _OVER_OUT < before:
+            _, foot, change = self._steps.pop(0)
+            self._stands[foot] = self._stands[foot] + change
 
     def _extend(self, until: float) -> None:
         """Generate the steps that begin by `until` seconds."""
@@ -228,12 +222,12 @@ class Steps:
             if abs(weight) < CROSSES or following - begin < _STEP_NEEDS or begin < 1.0 or chance > _STEPS:
                 continue
             foot = 1 if weight > 0 else 0
-            before = self._placed[foot][-1][1]
             tries = self._places(foot, shift)
-            away = np.linalg.norm((tries - before)[:, :2], axis=1)
+            away = np.linalg.norm((tries - self._lands[foot])[:, :2], axis=1)
             fits = np.flatnonzero((away >= _NEAR) & (away <= _WIDE))
             if len(fits):
-                self._placed[foot].append((shift, tries[fits[0]]))
+                self._steps.append((begin + _STEP_AFTER, foot, tries[fits[0]] - self._lands[foot]))
+                self._lands[foot] = tries[fits[0]]
 
     def _places(self, foot: int, number: int) -> Array:
         """[_TRIES, 3] candidate places of the ball of a foot: metres along X and Z, and degrees of yaw."""
@@ -356,18 +350,18 @@ class _LowPass:
     """Causal low-pass: three one-pole filters with a time constant in seconds."""
 
     def __init__(self, seconds: float, fps: float) -> None:
-        self._share = 1.0 - math.exp(-1.0 / (fps * seconds))
-        self._states: list[Array] | None = None
+        share = 1.0 - math.exp(-1.0 / (fps * seconds))
+        self._sections = np.tile([share, 0.0, 0.0, 1.0, share - 1.0, 0.0], (3, 1))
+        self._state: Array | None = None
 
     def __call__(self, values: Array) -> Array:
         """[T, D] the filtered next values [T, D]; the state starts at the first value."""
-        from scipy.signal import lfilter
+        from scipy.signal import sosfilt, sosfilt_zi
 
-        if self._states is None:
-            self._states = [(1.0 - self._share) * values[:1]] * 3
-        for number, state in enumerate(self._states):
-            values, self._states[number] = lfilter([self._share], [1.0, self._share - 1.0], values, axis=0, zi=state)
-        return values
+        if self._state is None:
+            self._state = sosfilt_zi(self._sections)[..., None] * values[0]
+        filtered, self._state = sosfilt(self._sections, values, axis=0, zi=self._state)
+        return np.asarray(filtered)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ Four kinds of movement, all smooth and none periodic:
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -278,21 +277,14 @@ def _mixing(joints: list[str], rest: Array) -> Array:
 
 # ---------------------------------------------------------------------------------------------------- over the poses
 
-@dataclass
-class _Gain:
-    """A gain from 0 to 1 that follows its target with continuous value and slope (critically damped)."""
-
-    value: float = 0.0
-    slope: float = 0.0
-
-    def follow(self, target: float, seconds: float) -> float:
-        # Closed form of the critically damped oscillator: exact for any frame duration.
-        away = self.value - target
-        push = self.slope + away / _GAIN_TAU
-        fade = math.exp(-seconds / _GAIN_TAU)
-        self.value = target + (away + push * seconds) * fade
-        self.slope = (push - (away + push * seconds) / _GAIN_TAU) * fade
-        return self.value
+def _followed(gains: Array, targets: Array, seconds: float) -> Array:
+    """[parts, 2] gains and their slopes after some seconds in which they follow targets [parts] with continuous value
+    and slope (critically damped)."""
+    # Closed form of the critically damped oscillator: exact for any frame duration.
+    away = gains[:, 0] - targets
+    push, fade = gains[:, 1] + away / _GAIN_TAU, math.exp(-seconds / _GAIN_TAU)
+    left = away + push * seconds
+    return np.stack([targets + left * fade, (push - left / _GAIN_TAU) * fade], axis=1)
 
 
 class LifeLayer:
@@ -309,24 +301,17 @@ class LifeLayer:
         self._scale = statistics.present.numpy() / statistics.deviation
         self._head_moves = _head_moves(statistics, representation, speaker)
         self._shown = statistics.normalise(pose, speaker)
-        self._gains = [_Gain() for _ in parts]
+        self._gains = np.zeros((len(parts), 2))
         self.gains = np.zeros((0, len(parts), 2))
         """[K, parts, 2] gain of the idle motion in each frame of the last block, and its slope."""
 
-    def fork(self) -> LifeLayer:
-        """A copy that continues independently."""
-        twin = copy.copy(self)
-        twin._gains = [copy.copy(gain) for gain in self._gains]
-        return twin
-
     def stand_as(self, other: LifeLayer) -> None:
         """Take over pose and gains from another layer of the same speaker."""
-        self._gains, self._shown = other.fork()._gains, other._shown
+        self._gains, self._shown = other._gains, other._shown
 
     def go_back(self, gains: Array, pose: Array) -> None:
         """Return to a frame already shown: its `gains` [parts, 2] and pose [D_m]."""
-        self._gains = [_Gain(*gain) for gain in gains.tolist()]
-        self._shown = pose.astype(np.float64)
+        self._gains, self._shown = gains, pose.astype(np.float64)
 
     def __call__(self, block: Array, span: Span, rests: Sequence[Flags]) -> Array:
         """[K, D_m] a block of normalised poses with idle motion added; rests: [K] for each part, whether it rests."""
@@ -339,12 +324,11 @@ class LifeLayer:
         speed = np.linalg.norm(steps @ self._head_moves, axis=1) / seconds
         stands = np.clip((_HEAD_MOVES - speed) / (_HEAD_MOVES - _HEAD_STANDS), 0.0, 1.0)
         self.gains = np.empty((len(times), len(self._parts), 2))
-        for part, (columns, flags, gain) in enumerate(zip(self._parts, rests, self._gains, strict=True)):
-            # Full at rest or where the head stands still, whichever is more.
-            wanted = _FAINT + (1.0 - _FAINT) * np.maximum(stands, flags)
-            for k, target in enumerate(wanted):
-                gain.follow(float(target), seconds)
-                self.gains[k, part] = gain.value, gain.slope
+        # Full at rest or where the head stands still, whichever is more.
+        wanted = _FAINT + (1.0 - _FAINT) * np.maximum(stands, np.array(rests))
+        for k in range(len(times)):
+            self._gains = self.gains[k] = _followed(self._gains, wanted[:, k], seconds)
+        for part, columns in enumerate(self._parts):
             life[:, columns] *= self.gains[:, part, :1]
         self._shown = block[-1].astype(np.float64)
         return block + life

@@ -53,8 +53,7 @@ Problem = Callable[[Place, str, str], InputError]
 
 @dataclass(frozen=True)
 class _Pin:
-    """A pin on the frames of a motion: it is reached in frame `at`, and left after frame `until`; number: in the
-    plan."""
+    """A pin on the frames of a motion: reached in frame `at`, left after frame `until`; number: in the plan."""
 
     pin: PosePin
     number: int
@@ -80,12 +79,13 @@ def pinned(motion: Motion, plan: GesturePlan) -> Motion:
         first = max(group[0].at - fade + 1, 0)
         rows = slice(first, min(max(pin.until for pin in group) + fade, count))
         part = replace(motion, rotations=motion.rotations[rows], root_positions=motion.root_positions[rows])
-        rotations[rows] = _with_pins(part, group, first, plan.error)
+        near = [replace(pin, at=pin.at - first, until=pin.until - first) for pin in group]
+        rotations[rows] = _with_pins(part, near, plan.error)
     return replace(motion, rotations=rotations)
 
 
-def _with_pins(motion: Motion, pins: Sequence[_Pin], first: int, error: Problem) -> Array:
-    """[T, J, 4] rotations of a motion that begins in frame `first`, with its pins."""
+def _with_pins(motion: Motion, pins: Sequence[_Pin], error: Problem) -> Array:
+    """[T, J, 4] rotations of a motion with its pins."""
     moved = replace(motion, rotations=motion.rotations.copy(), root_positions=standing(motion).root_positions)
     by_joint: dict[int, list[_Pin]] = {}
     for pin in pins:
@@ -103,30 +103,23 @@ def _with_pins(motion: Motion, pins: Sequence[_Pin], first: int, error: Problem)
         turns = [pin for pin in of_joint if pin.pin.rotation is not None]
         if places:
             move = _move_head if motion.skeleton.names[joint] == "Head" else _move_hand
-            course = _Course(places, first, motion)
+            course = _Course(places, motion)
             move(moved, joint, course, error)
             share = np.maximum(share, course.share)
         if turns:
-            _turn(moved, joint, _Course(turns, first, motion))
+            _turn(moved, joint, _Course(turns, motion))
     if share.any():
-        _clear(moved, share, [pin for pin in pins if pin.pin.position is not None and pin.pin.joint != "Head"], first,
-               error)
+        _clear(moved, share, [pin for pin in pins if pin.pin.position is not None and pin.pin.joint != "Head"], error)
     return moved.rotations
 
 
 class _Course:
-    """How strongly the pins of a joint act in the frames of a motion.
+    """How strongly the pins of a joint act in the frames of a motion: of each pin the share [T] and the frames c(t) [T]
+    if it holds, None for one that is passed."""
 
-    rows: first and last frame of each pin; shares: [T] of each pin; sources: [T] frames c(t) of each pin that holds,
-    None for one that is passed.
-    """
-
-    def __init__(self, pins: Sequence[_Pin], first: int, motion: Motion) -> None:
-        """first: number of the motion's first frame."""
-        self.pins, frames = pins, np.arange(first, first + len(motion), dtype=np.float64)
-        self.rows = [(pin.at - first, pin.until - first) for pin in pins]
-        self.shares: list[Array] = []
-        self.sources: list[Array | None] = []
+    def __init__(self, pins: Sequence[_Pin], motion: Motion) -> None:
+        self.pins, frames = pins, np.arange(len(motion), dtype=np.float64)
+        self._acts: list[tuple[_Pin, Array, Array | None]] = []
         fade, stop = (max(round(seconds * motion.fps), 1) for seconds in (REACH, STOPS))
         untils = [-math.inf, *(pin.until for pin in pins[:-1])]
         ats = [*(pin.at for pin in pins[1:]), math.inf]
@@ -135,20 +128,23 @@ class _Course:
             rise, fall = (gap if gap < 2 * fade else fade for gap in (pin.at - before, after - pin.until))
             away = np.where(frames < pin.at, (pin.at - frames) / rise, np.maximum(frames - pin.until, 0.0) / fall)
             s = 1.0 - np.minimum(away, 1.0)
-            self.shares.append(s * s * s * (s * (6.0 * s - 15.0) + 10.0))
-            self.sources.append(None if pin.until == pin.at else np.clip(
-                _stopped(frames, pin, min(stop, rise), min(stop, fall)) - first, 0, len(frames) - 1))
-
-    @property
-    def share(self) -> Array:
+            source = None if pin.until == pin.at else np.clip(
+                _stopped(frames, pin, min(stop, rise), min(stop, fall)), 0, len(frames) - 1)
+            self._acts.append((pin, s * s * s * (s * (6.0 * s - 15.0) + 10.0), source))
+        self.share = np.asarray(np.minimum(np.sum([share for _, share, _ in self._acts], axis=0), 1.0))
         """[T] of all pins, 0 to 1."""
-        return np.asarray(np.minimum(np.sum(self.shares, axis=0), 1.0))
 
-    def added(self, difference: Callable[[int, Array | None], Array]) -> Array:
-        """[T, 3] the sum of the differences of the pins. difference: number of the pin, its frames [T] or None -> the
-        difference [T, 3], or [3]."""
-        return np.asarray(np.sum([share[:, None] * difference(at, source) for at, (share, source)
-                                  in enumerate(zip(self.shares, self.sources, strict=True))], axis=0))
+    def added(self, difference: Callable[[_Pin, Array | None], Array]) -> Array:
+        """[T, 3] the sum of the differences of the pins. difference: pin, its frames [T] or None -> the difference
+        [T, 3], or [3]."""
+        return np.asarray(np.sum([share[:, None] * difference(pin, source) for pin, share, source in self._acts],
+                                 axis=0))
+
+
+def _limits_hold(share: Array) -> Array:
+    """[T] nearly 1 where pins act by `share` [T], falling to 0 at the ends of their range: there the motion is as it
+    was."""
+    return np.asarray(1.0 - (1.0 - share) ** 4)
 
 
 def _stopped(frames: Array, pin: _Pin, before: float, after: float) -> Array:
@@ -164,10 +160,10 @@ def _stopped(frames: Array, pin: _Pin, before: float, after: float) -> Array:
 
 def _moved(path: Array, course: _Course) -> Array:
     """[T, 3] the path of a joint through its pins."""
-    def difference(at: int, source: Array | None) -> Array:
-        position = np.array(course.pins[at].pin.position, dtype=np.float64)
+    def difference(pin: _Pin, source: Array | None) -> Array:
+        position = np.array(pin.pin.position, dtype=np.float64)
         if source is None:
-            return position - path[course.rows[at][0]]
+            return position - path[pin.at]
         return position - CubicSpline(np.arange(len(path)), path)(source)
 
     return path + course.added(difference)
@@ -182,12 +178,14 @@ def _move_hand(motion: Motion, hand: int, course: _Course, error: Problem) -> No
     length = float(sum(np.linalg.norm(skeleton.offsets[joint]) for joint in chain[1:]))
     way = _moved(wrist, course) - shoulder
     far = np.linalg.norm(way, axis=-1)
-    for pin, (first, last) in zip(course.pins, course.rows, strict=True):
-        _check_reach(pin, side, far[first:last + 1], length, error)
+    for pin in course.pins:
+        held = far[pin.at:pin.until + 1]
+        if held.max() > STRETCHED * length + 1e-9 or held.min() < NEAREST + NEAR_SOFT - 1e-9:
+            raise error(("pins", pin.number, "position"), f"is {held.min():.2f} to {held.max():.2f} m from the "
+                        f"{side.lower()} shoulder at {pin.pin.time:.2f} s, and a wrist gets {NEAREST + NEAR_SOFT:.2f} "
+                        f"to {STRETCHED * length:.2f} m from it", "give another place")
     near = np.flatnonzero(course.share)
-    # The limits of the arm hold where a pin acts; elsewhere the motion reaches as far as it did.
-    keep = (1.0 - (1.0 - course.share) ** 4)[near]
-    limited = far[near] + keep * (_limited(far[near], length) - far[near])
+    limited = far[near] + _limits_hold(course.share[near]) * (_limited(far[near], length) - far[near])
     goal = shoulder[near] + way[near] * (limited / np.maximum(far[near], 1e-9))[:, None]
     turns = {skeleton.index(joint): turn[near] for joint, turn in pose.turns.items()}
     # The whole arm turns first, which keeps its manner; only the rest is left to the elbow.
@@ -198,16 +196,6 @@ def _move_hand(motion: Motion, hand: int, course: _Course, error: Problem) -> No
     write_turns(motion.rotations, skeleton, turns, chain[:2], near)
 
 
-def _check_reach(pin: _Pin, side: str, far: Array, length: float, error: Problem) -> None:
-    place = ("pins", pin.number, "position")
-    if far.max() > STRETCHED * length + 1e-9:
-        raise error(place, f"is {far.max():.2f} m from the {side.lower()} shoulder at {pin.pin.time:.2f} s, and the "
-                    f"arm reaches {STRETCHED * length:.2f} m", "give a nearer place")
-    if far.min() < NEAREST + NEAR_SOFT - 1e-9:
-        raise error(place, f"is {far.min():.2f} m from the {side.lower()} shoulder at {pin.pin.time:.2f} s, and a "
-                    f"wrist gets no nearer than {NEAREST + NEAR_SOFT:.2f} m", "give a place farther away")
-
-
 def _limited(far: Array, length: float) -> Array:
     """Distances [T] of a wrist from its shoulder within what an arm can do, without a kink."""
     free, room = STRETCHED * length, (MOST_STRETCHED - STRETCHED) * length
@@ -215,7 +203,7 @@ def _limited(far: Array, length: float) -> Array:
     return np.minimum(far, free) + room * np.tanh(over / room) + soft(NEAREST - far, NEAR_SOFT)
 
 
-def _clear(moved: Motion, share: Array, hands: Sequence[_Pin], first: int, error: Problem) -> None:
+def _clear(moved: Motion, share: Array, hands: Sequence[_Pin], error: Problem) -> None:
     """Move hands out of the body where a pin has brought them there. share: [T] of all pins."""
     near, free = np.flatnonzero(share), cleared(moved, is_seated(moved))
     changed = np.flatnonzero((free.rotations != moved.rotations).any(axis=(0, 2)))
@@ -223,12 +211,11 @@ def _clear(moved: Motion, share: Array, hands: Sequence[_Pin], first: int, error
         return
     wrists, freed = (pose_of(motion).places for motion in (moved, free))
     for pin in hands:
-        joint, rows = pin.pin.joint, slice(pin.at - first, pin.until - first + 1)
+        joint, rows = pin.pin.joint, slice(pin.at, pin.until + 1)
         if np.linalg.norm(wrists[joint][rows] - freed[joint][rows], axis=-1).max() > _CLEARS:
             raise error(("pins", pin.number, "position"), f"is inside the body at {pin.pin.time:.2f} s",
                         "give a place farther ahead")
-    # Near a pin nearly all of the correction counts, at the ends of its range none: there the motion is as it was.
-    keep = (1.0 - (1.0 - share) ** 4)[near, None]
+    keep = _limits_hold(share)[near, None]
     for node in changed:
         old, new = moved.rotations[near, node], free.rotations[near, node]
         new = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
@@ -245,8 +232,8 @@ def _move_head(motion: Motion, head: int, course: _Course, error: Problem) -> No
     joints = [pose.places[name] for name in (*_SPINE, "Head")]
     goal = _moved(joints[-1], course)
     lean = _lean(joints, goal)
-    for pin, (first, last) in zip(course.pins, course.rows, strict=True):
-        rows = slice(first, last + 1)
+    for pin in course.pins:
+        rows = slice(pin.at, pin.until + 1)
         off = np.linalg.norm(_leant(joints, lean)[rows] - goal[rows], axis=-1).max()
         if off > _HEAD_OFF or np.linalg.norm(lean[rows], axis=-1).max() > MOST_LEAN:
             raise error(("pins", pin.number, "position"), f"is out of the head's reach at {pin.pin.time:.2f} s: by "
@@ -288,9 +275,9 @@ def _turn(motion: Motion, joint: int, course: _Course) -> None:
     """Turn a joint in the rotations of a motion."""
     path = motion.rotations[:, joint].copy()
 
-    def difference(at: int, source: Array | None) -> Array:
-        goal = rotation.normalise(np.array(course.pins[at].pin.rotation, dtype=np.float64))
-        there = path[course.rows[at][0]] if source is None else rotation.interpolate(path, source)
+    def difference(pin: _Pin, source: Array | None) -> Array:
+        goal = rotation.normalise(np.array(pin.pin.rotation, dtype=np.float64))
+        there = path[pin.at] if source is None else rotation.interpolate(path, source)
         return rotation.to_exponential_map(rotation.multiply(rotation.conjugate(there), goal))
 
     near = np.flatnonzero(course.share)

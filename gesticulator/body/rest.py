@@ -301,14 +301,14 @@ class RestingPart:
         now, pose = self._last[1]
         velocity = self._velocity()
         hold, fastest = (STILL_HOLD, STILL_SINKING) if hold_still else (HOLD, SINKING)
-        if self._hands is None:
-            stops_in = np.full(len(pose), LONGEST_STOP)
-            stopped = np.clip(pose + velocity * stops_in / 3.0, *self.bounds)
-            return _Stop(now, pose, velocity, stopped, stops_in, self.rest, _SINKS_IN, hold)
-        stopped, stops_in = self._hands.stop(pose, velocity, self.rest)
+        stops_in, sinks_in = np.full(len(pose), LONGEST_STOP), _SINKS_IN
+        stopped = pose + velocity * stops_in / 3.0
+        if self._hands is not None:
+            stopped, stops_in = self._hands.stop(pose, velocity, self.rest)
         stopped = np.clip(stopped, *self.bounds)
-        return _Stop(now, pose, velocity, stopped, stops_in, self.rest,
-                     self._hands.sink_seconds(stopped, self.rest, fastest), hold)
+        if self._hands is not None:
+            sinks_in = self._hands.sink_seconds(stopped, self.rest, fastest)
+        return _Stop(now, pose, velocity, stopped, stops_in, self.rest, sinks_in, hold)
 
 
 class _Hands:
@@ -403,7 +403,7 @@ class Rest:
     def fork(self) -> Rest:
         """A copy that continues independently."""
         twin = copy.copy(self)
-        twin._life = self._life.fork()
+        twin._life = copy.copy(self._life)
         twin._parts = [(columns, copy.copy(part)) for columns, part in self._parts]
         twin._pauses, twin._phrases = copy.copy(self._pauses), self._phrases.fork()
         return twin

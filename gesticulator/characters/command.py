@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from gesticulator.cli import Command
 
@@ -17,22 +16,16 @@ def arguments(p: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the joint of each node, and measurements of the character in some poses; `InputError` if the mapping is
     unusable or the moved character is not sound."""
-    from gesticulator.characters.joints import find_joints
-    from gesticulator.characters.mapping import check, described, load_mapping, save_mapping
-    from gesticulator.characters.reading import read_character
+    from gesticulator.characters.mapping import described
+    from gesticulator.characters.reading import choose
     from gesticulator.characters.retarget import Retargeter
     from gesticulator.characters.rig import note_of
 
-    character = read_character(args.character)
-    mapping = find_joints(character) if args.mapping is None else load_mapping(args.mapping, character)
+    character, mapping = choose(args.character, args.mapping, args.save_mapping)
     print(described(mapping, character), flush=True)
     note = note_of(character, mapping.joints["Hips"]) if "Hips" in mapping.joints else ""
     if note:
         print(note, flush=True)
-    if args.save_mapping is not None:
-        Path(args.save_mapping).parent.mkdir(parents=True, exist_ok=True)
-        save_mapping(args.save_mapping, mapping, character)
-    check(mapping, character)
     moved = Retargeter(character, mapping)
     odd = [doubt for doubt in moved.doubts if doubt not in mapping.doubts]
     for doubt in odd:

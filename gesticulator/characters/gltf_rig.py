@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -85,17 +86,12 @@ def _character(file: GltfFile) -> Character:
         return character
     inverse = _inverse_bind(file, place, matrices)
     # Matrices that are all equal hold no pose: the mesh is in the axes of its joints, wherever they rest.
-    bind, to_world = _bind(character, inverse, _mesh_nodes(file, place)) if inverse else (rest, np.eye(4))
+    meshes = [place[node] for node, entry in enumerate(nodes) if "mesh" in entry and "skin" in entry]
+    bind, to_world = _bind(character, inverse, meshes) if inverse else (rest, np.eye(4))
     moves = _to_world(file, place, matrices, bind, to_world)
     flesh, flesh_nodes = _flesh(file, place, moves)
-    return Character(**{**vars(character), "bind": bind, "space": turns_of(to_world), "flesh": flesh,
-                        "flesh_nodes": flesh_nodes, "skin": read_skin(file, place, moves)})
-
-
-def _mesh_nodes(file: GltfFile, place: Mapping[int, int]) -> list[int]:
-    """The nodes that carry skinned meshes, without repetition."""
-    nodes = file.rows("nodes")
-    return list(dict.fromkeys(place[node] for node, entry in enumerate(nodes) if "mesh" in entry and "skin" in entry))
+    return replace(character, bind=bind, space=turns_of(to_world), flesh=flesh, flesh_nodes=flesh_nodes,
+                   skin=read_skin(file, place, moves))
 
 
 def _parents_first(file: GltfFile, count: int, parent_of: Mapping[int, int]) -> list[int]:

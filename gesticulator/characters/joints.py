@@ -62,6 +62,10 @@ class Search:
     up: Array
     """[3] the up direction."""
 
+    def named(self, side: str, *parts: str) -> list[int]:
+        """The joints that are one of these parts on a side by their names."""
+        return [node for node, entry in enumerate(self.labels) if entry.side == side and entry.is_a(*parts)]
+
     @property
     def aids(self) -> frozenset[int]:
         """The nodes that are not joints according to their names."""
@@ -118,11 +122,10 @@ def _skeletons_mixed(character: Character, mapping: RigMapping) -> list[str]:
     """The names of the file's skeletons if the mapping has joints of two that stand beside one another, as the arms of
     a rider and the legs of the horse; else none."""
     skeletons = skeletons_of(character)
-    lines = {top: {top, *ancestors(character.parents, top)} for top in skeletons.values()}
-    used = {top for top in lines for node in mapping.joints.values()
-            if top in (node, *ancestors(character.parents, node))}
-    beside = any(first not in lines[second] and second not in lines[first]
-                 for first in used for second in used if first != second)
+    inside = {top: character.under([top]) for top in skeletons.values()}
+    used = [top for top, nodes in inside.items() if nodes[list(mapping.joints.values())].any()]
+    beside = any(not inside[first][second] and not inside[second][first] for first in used for second in used
+                 if first != second)
     return list(skeletons) if beside else []
 
 
@@ -173,8 +176,13 @@ def _found(search: Search) -> RigMapping:
     if trunk is not None:
         hips, spine, neck, head, how = trunk
         joints, sure = {"Hips": hips, "Head": head, **joints}, {**sure, **how}
-    else:
+    else:  # not usable; joints known by name alone shorten the list of missing ones in the message
         spine = neck = ()
+        for name in NEEDED:
+            side = next((side for side in SIDES if name.startswith(side)), "")
+            nodes = search.named(side, name.removeprefix(side))
+            if len(nodes) == 1:
+                joints.setdefault(name, nodes[0])
     for side in SIDES:
         if side + "Hand" in joints:
             joints |= _fingers(search, side, joints[side + "Hand"])
@@ -189,8 +197,7 @@ def _legs_without_feet(search: Search, ends: Mapping[str, int]) -> dict[str, int
     out: dict[str, int] = {}
     for side in SIDES:
         for part in ("UpLeg", "Leg"):
-            nodes = [node for node, entry in enumerate(search.labels) if entry.side == side and not entry.aid
-                     and not entry.tip and entry.parts[:1] == (part,)]
+            nodes = search.named(side, part)
             if len(nodes) != 1 or nodes[0] in ancestors(search.character.parents, ends.get(side + "Foot", -1)):
                 return {}
             out[side + part] = nodes[0]
@@ -200,38 +207,27 @@ def _legs_without_feet(search: Search, ends: Mapping[str, int]) -> dict[str, int
 def _ends(search: Search) -> dict[str, int]:
     """Hands, feet (or toes) and head: by name, else by the shape of the tree."""
     out: dict[str, int] = {}
+    parents = search.character.parents
     for side in SIDES:
         for kind, wanted in (("Hand", ("Hand",)), ("Foot", ("ToeBase", "Foot"))):
-            best: tuple[int, int, int] | None = None
-            for node, entry in enumerate(search.labels):
-                if entry.side != side or entry.tip or entry.aid or not entry.parts or entry.parts[0] not in wanted:
-                    continue
-                line = ancestors(search.character.parents, node)
-                limb = sum(bool(search.labels[above].parts) and search.labels[above].side == side for above in line)
-                size = sum(1 for other in search.character.parents if other == node)
+            def rank(node: int, side: str = side, kind: str = kind) -> tuple[int, int, int]:
                 # The hand nearest to the arm (a palm below it is not the hand), the farthest part of the foot.
-                rank = (limb if kind == "Foot" else min(limb, 3), size if kind == "Hand" else 0, -node)
-                if best is None or rank > best:
-                    best, out[side + kind] = rank, node
-    heads = [node for node, entry in enumerate(search.labels)
-             if entry.parts[:1] == ("Head",) and not entry.tip and not entry.aid]
+                limb = sum(bool(search.labels[above].parts) and search.labels[above].side == side
+                           for above in ancestors(search.character.parents, node))
+                return (limb, 0, -node) if kind == "Foot" else (min(limb, 3), parents.count(node), -node)
+
+            if nodes := search.named(side, *wanted):
+                out[side + kind] = max(nodes, key=rank)
+    heads = search.named("", "Head")
     if heads:
-        out["Head"] = min(heads, key=lambda node: (-_nearness(search, node, out),
-                                                   len(ancestors(search.character.parents, node)), node))
+        out["Head"] = min(heads, key=lambda node: (-_nearness(search, node, out), len(ancestors(parents, node)), node))
     # Names gave fewer than two hands, two feet and a head.
     if len(out) < 5:
         for name, node in _ends_by_shape(search).items():
-            if _ends_another(search, name, node, out):
-                continue
-            pair = name.replace("Left", "?").replace("Right", "?")
-            # Take both sides by the same method: one hand by name and the other by shape could be the same node.
-            if not any(known.replace("Left", "?").replace("Right", "?") == pair for known in out if known != name) \
-                    or pair == name:
-                out.setdefault(name, node)
-            elif name not in out and sum(known.endswith(pair[1:]) for known in out) == 1:
-                other = next(known for known in out if known.endswith(pair[1:]))
-                if out[other] != node:
-                    out[name] = node
+            # Not the same node for one hand by name and the other by shape.
+            taken = [out.get(side + kind) for side in SIDES for kind in ("Hand", "Foot") if name.endswith(kind)]
+            if name not in out and node not in taken and not _ends_another(search, name, node, out):
+                out[name] = node
     return out
 
 
@@ -252,8 +248,8 @@ def _ends_by_shape(search: Search) -> dict[str, int]:
     ends = shape.limb_ends(search.character, search.places, search.up, search.aids)
     named = {name: next((search.labels[above].side for above in (node, *ancestors(search.character.parents, node))
                          if search.labels[above].side), "") for name, node in ends.items()}
-    against = sum(bool(side) and not name.startswith(side) for name, side in named.items())
-    if against < 2 or against <= sum(bool(side) and name.startswith(side) for name, side in named.items()):
+    agree = [name.startswith(side) for name, side in named.items() if side]
+    if agree.count(False) < 2 or agree.count(False) <= agree.count(True):
         return ends
     return _exchanged(ends)
 
@@ -274,15 +270,10 @@ def _ends_another(search: Search, name: str, node: int, ends: Mapping[str, int])
 def _below(search: Search, top: int, end: int) -> list[int]:
     """The nodes of a limb from below the trunk to its end, and on to the toes."""
     path = search.path(top, end)
-    beyond = end
-    while True:
-        below = [node for node, parent in enumerate(search.character.parents) if parent == beyond]
-        toes = [node for node in below if search.labels[node].parts[:1] in (("ToeBase",), ("Foot",))
-                and not search.labels[node].tip and not search.labels[node].aid]
-        if len(toes) != 1:
-            return path[-_LONGEST_PATH:]
-        beyond = toes[0]
-        path.append(beyond)
+    while len(toes := [node for node, parent in enumerate(search.character.parents)
+                       if parent == path[-1] and search.labels[node].is_a("ToeBase", "Foot")]) == 1:
+        path += toes
+    return path[-_LONGEST_PATH:]
 
 
 def _limb(search: Search, path: Sequence[int], side: str, parts: Sequence[str]

@@ -99,6 +99,10 @@ class Label:
     tip: bool = False
     aid: bool = False
 
+    def is_a(self, *parts: str) -> bool:
+        """Whether it is a joint that is one of these parts, as far as its name tells."""
+        return self.parts[:1] != () and self.parts[0] in parts and not self.tip and not self.aid
+
     @property
     def finger(self) -> str:
         """Our name of its finger, or ""."""
@@ -221,8 +225,7 @@ def _rigify_spine(character: Character, entries: list[Label]) -> dict[int, Label
     if chain is None:
         return {}
     # A bone named head on the spine, or one that moves the mesh, contradicts Rigify's layout.
-    heads = [node for node, entry in enumerate(entries)
-             if entry.parts[:1] == ("Head",) and not entry.tip and not entry.aid]
+    heads = [node for node, entry in enumerate(entries) if entry.is_a("Head")]
     if any(set(chain.values()) & set(ancestors(character.parents, node)) for node in heads) or (
             len(character.flesh) and np.isin(heads, character.flesh_nodes).any()):
         return {}  # the spine carries a head of that name

@@ -9,7 +9,7 @@ from typing import cast
 from data_module.errors import InputError
 from data_module.registry import Registry, RegistryEntry
 from gesticulator.characters.joints import find_joints
-from gesticulator.characters.mapping import RigMapping, check, load_mapping, save_mapping
+from gesticulator.characters.mapping import RigMapping, load_mapping, save_mapping
 from gesticulator.characters.rig import Character, chosen, split_name
 
 __all__ = ["READERS", "read_character"]
@@ -38,15 +38,11 @@ def read_character(path: str | os.PathLike[str]) -> Character:
 
 def choose(file: str | os.PathLike[str], mapping: str | os.PathLike[str] | None = None,
            save: str | os.PathLike[str] | None = None) -> tuple[Character, RigMapping]:
-    """The character in a file and its mapping: from a mapping file, else detected.
-
-    save: where to write the mapping, before it is checked. `InputError` if it is unusable.
-    """
+    """The character in a file and its mapping: from a mapping file, else detected; `mapping.check` tells whether it is
+    usable. save: where to write the mapping."""
     character = read_character(file)
     joints = find_joints(character) if mapping is None else load_mapping(mapping, character)
-    # Saved before it is checked: an unusable mapping is the one that the user wants to correct.
     if save is not None:
         Path(save).parent.mkdir(parents=True, exist_ok=True)
         save_mapping(save, joints, character)
-    check(joints, character)
     return character, joints

@@ -1,9 +1,8 @@
 """Retargeting: the motion of the default skeleton (the source) on the skeleton of any character (the target).
 
-What a viewer sees of a pose is where bones point and how they are rolled about themselves: an upper arm that points
-ahead, a palm that faces up. Each tool chooses the axes of its joints, the pose in which its rotations are zero, its
-units and its up axis, so copying rotations from one skeleton to another copies arbitrary conventions. This module
-copies geometry instead.
+Each tool chooses the axes of its joints, the pose in which its rotations are zero, its units and its up axis, so
+copying rotations from one skeleton to another copies arbitrary conventions. This module copies what a viewer sees:
+where bones point and how they are rolled about themselves.
 
 Each bone has a *frame*, three unit vectors with the same meaning on every body: the direction of the bone, and a
 direction across it (the palm's normal for hand, fingers and forearm; the axis of a bent hinge; for other bones the
@@ -13,18 +12,15 @@ source's bone has the world rotation R(t). Then the target's node must have the 
 
     G(t) = R(t) C,   C = F f^T                                                                                    (1)
 
-which aligns the two bones: G(t) f = R(t) F. One constant matrix per node is the whole of retargeting; the rest
-only expresses G(t) in the target's file. The local rotation is relative to the world rotation P(t) of the parent node,
+which aligns the two bones: G(t) f = R(t) F. The local rotation is relative to the world rotation P(t) of the parent
+node, so clavicles may be attached to the neck, thighs to the spine, and helper nodes may lie anywhere in between:
 
     q(t) = P(t)^-1 G(t)                                                                                           (2)
 
-so clavicles may be attached to the neck, thighs to the spine, and helper nodes may lie anywhere in between.
-
 Trunk and neck are chains with other numbers of joints: R(t) is interpolated along the source's, by the position between
 hips and chest (chest and head). The hips move scaled by the ratio of leg lengths, and two-bone inverse kinematics keeps
-each foot in place, which bends knees by fractions of a degree. Hands that would enter the trunk are led around it
-(`gesticulator.contacts.other_bodies`), and twist bones of the forearm share the roll of
-the hand (`gesticulator.characters.twist`).
+each foot in place. Hands are kept out of the trunk (`gesticulator.contacts.other_bodies`), and twist bones of the
+forearm share the roll of the hand (`gesticulator.characters.twist`).
 
 Letters: T frames, J joints of the source, N nodes of the target. World axes are those of the source (Y up, facing +Z,
 left +X, metres) unless stated otherwise.

@@ -274,10 +274,6 @@ def note_of(character: Character, hips: int) -> str:
     skeletons = skeletons_of(character)
     if len(skeletons) < 2:
         return ""
-    line = {hips}
-    while character.parents[hips] >= 0:
-        hips = character.parents[hips]
-        line.add(hips)
-    used = next((name for name, node in skeletons.items() if node in line), "")
+    used = next((name for name, node in skeletons.items() if character.under([node])[hips]), "")
     others = ", ".join(f"{character.path.name}#{name}" for name in skeletons if name != used)
     return f"holds {len(skeletons)} skeletons, of which {shown(used)} is used; for another give {others}"

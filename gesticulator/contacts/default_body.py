@@ -1,4 +1,4 @@
-"""Keeps the hands of the default character out of its trunk and away from its face, and its elbows off its back.
+"""Keeps the hands of the default character out of its trunk and thighs and away from its face, its elbows off its back.
 
 The models draw poses, not contacts: at one block's end a hand is on one side of the chest, at the next on the other,
 and between them it would pass through, or end behind the back. An arm whose wrist or knuckles are too far back is bent
@@ -13,8 +13,8 @@ path. An elbow that the trunk would hide swings outward about the line from shou
 plane behind the trunk that recedes beside it; the hand stays. A hand at its shoulder, where the models fold an elbow
 further than a person can, stays where only the slope of the field would move it: there a centimetre of the hand is ten
 of the elbow, which would turn round within a frame. It turns about its wrist if its knuckles are in the trunk.
-Everything depends on the pose alone; a pose that needs no correction stays the same bit for bit. Thighs of a body that
-sits are `gesticulator.contacts.lap`.
+Everything depends on the pose alone; a pose that needs no correction stays the same bit for bit. The thighs of a body
+that sits (`gesticulator.contacts.lap`) are a third surface, from which hands are lifted.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from data_module.motion import rotation
 from data_module.motion.representation import Representation
 from data_module.motion.skeletons import SIDES
 from data_module.types import Array, Motion, Skeleton
+from gesticulator.contacts.lap import FINGERTIPS, thighs_of
 from gesticulator.contacts.limbs import (
     LEAST,
     OURS,
@@ -72,35 +73,25 @@ HEAD_RADIUS = 0.13
 """Metres from there within which a hand hides the face: the face is 0.09 deep, and a hand 0.04."""
 _HAND = "Hand", "HandMiddle1"
 """The points of a hand that are kept out: wrist and knuckles."""
+_SEATED = tuple(side + part for side in SIDES for part in ("UpLeg", "Leg", *FINGERTIPS))
+"""Further joints of a body that sits."""
 _JOINTS = ("Neck", "Spine3", "Head", *(side + part for side in SIDES for part in ("Arm", "ForeArm", *_HAND)))
 _SIGNS = np.array([1.0, -1.0])[:, None, None]
 """Of the sides, for their points over time."""
 Sign = float | Array
-_STEPS = 4
-"""Iterations: wrist and knuckles share a correction, and each corrects the one before."""
+_STEPS, _STEPS_SEATED = 4, 8
+"""Iterations: the points of a hand share a correction, and each corrects the one before."""
 _SWINGS = 7
 """Iterations of an elbow that swings outward."""
-_SEATED = 2
-"""Iterations of trunk and thighs, between which a hand that is near both is moved to and fro."""
 
 
 def cleared(motion: Motion, sits: bool = False) -> Motion:
     """A motion on the default skeleton with the hands outside trunk and face. sits: and above its thighs, those of a
     body that sits; the motion may still lack them."""
-    if not sits:
-        return _off_trunk(motion)
-    from gesticulator.contacts.lap import kept_off_thighs
-
-    for _ in range(_SEATED):
-        motion = _off_trunk(kept_off_thighs(motion))
-    return kept_off_thighs(motion)
-
-
-def _off_trunk(motion: Motion) -> Motion:
-    names = [name for name in _JOINTS if name in motion.skeleton.names]
+    names = [name for name in (*_JOINTS, *(_SEATED if sits else ())) if name in motion.skeleton.names]
     pose = pose_of(replace(motion, root_positions=np.zeros((len(motion), 3))), names)
-    body, rotations = _Body(pose), None
-    points = [[pose.places[side + part] for part in _HAND if side + part in names] for side in SIDES]
+    body, rotations = _Body(pose, sits), None
+    points = [[pose.places[side + part] for part in (*_HAND, *FINGERTIPS) if side + part in names] for side in SIDES]
     push = body.push(np.array(points), _SIGNS)
     # Both sides at once: this runs for every block of a stream, and few large arrays are faster.
     hidden = body.hidden(np.array([pose.places[side + "ForeArm"] for side in SIDES]), _SIGNS[..., 0])
@@ -109,20 +100,22 @@ def _off_trunk(motion: Motion) -> Motion:
         if frames.any():
             # Most motions are clear, and are returned as they came.
             rotations = motion.rotations.copy() if rotations is None else rotations
-            _bend_arm(rotations, motion.skeleton, pose.at(frames), (side, sign), np.flatnonzero(frames))
+            _bend_arm(rotations, motion.skeleton, (pose.at(frames), sits), (side, sign), np.flatnonzero(frames))
     return motion if rotations is None else replace(motion, rotations=rotations)
 
 
-def _bend_arm(rotations: Array, skeleton: Skeleton, pose: Pose, side: tuple[str, float], at: NDArray[np.int64]) -> None:
-    """Bend an arm in `rotations` [T, J, 4] at the frames `at`, where it is in the body; pose: of these frames."""
-    name, sign = side
-    body, places = _Body(pose), pose.places
+def _bend_arm(rotations: Array, skeleton: Skeleton, body_of: tuple[Pose, bool], side: tuple[str, float],
+              at: NDArray[np.int64]) -> None:
+    """Bend an arm in `rotations` [T, J, 4] at the frames `at`, where it is in the body; body_of: the pose in these
+    frames, and whether it sits."""
+    (name, sign), (pose, sits) = side, body_of
+    body, places = _Body(*body_of), pose.places
     shoulder, wrist = places[name + "Arm"], places[name + "Hand"]
     bones = upper, lower = places[name + "ForeArm"] - shoulder, wrist - places[name + "ForeArm"]
     # The hand does not turn with the arm.
-    palm = np.array([places[name + part] - wrist for part in _HAND if name + part in places])
+    palm = np.array([places[name + part] - wrist for part in (*_HAND, *FINGERTIPS) if name + part in places])
     share = 1.0 - body.at_shoulder(wrist, shoulder, sign)
-    for _ in range(_STEPS):
+    for _ in range(_STEPS_SEATED if sits else _STEPS):
         push = body.push(shoulder + upper + lower + palm, sign) * share
         inside = length(push) > LEAST
         if not inside.any():
@@ -183,16 +176,19 @@ def cleared_poses(poses: Array, representation: Representation, sits: bool = Fal
 class _Body:
     """Trunk and head over T frames, relative to the hips."""
 
-    def __init__(self, pose: Pose) -> None:
+    def __init__(self, pose: Pose, sits: bool) -> None:
         trunk = trunk_axes(pose.places["Neck"], pose.turns["Spine3"])
         self._axes, self._length = trunk.axes, trunk.length
         self._head = pose.turns["Head"]
         self._face = pose.places["Head"] + self._head @ HEAD_MIDDLE
+        self._thighs = thighs_of(pose) if sits else ()
 
     def push(self, points: Array, sign: Sign) -> Array:
-        """[..., T, 3] the displacement of a hand whose P points [..., P, T, 3] are in the body; sign: 1 for the left
-        hand, -1 for the right, or an array of them."""
-        return combined(np.concatenate([self.out_of_trunk(points, sign, SOFT), self._off_face(points)], axis=-3))
+        """[..., T, 3] the displacement of a hand whose P points [..., P, T, 3] are in the body, fingertips only in the
+        thighs; sign: 1 for the left hand, -1 for the right, or an array of them."""
+        hand = points[..., :len(_HAND), :, :]
+        moves = [self.out_of_trunk(hand, sign, SOFT), self._off_face(hand)]
+        return combined(np.concatenate([*moves, *(thigh.push(points) for thigh in self._thighs)], axis=-3))
 
     def hidden(self, elbow: Array, sign: Sign) -> Array:
         """[..., T, 3] the displacement of an elbow [..., T, 3] behind the trunk; sign: see `push`."""

@@ -134,24 +134,13 @@ def bent(upper: Array, lower: Array, way: Array, pole: Array) -> tuple[Array, Ar
     return new_upper, far * along - new_upper
 
 
-def swivel(turns: dict[int, Array], body: Limbs, chain: tuple[int, int, int], shift: Array) -> None:
-    """Rotate the first two nodes of a chain so that the second moves by about `shift` [T, 3], as far as the places of
-    the first and the third let it; the third keeps its world rotation if it is in `turns`.
+def swivelled(upper: Array, lower: Array, shift: Array) -> Array:
+    """[T, 3] the first bone of a limb of two bones [T, 3] whose middle joint moves by about `shift` [T, 3], as far as
+    the places of its ends let it.
 
     One that is opposite to where it should go could leave to either side. It is moved the less, the nearer it is to
     there: at an angle a from that direction, by cos(a / 2) of the shift, so that no small difference grows to a jump.
     """
-    top, middle, _ = chain
-    socket, hinge, tip = (body.place(turns, node) for node in chain)
-    upper, lower = hinge - socket, tip - hinge
-    moved = swivelled(upper, lower, shift)
-    turns[top] = swing(upper, moved) @ turns[top]
-    turns[middle] = swing(lower, tip - socket - moved) @ turns[middle]
-
-
-def swivelled(upper: Array, lower: Array, shift: Array) -> Array:
-    """[T, 3] the first bone of a limb of two bones [T, 3] whose middle joint moves by about `shift` [T, 3]; see
-    `swivel`."""
     way = upper + lower
     along = way / np.maximum(length(way), 1e-9)
     centre = np.sum(upper * along, axis=-1, keepdims=True) * along

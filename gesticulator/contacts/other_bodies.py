@@ -18,14 +18,12 @@ lengths and w(g) a smooth minimum of g and `MARGIN`. What is lacking is added al
 moves no two points apart and n changes continuously with the pose, so a hand that passes the trunk is led around it
 without a jump. A character with the trunk of the default one keeps its pose.
 
-These limits decide frame by frame: a hand that passes a slim waist in a tenth of a second is led
-around a stout one in the same tenth, twice as fast. Here the displacements of a whole motion are spread over time: they
-are smoothed, and where the hand would be nearer to the trunk than it belongs, or beyond reach, it is brought back, in
-turns. These are the steps of a projected gradient descent on the integral of |d'(t)|^2 over the displacements d(t) that
-keep the hand outside, stopped when d has spread by `AHEAD`. Where the hand is still faster than it would be without
-correction, its path is smoothed as well, so that the haste of a moment is shared with the moments around it. The
-descent begins with the displacements of each frame, which say on which side of the trunk a hand belongs. A motion that
-ends where it began is smoothed as a loop; others keep the displacements at their ends.
+Decided frame by frame, a hand that passes a slim waist in a tenth of a second would be led around a stout one in the
+same tenth, twice as fast. So the displacements of a whole motion are spread over time: they are smoothed, and where the
+hand would be nearer to the trunk than it belongs, or beyond reach, it is brought back, in turns. These are the steps of
+a projected gradient descent on the integral of |d'(t)|^2 over the displacements d(t) that keep the hand outside,
+stopped when d has spread by `AHEAD`. Where the hand is still faster than without correction, its path is smoothed as
+well. A motion that ends where it began is smoothed as a loop; others keep the displacements at their ends.
 """
 
 from __future__ import annotations

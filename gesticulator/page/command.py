@@ -112,10 +112,12 @@ def _character(job: Job) -> tuple[tuple[Character, dict[str, int]] | None, bool]
     """The requested character with our joint -> its node in the file, if any, and whether it stands on its legs."""
     if job.character is None:
         return None, False
+    from gesticulator.characters.mapping import check
     from gesticulator.characters.reading import choose
 
     # The mapping may be saved before anything else: it is what a user corrects when joints are wrong.
     character, mapping = choose(job.character.file, job.character.mapping, job.character.save_mapping)
+    check(mapping, character)
     joints = {joint: character.node_ids[node] for joint, node in mapping.named().items()}
     return (character, joints), mapping.legs and not job.options.seated
 
