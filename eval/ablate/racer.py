@@ -282,9 +282,10 @@ def online(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Le
 
 def actor_critic(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
     """Policy gradients on what the policy has just done, beginning as the supervised network of the seed."""
+    # First its own weights, which are drawn: a supervised network that is trained now would move the numbers.
+    model = ActorCritic(network, config.cql.gamma)
     # Of the same seed: the pair differs by what came after, as the paper's rows do.
-    supervised, model = trained(racer, RACER_SUPERVISED, seed), ActorCritic(network, config.cql.gamma)
-    model.begin_as(supervised)
+    model.begin_as(trained(racer, RACER_SUPERVISED, seed))
     speech = simulator(racer, config)
     return model, lambda rng, size: q_batch(racer.corpus, speech.collect(
         sampled(model.actor, racer.corpus, rng), rng, size, config.cql.decisions))
