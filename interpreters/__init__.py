@@ -14,9 +14,6 @@ from typing import Any
 
 from data_module.registry import Registry, RegistryEntry
 
-__part_of__ = "gesticulator"
-"""Lets `gesticulator.version` distinguish this package from another of the same name."""
-
 
 @dataclass(frozen=True)
 class InterpreterEntry(RegistryEntry):
@@ -31,8 +28,7 @@ class InterpreterEntry(RegistryEntry):
     For interpreters with weights: section: the group of settings of `Config`, by default the name of the part. model:
     module and class of the weights, if not the interpreter itself: it has `build(settings, sizes)`. file: names of the
     files of the part and the text part without suffix, by default the names of the parts. tied: the weights fit one
-    codebook only. temperature: its default temperature, if it is not that of the bundle. doubt: the warning with which
-    it plays; empty for none.
+    codebook only. temperature: its default temperature, if it is not that of the bundle.
     """
 
     part: str = ""
@@ -43,7 +39,6 @@ class InterpreterEntry(RegistryEntry):
     file: tuple[str, ...] = ()
     tied: bool = True
     temperature: float | None = None
-    doubt: str = ""
 
     def load_model(self) -> Any:
         module, name = (self.model or self.where).split(":")
@@ -65,14 +60,10 @@ INTERPRETERS: Registry[InterpreterEntry] = Registry("interpreters", "an interpre
         "the LSTM of Rhythmic Gesticulator", "interpreters.lstm:LstmInterpreter", "interpreter", "interpreter_text",
         file=("lexeme_interpreter", "lexeme_interpreter_text"), tied=False),
     "cql": InterpreterEntry(
-        "RACER's Q-network", "interpreters.cql:QNetwork", "q_network", section="cql",
-        doubt="cql chooses gestures no better than lstm by any figure of this project (docs/racer.md), and at "
-              "temperature 0 it repeats a few"),
+        "RACER's Q-network", "interpreters.cql:QNetwork", "q_network", section="cql"),
     "cql-literal": InterpreterEntry(
         "RACER's Q-network as published: recorded lexemes only, arg max", "interpreters.cql:LiteralQNetwork",
-        "q_network_literal", section="cql_literal", temperature=0.0,
-        doubt="interpreter cql-literal is RACER's as published, for comparison: it repeats few lexemes; "
-              "--interpreter cql varies them"),
+        "q_network_literal", section="cql_literal", temperature=0.0),
     "advantage": InterpreterEntry(
         "the LSTM, biased by a learned reward; see --beta", "interpreters.advantage:AdvantageInterpreter", "advantage",
         prior="lstm", model="interpreters.advantage:Critics"),

@@ -1,15 +1,12 @@
-"""How `--interpreter cql` chooses: sampled by default, arg max at temperature 0, with one warning."""
+"""How `--interpreter cql` chooses: sampled by default, arg max at temperature 0."""
 
 from __future__ import annotations
-
-import warnings
 
 import pytest
 
 from gesticulator.bundle import bundle as bundles
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.options import InferenceOptions
-from gesticulator.setup import InterpreterWarning
 from gesticulator.training.presets import preset
 
 
@@ -19,10 +16,7 @@ def shipped() -> bundles.Bundle:
 
 
 def temperature(system: Gesticulator, **asked: object) -> float:
-    options = InferenceOptions(**asked)  # type: ignore[arg-type]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", InterpreterWarning)
-        return system.resolver.setup(options, text=False).temperature
+    return system.resolver.setup(InferenceOptions(**asked), text=False).temperature  # type: ignore[arg-type]
 
 
 def test_the_shipped_q_network_is_sampled_and_temperature_0_is_arg_max(shipped: bundles.Bundle) -> None:
@@ -36,17 +30,3 @@ def test_the_shipped_q_network_is_sampled_and_temperature_0_is_arg_max(shipped: 
 def test_the_published_presets_keep_the_greedy_choice() -> None:
     for name in ("racer-trinity", "racer-chinese", "paper-trinity"):
         assert preset(name).selection.q_temperature == 0
-
-
-def test_a_policy_that_is_no_better_is_remarked_upon_once(shipped: bundles.Bundle) -> None:
-    system = Gesticulator(shipped)
-    options = InferenceOptions(interpreter="cql")
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        for name in ("lstm", "statistical", "advantage"):
-            system.resolver.setup(InferenceOptions(interpreter=name), text=False)
-        assert not caught
-        for _ in range(3):
-            system.resolver.setup(options, text=False)
-    assert [type(one.message) for one in caught] == [InterpreterWarning]
-    assert "lstm" in str(caught[0].message) and "\n" not in str(caught[0].message)

@@ -191,7 +191,7 @@ def rewarded(racer: RacerRows, config: Config) -> Episodes:
     if key not in racer._episodes:
         # Behaviour beside the recorded one: without it no other lexeme than the person's was ever tried.
         interpreters: dict[str, LexemeInterpreter] = {
-            "sampled": racer.bundle.interpreter, "statistical": racer.bundle.statistical()}
+            "sampled": racer.bundle.interpreter, "statistical": racer.bundle.interpreter_named("statistical")}
         racer._episodes[key] = build(racer.takes, plain, racer.taught(config).sequence, silent=racer.silent,
                                      vectors=racer.bundle.vectors.numpy(), seed=config.seed,
                                      policies=BehaviourPolicies(interpreters, features_of(racer.corpus)))
