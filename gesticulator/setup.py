@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +18,10 @@ from gesticulator.sampling.loop import Setup
 from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 from interpreters.base import as_interpreter
+
+
+class InterpreterWarning(UserWarning):
+    """An interpreter was chosen that is no better than another, or worse (`InterpreterEntry.doubt`)."""
 
 
 class SetupResolver:
@@ -52,9 +57,13 @@ class SetupResolver:
         chosen = options.interpreter or bundle.interpreters[0]
         # An object may have `start` and `step` alone, and gets defaults for the rest.
         interpreter = as_interpreter(bundle.interpreter_named(chosen, text) if isinstance(chosen, str) else chosen)
+        # Interpreters of other packages have no figures of ours, so there is nothing to warn of.
+        known = INTERPRETERS.get(interpreter.name)
+        if known is not None and known.doubt:
+            warnings.warn(InterpreterWarning(known.doubt), stacklevel=2)
         temperature = options.temperature
-        if temperature is None and interpreter.name in INTERPRETERS:
-            temperature = INTERPRETERS[interpreter.name].temperature
+        if temperature is None and known is not None:
+            temperature = known.temperature
         if temperature is None:
             # Q values and log-probabilities have different scales, so each has a default of its own.
             temperature = defaults.q_temperature if interpreter.gives_values else defaults.temperature

@@ -28,7 +28,8 @@ class InterpreterEntry(RegistryEntry):
     For interpreters with weights: section: the group of settings of `Config`, by default the name of the part. model:
     module and class of the weights, if not the interpreter itself: it has `build(settings, sizes)`. file: names of the
     files of the part and the text part without suffix, by default the names of the parts. tied: the weights fit one
-    codebook only. temperature: its default temperature, if it is not that of the bundle.
+    codebook only. temperature: its default temperature, if it is not that of the bundle. doubt: the warning with which
+    it plays, if it is no better than another by our figures; empty for none.
     """
 
     part: str = ""
@@ -39,6 +40,7 @@ class InterpreterEntry(RegistryEntry):
     file: tuple[str, ...] = ()
     tied: bool = True
     temperature: float | None = None
+    doubt: str = ""
 
     def load_model(self) -> Any:
         module, name = (self.model or self.where).split(":")
@@ -60,10 +62,14 @@ INTERPRETERS: Registry[InterpreterEntry] = Registry("interpreters", "an interpre
         "the LSTM of Rhythmic Gesticulator", "interpreters.lstm:LstmInterpreter", "interpreter", "interpreter_text",
         file=("lexeme_interpreter", "lexeme_interpreter_text"), tied=False),
     "cql": InterpreterEntry(
-        "RACER's Q-network", "interpreters.cql:QNetwork", "q_network", section="cql"),
+        "RACER's Q-network", "interpreters.cql:QNetwork", "q_network", section="cql",
+        doubt="cql chooses gestures no better than lstm by any figure of this project (docs/racer.md), and at "
+              "temperature 0 it repeats a few"),
     "cql-literal": InterpreterEntry(
         "RACER's Q-network as published: recorded lexemes only, arg max", "interpreters.cql:LiteralQNetwork",
-        "q_network_literal", section="cql_literal", temperature=0.0),
+        "q_network_literal", section="cql_literal", temperature=0.0,
+        doubt="interpreter cql-literal is RACER's as published, for comparison: it repeats few lexemes; "
+              "--interpreter cql varies them"),
     "advantage": InterpreterEntry(
         "the LSTM, biased by a learned reward; see --beta", "interpreters.advantage:AdvantageInterpreter", "advantage",
         prior="lstm", model="interpreters.advantage:Critics"),

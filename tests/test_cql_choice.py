@@ -1,12 +1,15 @@
-"""How `--interpreter cql` chooses: sampled by default, arg max at temperature 0."""
+"""How `--interpreter cql` chooses: sampled by default, arg max at temperature 0, with a warning."""
 
 from __future__ import annotations
+
+import warnings
 
 import pytest
 
 from gesticulator.bundle import bundle as bundles
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.options import InferenceOptions
+from gesticulator.setup import InterpreterWarning
 from gesticulator.training.presets import preset
 
 
@@ -30,3 +33,15 @@ def test_the_shipped_q_network_is_sampled_and_temperature_0_is_arg_max(shipped: 
 def test_the_published_presets_keep_the_greedy_choice() -> None:
     for name in ("racer-trinity", "racer-chinese", "paper-trinity"):
         assert preset(name).selection.q_temperature == 0
+
+
+def test_a_policy_that_is_no_better_is_remarked_upon(shipped: bundles.Bundle) -> None:
+    system = Gesticulator(shipped)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for name in ("lstm", "statistical", "advantage"):
+            system.resolver.setup(InferenceOptions(interpreter=name), text=False)
+        assert not caught
+        system.resolver.setup(InferenceOptions(interpreter="cql"), text=False)
+    assert [warning.category for warning in caught] == [InterpreterWarning]
+    assert "lstm" in str(caught[0].message) and "\n" not in str(caught[0].message)
