@@ -1,8 +1,7 @@
 """A store: synchronised motion, speech and words, not yet cut into blocks.
 
 A store is a folder. `store.json` lists its content, `recordings/NAME.flac` is the sound and `recordings/NAME.npz` the
-motion on the character (with fingers and legs) at the original frame rate, the words and, for a scripted performance,
-the truth.
+motion on the character (with fingers and legs) at the original frame rate, and the words.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import os
 import shutil
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -28,7 +27,6 @@ from data_module.files import is_free, read_json, rename, write_bytes, write_tex
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, JOINTS, resized
 from data_module.speech.audio import load_speech, write_flac
-from data_module.truth import TABLES, PlayedStroke, Truth
 from data_module.types import Motion, Speech, Word
 
 __all__ = ["SPLITS", "Recording", "RecordingInfo", "Store", "StoreWriter"]
@@ -83,7 +81,6 @@ class Recording:
     info: RecordingInfo
     speech: Speech
     motion: Motion
-    truth: Truth | None = None
     stands: bool = False
 
 
@@ -155,10 +152,8 @@ class Store:
     def load(self, name: str, joints: int = len(JOINTS)) -> Recording:
         """Read one recording: its motion on the character at the corpus's own rate. joints: in which of its sizes
         (`skeletons.CHARACTERS`); those that the store lacks are at rest and `absent`."""
-        for info in self.recordings:
-            if info.name == name:
-                break
-        else:
+        info = next((info for info in self.recordings if info.name == name), None)
+        if info is None:
             raise InputError(name, f"is not in the store {self.path}", f"it holds {len(self.recordings)} recordings")
         sound, arrays = _files(self.path, name)
         for file, wanted in zip((sound, arrays), self._hashes[name], strict=True):
@@ -235,18 +230,7 @@ def _fingerprint(entries: Sequence[Mapping[str, Any]]) -> str:
     return hashlib.sha256(json.dumps(list(entries), sort_keys=True).encode()).hexdigest()
 
 
-# Tuples of flat dataclasses are stored as one array per field, without pickle.
 _WORDS = ("text", "start", "end")
-
-
-def _columns(prefix: str, rows: Sequence[Any], names: Sequence[str]) -> dict[str, NDArray[Any]]:
-    return {f"{prefix}_{name}": np.array([getattr(row, name) for row in rows]) for name in names}
-
-
-def _rows(arrays: Mapping[str, NDArray[Any]], prefix: str, kind: type, names: Sequence[str]) -> tuple[Any, ...]:
-    columns = [arrays[f"{prefix}_{name}"].tolist() for name in names]
-    rows = (dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True))
-    return tuple(msgspec.convert(row, kind) for row in rows)
 
 
 def _arrays(recording: Recording) -> dict[str, NDArray[Any]]:
@@ -259,11 +243,7 @@ def _arrays(recording: Recording) -> dict[str, NDArray[Any]]:
         "absent": np.array(motion.absent, dtype=str), "filled": np.array(motion.filled, dtype=str),
     }
     if speech.words is not None:
-        arrays |= _columns("word", speech.words, _WORDS)
-    if recording.truth is not None:
-        for name, kind in TABLES.items():
-            rows = getattr(recording.truth, name)
-            arrays |= _columns(name, rows, [field.name for field in fields(kind)])
+        arrays |= {f"word_{name}": np.array([getattr(word, name) for word in speech.words]) for name in _WORDS}
     return arrays
 
 
@@ -277,17 +257,14 @@ def _read(info: RecordingInfo, sound: Path, file: Path) -> Recording:
         motion = Motion(skeleton, rotation.normalise(as_floats(arrays["rotations"])),
                         as_floats(arrays["root_positions"]), float(arrays["fps"].item()),
                         *(tuple(map(str, arrays[which].tolist())) for which in ("absent", "filled")))
-        words = _rows(arrays, "word", Word, _WORDS) if "word_text" in arrays else None
-        # The first column of strokes marks a scripted performance; other tables may be empty.
-        truth = None
-        if f"strokes_{fields(PlayedStroke)[0].name}" in arrays:
-            truth = Truth(**{name: _rows(arrays, name, kind, [field.name for field in fields(kind)])
-                             for name, kind in TABLES.items()})
+        columns = [arrays[f"word_{name}"].tolist() for name in _WORDS if "word_text" in arrays]
+        words = tuple(Word(str(text), float(start), float(end)) for text, start, end in zip(*columns, strict=True))
     except (ValueError, KeyError, TypeError, IndexError):
         raise InputError(file, "is not a recording of a store", "build the store again") from None
     # The limit of an hour is for the input of users; recordings in a store were accepted when it was built.
     speech = load_speech(sound)
-    return Recording(info, Speech(speech.samples, speech.sample_rate, words, info.speaker), motion, truth)
+    return Recording(info, Speech(speech.samples, speech.sample_rate, words if columns else None,
+                                  info.speaker), motion)
 
 
 def _pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:

@@ -10,12 +10,8 @@ The first block of a recording has the given a_0; decisions begin with the secon
 
 from __future__ import annotations
 
-import io
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +20,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_module.errors import InputError
-from data_module.files import write_bytes
 from interpreters.base import BlockFeatures, LexemeInterpreter, select
 from interpreters.settings import BEHAVIOURS, EpisodeConfig
 
@@ -131,24 +126,6 @@ class Episodes:
         }
         return {key: torch.as_tensor(value) for key, value in batch.items()}
 
-    def save(self, path: str | Path) -> None:
-        """Write one npz atomically; the same episodes give the same bytes."""
-        stream = io.BytesIO()
-        recordings = [episode.recording for episode in self.episodes]
-        np.savez(stream, allow_pickle=False, lengths=self.lengths, recordings=recordings, speakers=self._speakers,
-                 **self._columns)
-        write_bytes(path, stream.getvalue())
-
-    @classmethod
-    def load(cls, path: str | Path) -> Episodes:
-        """The inverse of `save`; InputError for another or a damaged file."""
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-            return cls(list(_unpacked(arrays)))
-        except (OSError, KeyError, ValueError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
-            raise InputError(path, f"holds no episodes ({error})", "make the episodes again") from None
-
 
 def draw_starts(rng: np.random.Generator, lengths: Integers, count: int, decisions: int) -> tuple[Integers, Integers]:
     """Random starts of windows of T decisions: sequence numbers [count] and the position of a_0 in each [count]. All
@@ -162,13 +139,6 @@ def draw_starts(rng: np.random.Generator, lengths: Integers, count: int, decisio
     which = np.searchsorted(until, sampled, side="right")
     # The place of the sample among the starts of its sequence.
     return which, sampled - until[which] + choices[which]
-
-
-def _unpacked(arrays: Mapping[str, NDArray[Any]]) -> Iterator[Episode]:
-    ends = np.cumsum(arrays["lengths"])
-    for end, length, recording, speaker in zip(ends, arrays["lengths"], arrays["recordings"], arrays["speakers"],
-                                               strict=True):
-        yield Episode(int(recording), int(speaker), **{name: arrays[name][end - length:end] for name in _COLUMNS})
 
 
 @dataclass(frozen=True)

@@ -94,6 +94,10 @@ class Quantizer(nn.Module):
     def _follow(self, latents: Tensor, labels: Tensor) -> None:
         one_hot = nn.functional.one_hot(labels, self.size).to(latents.dtype)
         counts, sums = one_hot.sum(0), one_hot.t() @ latents
+        if torch.distributed.is_available() and torch.distributed.is_initialized():
+            # The codebook is not moved by gradients, so DistributedDataParallel does not add up the processes' rows.
+            for part in (counts, sums):
+                torch.distributed.all_reduce(part)
         self.counts.mul_(DECAY).add_(counts, alpha=1 - DECAY)
         self.sums.mul_(DECAY).add_(sums, alpha=1 - DECAY)
         # Laplace smoothing keeps a rarely used vector from dividing by nearly zero.

@@ -9,7 +9,7 @@ import re
 import threading
 import zipfile
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
@@ -36,7 +36,6 @@ from data_module.speech.fingerprint import fingerprint_frames, fingerprint_text
 from data_module.speech.speech_encoder import load_fairseq
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter, _fingerprint, _sha256
 from data_module.text.transcript import read_transcript
-from data_module.truth import Phrase, PlayedStroke, Syllable, Truth
 from data_module.types import Speech, Word
 from eval.clip import foreign
 from eval.metrics.eye import ReferenceSpace
@@ -178,9 +177,7 @@ def _store(mutated: str) -> Callable[[Path], Path]:
         writer = StoreWriter(folder / "s", "test", {"hours": 1.0}, 3, "none")
         speech = Speech(_noise(), RATE, tuple(Word(*word) for word in WORDS), "ann")
         motion = skeletons.from_vector(0.1 * np.random.default_rng(0).normal(size=(20, 48)), 20.0)
-        truth = Truth((PlayedStroke("BeatMid", "clip", "left", 0.0, 0.5, 0.7, 0.9, 0.48, 1.03, True),),
-                      (Syllable(0.1, 0.15, 0.4, 0, -1.5, 2.5, 0.3),), (Phrase(0.1, 0.9, -0.25),))
-        writer.add(Recording(RecordingInfo("a", "train", "ann", "ann", "en", group="g"), speech, motion, truth))
+        writer.add(Recording(RecordingInfo("a", "train", "ann", "ann", "en", group="g"), speech, motion))
         writer.finish(["a"])
         return folder / "s" / mutated
 
@@ -221,10 +218,8 @@ def _pairs(folder: Path) -> Path:
     motion = skeletons.from_vector(np.zeros((30, 48)), 20.0)
     write_bvh(folder / "a.bvh", motion)
     soundfile.write(folder / "a.wav", _noise(1.5), RATE)
-    truth = Truth((PlayedStroke("Beat", "c", "left", 0.0, 0.5, 0.7, 0.9, 0.4, 1.0, True),),
-                  (Syllable(0.1, 0.15, 0.4, 0, 0.0, 0.0, 0.0),), (Phrase(0.1, 0.9, 0.0),))
     beside = {"words": [{"text": "hello", "start": 0.1, "end": 0.5}], "performer": "ann", "language": "en",
-              "split": "train"} | asdict(truth)
+              "split": "train"}
     (folder / "a.json").write_text(json.dumps(beside))
     return folder / "a.json"
 
@@ -393,7 +388,7 @@ def _read_request(file: Path) -> object:
         return json.dumps(plan_from(request["plan"]).to_dict()).encode()
 
     server = SimpleNamespace(
-        hosts=("127.0.0.1:1",), token="secret", secret="place", page=b"", queue=0.0,
+        hosts=("127.0.0.1:1",), token="secret", secret="place", page=b"",
         rendering=threading.Lock(), render=render, abandons=lambda page, number: lambda: False)
     client = _Client(file)
     _PageHandler(client, ("127.0.0.1", 1), server)  # type: ignore[arg-type]

@@ -196,7 +196,7 @@ def test_racers_rows_stand_on_what_is_trained_here(ablation: Ablation, tmp_path:
 
 def test_what_cannot_be_run(tiny_store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     given = ["--data", str(tiny_store), "--work", str(tmp_path)]
-    for wrong, word in ((["--only", "nothing"], "choose among"), (["--system", "ours=."], "name of a row"),
+    for wrong, word in ((["--only", "nothing"], "invalid choice"), (["--system", "ours=."], "name of a row"),
                         (["--seeds", "0"], "--seeds 0")):
         with pytest.raises(SystemExit) as error:
             ABLATE.main("gesticulator ablate", [*given, *wrong])

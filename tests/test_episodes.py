@@ -250,19 +250,6 @@ def test_only_the_truth_is_cloned() -> None:
     assert torch.equal(batch["cloned"] > 0, (batch["valid"] > 0) & (batch["behaviour"] == TRUTH))
 
 
-# Files
-
-def test_save_and_load_round_trip(tmp_path: Path) -> None:
-    data = made()
-    data.save(tmp_path / "episodes.npz")
-    again = Episodes.load(tmp_path / "episodes.npz")
-    for one, other in zip(data.episodes, again.episodes, strict=True):
-        assert (one.recording, one.speaker) == (other.recording, other.speaker)
-        for name in ("blocks", "actions", "behaviour", "reward", "silent", "terminal"):
-            assert getattr(one, name).dtype == getattr(other, name).dtype
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-
-
 @pytest.mark.parametrize("wrong", [{"truth": 0.9}, {"truth": 0.75, "sampled": -0.1}, {"reward": "applause"},
                                    {"prefix": 0}])
 def test_settings_that_make_no_sense_are_refused(wrong: dict) -> None:

@@ -31,7 +31,7 @@ from gesticulator.plan.plan_file import read_plan
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 SECONDS = 4.0
 RUN = {"calmer_take", "direct", "edit_plan", "file_to_bvh", "folder", "gestures_at_words", "own_engine", "racer",
-       "rhythmic_gesticulator", "samples", "score", "to_blender", "to_character", "to_vrm", "train", "two_takes"}
+       "rhythmic_gesticulator", "samples", "score", "to_blender", "to_character", "to_vrm", "train"}
 
 
 @pytest.fixture(scope="module")
@@ -122,16 +122,6 @@ def test_a_character_and_a_vrm_animation(recording: Path, tmp_path: Path) -> Non
         assert np.ptp(hand, axis=0).max() > 0.05 > np.ptp(foot, axis=0).max(), "hands move, feet stand"
     example("to_vrm")(str(recording), str(tmp_path / "talk.vrma"))
     assert "VRMC_vrm_animation" in GlbFile.parse((tmp_path / "talk.vrma").read_bytes()).document["extensions"]
-
-
-def test_two_takes_on_one_page(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    example("two_takes")(str(recording), "lstm", "statistical", str(tmp_path / "two.html"))
-    page = (tmp_path / "two.html").read_text(encoding="utf-8")
-    told = json.loads(page.partition('id="performance">')[2].partition("</script>")[0])
-    takes = {take["name"]: [block["lexeme"] for block in take["plan"]["blocks"]] for take in told["takes"]}
-    assert list(takes) == ["lstm", "statistical"] and told["together"]
-    same = np.mean(np.equal(takes["lstm"], takes["statistical"]))
-    assert same < 0.9 and f"{same:.0%} of the blocks" in capsys.readouterr().out
 
 
 def test_a_plan_is_edited(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

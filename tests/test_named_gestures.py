@@ -17,9 +17,9 @@ from gesticulator.body.clips import mirrored_motion
 from gesticulator.cli import main
 from gesticulator.contacts.columns import HEAD, TRUNK
 from gesticulator.contacts.limbs import MARGIN, pose_of
-from gesticulator.directing.gesture_phases import SCRIPTS, drawn_gesture, longest
+from gesticulator.directing.gesture_scripts import SCRIPTS
 from gesticulator.directing.hands import arm_turns, finger_turns, hand_rotation
-from gesticulator.directing.named_gestures import laid_over, span_of_gesture
+from gesticulator.directing.named_gestures import drawn_gesture, laid_over, longest, span_of_gesture
 from gesticulator.plan.gestures import ALIASES, GESTURES, REPERTOIRE, mark_of, near_gestures
 from gesticulator.plan.plan import GestureCue
 
@@ -119,7 +119,7 @@ def test_the_apex_is_at_the_time_of_the_cue(name: str) -> None:
         part = draw.script.main if which == 0 else draw.script.other
         assert part is not None
         wrist = in_chest(motion, f"{side}Hand", f"{side}Arm")
-        key = part.apex
+        key = part.keys[1]
         along = np.array(key.fingers) / np.linalg.norm(key.fingers)
         wanted = (np.array(key.place) - part.point * along) * [1.0 if side == "Left" else -1.0, 1.0, 1.0]
         # Gestures that touch nothing are drawn a little elsewhere each time.

@@ -5,25 +5,23 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from performances import perform, write_example
+from performances import perform
 from test_editing import Page, Plain, edited, first, frames_of_take, speech, system  # noqa: F401
 
 from data_module.errors import InputError
-from data_module.motion import bvh, rotation
+from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT, standing
 from data_module.types import Array, Motion, Speech
 from gesticulator import Gesticulator
 from gesticulator.body.clips import mirrored_motion
 from gesticulator.body.pins import REACH, pinned
-from gesticulator.cli import main
 from gesticulator.performance import Performance
 from gesticulator.plan.plan import GesturePlan, PosePin
 from gesticulator.plan.plan_file import parse_plan
@@ -222,19 +220,3 @@ def test_the_page_and_the_command_play_the_same_and_undo_costs_nothing(
     np.testing.assert_array_equal(again.frames, frames_of_take(made))
     again.edit({name: value for name, value in again.plan.items() if name != "pins"})
     np.testing.assert_array_equal(again.frames, before)
-
-
-def test_a_plan_with_pins_is_rendered_on_the_command_line(tmp_path: Path) -> None:
-    write_example(tmp_path / "talk.wav", 3.0, "FLOAT")
-    talk, plan, out = (str(tmp_path / name) for name in ("talk.wav", "plan.json", "out.bvh"))
-    assert main(["infer", talk, "-o", str(tmp_path / "first.bvh"), "--plan-out", plan]) == 0
-    plain = json.loads(Path(plan).read_text())
-    plain["pins"] = [{"time": 1.5, "joint": "RightHand", "position": [-0.25, 1.3, 0.35]}]
-    Path(plan).write_text(json.dumps(plain))
-    assert main(["infer", talk, "-o", out, "--plan", plan, "--plan-out", str(tmp_path / "again.json")]) == 0
-    before, made = (bvh.read_bvh(Path(name)) for name in (tmp_path / "first.bvh", out))
-    (pin,) = json.loads((tmp_path / "again.json").read_text())["pins"]
-    assert (pin["time"], pin["joint"], pin["position"]) == (1.5, "RightHand", [-0.25, 1.3, 0.35])
-    np.testing.assert_allclose(_places(made, "RightHand")[90], (-0.25, 1.3, 0.35), atol=1e-4)
-    outside = np.r_[:54, 127:len(made)]
-    np.testing.assert_array_equal(made.rotations[outside], before.rotations[outside])

@@ -19,7 +19,6 @@ from data_module.speech.sound_map import SoundMap, Stretch
 from data_module.types import Speech, Word
 from gesticulator import Gesticulator, infer
 from gesticulator.editing.moved_beats import BeatMap
-from gesticulator.options import InferenceOptions
 from gesticulator.plan.plan import (
     DrawnBlocks,
     GestureCue,
@@ -205,11 +204,6 @@ def test_the_command_moves_a_plan_renders_it_and_writes_the_report(
     assert f"re-timed: {len(plan.blocks)} blocks kept, 0 decided anew" in capsys.readouterr().out
     assert infer.main([str(sound), "--plan", str(out), "-o", str(tmp_path / "b.bvh"), "--quiet"]) == 0
     assert (tmp_path / "a.bvh").read_bytes() == (tmp_path / "b.bvh").read_bytes()
-
-
-def test_options_that_need_a_plan_to_move_are_refused() -> None:
-    with pytest.raises(InputError, match="moves a plan"):
-        InferenceOptions(retime=True)
 
 
 @given(st.lists(st.tuples(st.floats(0.5, 5.0), st.floats(0.0, 2.0), st.floats(0.0, 2.0)), min_size=1, max_size=5),

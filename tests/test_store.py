@@ -17,23 +17,19 @@ from data_module import store as stores
 from data_module.errors import InputError
 from data_module.motion.skeletons import CHARACTER, CHARACTERS, FINGER_JOINTS, FINGERED, WHOLE_BODY, resized
 from data_module.store import Recording, RecordingInfo, Split, Store, StoreWriter
-from data_module.truth import Phrase, PlayedStroke, Syllable, Truth
 from data_module.types import Motion, Speech, Word
 
 SETTINGS = {"preset": "test", "hours": 1.0}
 
 
-def _recording(name: str, split: Split = "train", seed: int = 0, words: bool = True, truth: bool = True) -> Recording:
+def _recording(name: str, split: Split = "train", seed: int = 0, words: bool = True) -> Recording:
     rng = np.random.default_rng(seed)
     frames, fps = 90, 60.0
     rotations = Rotation.random(frames * 16, random_state=seed).as_quat(scalar_first=True).reshape(frames, 16, 4)
     motion = Motion(CHARACTER, rotations, rng.normal(size=(frames, 3)), fps, ("Spine3",))
     spoken = (Word("où", 0.1, 0.4), Word("l'été", 0.4, 0.9)) if words else None
     speech = Speech(rng.uniform(-0.9, 0.9, 24000).astype(np.float32), 16000, spoken, "brad")
-    known = Truth((PlayedStroke("BeatMid", "clip", "left", 0.0, 0.5, 0.7, 1.2, 0.48, 1.03, True),),
-                  (Syllable(0.1, 0.15, 0.4, 0, -1.5, 2.5, 0.3), Syllable(0.4, 0.5, 0.9, 1, 0.0, 0.0, -1.0)),
-                  (Phrase(0.1, 0.9, -0.25),)) if truth else None
-    return Recording(RecordingInfo(name, split, "brad", "slt", "fr", group="g"), speech, motion, known)
+    return Recording(RecordingInfo(name, split, "brad", "slt", "fr", group="g"), speech, motion)
 
 
 def _store(folder: Path, *recordings: Recording) -> Store:
@@ -44,7 +40,7 @@ def _store(folder: Path, *recordings: Recording) -> Store:
 
 
 def test_round_trip(tmp_path: Path) -> None:
-    first, second = _recording("a", "train", 1), _recording("b", "test", 2, words=False, truth=False)
+    first, second = _recording("a", "train", 1), _recording("b", "test", 2, words=False)
     _store(tmp_path / "s", first, second)
     store = Store.open(tmp_path / "s")
     assert store.names == ("a", "b") and store.settings == SETTINGS and (store.seed, store.corpus) == (3, "test")
@@ -57,7 +53,7 @@ def test_round_trip(tmp_path: Path) -> None:
         assert turned.min() > 1 - 1e-12 and np.abs(np.linalg.norm(after.motion.rotations, axis=-1) - 1).max() < 1e-12
         assert np.abs(after.motion.root_positions - before.motion.root_positions).max() < 1e-6
         assert after.motion.fps == 60 and after.motion.absent == ("Spine3",)
-        assert after.speech.words == before.speech.words and after.truth == before.truth
+        assert after.speech.words == before.speech.words
         assert after.info == replace(before.info, seconds=1.5, frames=90, fps=60.0, absent=("Spine3",))
 
 

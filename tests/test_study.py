@@ -313,7 +313,7 @@ def placed(key: Key, name: str) -> tuple[int, int]:
 
 
 def test_a_rater_goes_through_the_page(browser: Any, made: Path, tmp_path: Path) -> None:
-    """Clip by clip in her order; questions open at the end of a clip; answers outlive a reload and can be analysed."""
+    """Clip by clip in a rater's order; questions open at the end of a clip; answers outlive a reload."""
     path, complaints, requests = made / "page" / "index.html", [], []
     told = _data(path)
     page = browser.new_page(viewport={"width": 1100, "height": 800})

@@ -79,12 +79,6 @@ def test_a_word_that_stands_out_gets_a_larger_gesture(third: tuple[float, float,
     assert sounds(speech, 5).size(word(2)) == size
 
 
-def test_a_word_that_is_drawn_out_counts_as_emphatic() -> None:
-    words = [word(0), word(1), word(2), word(3), Word("word", word(4).start, word(4).end + 0.25)]
-    heard = WordSounds(said(*[PLAIN] * 5), words)
-    assert heard.emphasis(words[4]) > heard.emphasis(words[1]) + 0.1
-
-
 @lru_cache(maxsize=1)
 def phrase() -> Speech:
     return said((0.05, 0.0, 120.0), (0.1, 6.0, 150.0), (0.15, -5.0, 100.0), (0.08, 3.0, 130.0), (0.2, 9.0, 180.0))

@@ -21,7 +21,6 @@ from data_module.motion import rotation
 from data_module.motion.kinematics import minimum_jerk
 from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT
 from data_module.store import Recording, RecordingInfo, Split
-from data_module.truth import Phrase, PlayedStroke, Syllable, Truth
 from data_module.types import Array, Motion, Speech, Word
 
 RATE, FPS, SECONDS = 16000, 60.0, 20.0
@@ -29,12 +28,12 @@ SPLITS: tuple[Split, ...] = ("train", "train", "train", "train", "val", "train",
 PITCH = {"train": 110.0, "val": 110.0, "test": 190.0}
 """Hertz. The voice of the test split is another one."""
 FILLERS = ("the", "of", "and", "in")
-# The gesture of each content word: (lexeme, hands, angles in radians of upper arm (3) and forearm (1) at its end).
-GESTURES: dict[str, tuple[str, str, tuple[float, ...]]] = {
-    "big": ("Big", "both", (0.2, -0.5, -0.9, -0.9)), "whole": ("Big", "both", (0.1, -0.4, -0.8, -1.1)),
-    "wind": ("Beat", "right", (0.0, -0.6, -1.1, -1.0)), "stone": ("Beat", "right", (0.2, -0.5, -1.2, -0.8)),
-    "you": ("Point", "right", (0.0, -1.2, -1.0, -0.3)), "there": ("Point", "left", (0.1, -1.0, -0.8, -0.2)),
-    "high": ("Raise", "left", (0.3, -0.7, -0.4, -1.3)), "river": ("Beat", "left", (0.1, -0.6, -1.2, -1.1)),
+# The gesture of each content word: (hands, angles in radians of upper arm (3) and forearm (1) at its end).
+GESTURES: dict[str, tuple[str, tuple[float, ...]]] = {
+    "big": ("both", (0.2, -0.5, -0.9, -0.9)), "whole": ("both", (0.1, -0.4, -0.8, -1.1)),
+    "wind": ("right", (0.0, -0.6, -1.1, -1.0)), "stone": ("right", (0.2, -0.5, -1.2, -0.8)),
+    "you": ("right", (0.0, -1.2, -1.0, -0.3)), "there": ("left", (0.1, -1.0, -0.8, -0.2)),
+    "high": ("left", (0.3, -0.7, -0.4, -1.3)), "river": ("left", (0.1, -0.6, -1.2, -1.1)),
 }
 HANGING = np.array([0.0, -0.1, -1.35, -0.25])
 """The same angles of an arm at rest."""
@@ -57,17 +56,15 @@ def _vowel(seconds: float, pitch: float, formants: tuple[float, float]) -> Array
 
 
 def recording(number: int, seed: int = 5) -> Recording:
-    """Recording `number` of the corpus, with the times of its words, syllables, phrases and strokes."""
+    """Recording `number` of the corpus, with the times of its words."""
     rng = np.random.default_rng([seed, number])
     split = SPLITS[number]
     samples = 3e-4 * rng.normal(size=round(SECONDS * RATE))
     words: list[Word] = []
-    syllables: list[Syllable] = []
-    phrases: list[Phrase] = []
     content: list[tuple[float, str, float]] = []  # onset of the vowel, word, effort of its phrase
     clock = 0.5
     while clock < SECONDS - 4.5:
-        begin, effort = clock, float(rng.uniform(-1.0, 1.0))
+        effort = float(rng.uniform(-1.0, 1.0))
         for place in range(int(rng.integers(4, 9))):
             filler = place % 3 == 1
             text = str(rng.choice(FILLERS if filler else list(GESTURES)))
@@ -79,31 +76,25 @@ def recording(number: int, seed: int = 5) -> Recording:
             at = round(vowel * RATE)
             samples[round(clock * RATE):at] += 0.3 * level * rng.normal(size=at - round(clock * RATE))  # the consonant
             samples[at:at + len(sound)] += sound
-            syllables.append(Syllable(clock, vowel, vowel + length, len(words), 6.0 * effort, 0.0 if filler else 2.5,
-                                      -0.8 if filler else 0.8))
             words.append(Word(text, clock, vowel + length))
             if not filler:
                 content.append((vowel, text, effort))
             clock = vowel + length + float(rng.uniform(0.01, 0.04))
-        phrases.append(Phrase(begin, words[-1].end, effort))
         clock += float(rng.uniform(0.7, 1.6))
     speech = Speech(samples.clip(-1, 1).astype(np.float32), RATE, tuple(words))
-    motion, strokes = _gestures(content, rng, split)
     info = RecordingInfo(f"talk_{number:04d}_puppet", split, "puppet", f"voice_{PITCH[split]:.0f}", "en",
                          group=f"talk_{number:04d}_puppet")
-    return Recording(info, speech, motion, Truth(strokes, tuple(syllables), tuple(phrases)), stands=True)
+    return Recording(info, speech, _gestures(content, rng, split), stands=True)
 
 
-def _gestures(content: list[tuple[float, str, float]], rng: np.random.Generator, split: Split
-              ) -> tuple[Motion, tuple[PlayedStroke, ...]]:
+def _gestures(content: list[tuple[float, str, float]], rng: np.random.Generator, split: Split) -> Motion:
     """A gesture at each content word, if its hands are at rest: up, down to the target with the hardest braking at the
     beat, a hold, and back to rest. A third of the test split's are variants that occur in no other split."""
     times = np.arange(round(SECONDS * FPS)) / FPS
     arms = {side: np.tile(HANGING, (len(times), 1)) for side in ("left", "right")}
     free = {"left": 0.0, "right": 0.0}
-    strokes: list[PlayedStroke] = []
     for place, (vowel, word, effort) in enumerate(content):
-        lexeme, hands, target = GESTURES[word]
+        hands, target = GESTURES[word]
         beat = vowel + float(rng.normal(0.0, 0.03))
         start = beat - BRAKING * STROKE - PREPARATION
         sides = ("left", "right") if hands == "both" else (hands,)
@@ -120,16 +111,13 @@ def _gestures(content: list[tuple[float, str, float]], rng: np.random.Generator,
                       (-away, hold_end, RETRACTION))
             for change, begin, length in phases:
                 arms[side] += change * minimum_jerk(np.clip((times - begin) / length, 0.0, 1.0))[:, None]
-        clip = f"puppet_{word}{'_other' if held_out else ''}"
-        strokes.append(PlayedStroke(lexeme, clip, hands, start, beat, hold_end, hold_end + RETRACTION, vowel, gain,
-                                    held_out))
     maps = 0.02 * gaussian_filter1d(rng.normal(size=(len(times), len(CHARACTER), 3)), 30.0, axis=0) * 30.0 ** 0.5
     for side, sign in (("Left", 1.0), ("Right", -1.0)):
         angles = arms[side.lower()]
         maps[:, CHARACTER.index(side + "Arm")] += angles[:, :3] * [1.0, sign, sign]
         maps[:, CHARACTER.index(side + "ForeArm"), 1] += sign * angles[:, 3]
     turns = rotation.continuous(rotation.from_exponential_map(maps))
-    return Motion(CHARACTER, turns, np.tile([0.0, HIP_HEIGHT, 0.0], (len(times), 1)), FPS), tuple(strokes)
+    return Motion(CHARACTER, turns, np.tile([0.0, HIP_HEIGHT, 0.0], (len(times), 1)), FPS)
 
 
 def write(folder: Path, seed: int = 5) -> int:

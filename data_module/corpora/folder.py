@@ -2,10 +2,10 @@
 
 `NAME.bvh` (any rig whose joints have known names) goes with `NAME.flac`, `.wav`, `.mp3` or `.ogg`. A transcript may be
 `NAME.TextGrid`, `.json` (words with times), `.srt`, `.vtt` or `.txt` (plain); without one the words are unknown.
-`NAME.json` may also give split, performer, voice, language, whether the performer stands in one place (`stands`),
-joints with synthetic motion (`filled`) and the truth of a scripted performance. Without it the split follows the order
-of the names, 80/10/10 or --split, and the performer is the part of the names before the first "_" if several
-recordings share it, else the folder, or given by --speaker.
+`NAME.json` may also give split, performer, voice, language, whether the performer stands in one place (`stands`) and
+joints with synthetic motion (`filled`). Without it the split follows the order of the names, 80/10/10 or --split, and
+the performer is the part of the names before the first "_" if several recordings share it, else the folder, or given by
+--speaker.
 """
 
 from __future__ import annotations
@@ -14,11 +14,9 @@ import argparse
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import msgspec
 
 from data_module.corpora.base import DroppedError, Imported, Item, Options, needed, spread
 from data_module.corpora.takes import TEXTS, read_motion, with_text
@@ -27,7 +25,6 @@ from data_module.files import read_json, read_text, write_text
 from data_module.motion.bvh import write_bvh
 from data_module.speech.audio import SOUNDS, load_speech
 from data_module.store import SPLITS, Recording, RecordingInfo, Split
-from data_module.truth import Truth
 from data_module.types import Speech, Word
 
 DEFAULT_SPLIT = "80/10/10"
@@ -128,8 +125,6 @@ class Folder:
             motion, unit = read_motion(bvh, self._options)
             fields = self._fields(name)
             speech, timing = self._with_words(name, replace(load_speech(sound), speaker=item.info.speaker), fields)
-            # The strokes of a scripted performance mark a file that the build wrote itself.
-            truth = msgspec.convert(fields, Truth) if "strokes" in fields else None
         except InputError as error:
             raise DroppedError(str(error)) from None
         except (KeyError, TypeError, ValueError) as error:
@@ -137,7 +132,7 @@ class Folder:
         filled = fields.get("filled")
         if isinstance(filled, list):
             motion = replace(motion, filled=tuple(joint for joint in motion.skeleton.names if joint in filled))
-        return Imported(item.info, speech, motion, truth, fields.get("stands") is True, unit=unit, words=timing)
+        return Imported(item.info, speech, motion, fields.get("stands") is True, unit=unit, words=timing)
 
     def notes(self) -> Sequence[str]:
         lines = [f"{name}: has no sound of the same name" for name in self._alone]
@@ -238,6 +233,4 @@ def write_recording(folder: Path, recording: Recording) -> None:
         "performer": info.speaker, "voice": info.voice, "language": info.language, "split": info.split,
         "group": info.group, "stands": recording.stands, "filled": list(recording.motion.filled),
     }
-    if recording.truth is not None:
-        fields |= asdict(recording.truth)
     write_text(folder / f"{info.name}.json", json.dumps(fields, ensure_ascii=False))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
-from data_module.motion import kinematics, skeletons
+from data_module.motion import kinematics
 from data_module.types import Array, Motion
 
 SLOW = 0.15
@@ -103,14 +103,6 @@ def phases_of(places: Array, fps: float) -> HandPhases:
             labels[movement.first:movement.last] = movement.phase
     _label_between(labels, smooth[:, 1], speed, units, fps)
     return HandPhases(labels, units, tuple(movements))
-
-
-def hand_phases(motion: Motion) -> tuple[HandPhases, HandPhases]:
-    """The phases of the left and the right hand of any upper body."""
-    table = skeletons.find_table(motion.skeleton.names)
-    places = kinematics.positions_of(skeletons.facing(motion))
-    left, right = (phases_of(places[:, table[side + "Hand"]], motion.fps) for side in ("Left", "Right"))
-    return left, right
 
 
 def lasting(mask: NDArray[np.bool_], frames: float) -> NDArray[np.bool_]:

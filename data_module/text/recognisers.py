@@ -102,7 +102,7 @@ def _segments(source: str, item: object, where: str) -> list[_Segment]:
         return [_Segment(Entry("", None, None, where), words)]
     text = str(_of(item, *_TEXTS) or "").strip()
     # Google's results of several files lie below the names of the files.
-    files = [] if text else [key for key, part in item.items() if isinstance(part, Mapping)]
+    files = [] if text else [key for key, part in item.items() if isinstance(part, Mapping) and key not in _PARTS]
     without_times: list[_Segment] = []
     for key in (*_PARTS, *files):
         segments = _segments(source, item.get(key), _below(where, key))
@@ -215,8 +215,8 @@ def _content(source: str, segments: Sequence[_Segment], tokens: bool, single: bo
     words: list[Entry] = []
     if any(inner for _, inner in segments):
         for cue, (_, inner) in zip(cues, segments, strict=True):
-            # With several speakers the last of Google's results repeats the words of all others.
-            words = [] if words and [word.start for word in words] == [word.start for word in inner] else words
+            if cue is cues[-1] and [word.start for word in words] == [word.start for word in inner]:
+                words = []  # with several speakers the last of Google's results repeats the words of all others
             words += inner or shared_in_cue(_timed(source, cue))
     elif all(cue.start is None for cue in cues):
         return Content(text=" ".join(cue.text for cue in cues))

@@ -24,15 +24,14 @@ from data_module.text import alignment as aligner
 from data_module.text import transcript_formats as formats
 from data_module.text.marks import marked_text, marked_words, with_marks
 from data_module.text.recognisers import words_json
-from data_module.text.subtitles import subtitles
 from data_module.text.transcript_formats import Content, Entry
 from data_module.types import Speech, Word
 
 __all__ = ["Text", "Transcript", "as_transcript", "read_transcript", "timed_transcript", "with_transcript"]
 
 FORMATS: dict[str, Callable[[str, str, str | None], Content]] = {
-    ".txt": formats.plain, ".textgrid": formats.textgrid, ".srt": subtitles, ".vtt": subtitles,
-    ".tsv": formats.tsv, ".json": words_json,
+    ".txt": formats.plain, ".textgrid": formats.textgrid, ".srt": formats.subtitles,
+    ".vtt": formats.subtitles, ".tsv": formats.tsv, ".json": words_json,
 }
 """Readers by suffix: (file, its text, speaker) to its content."""
 

@@ -1,20 +1,26 @@
-"""Readers of transcript files: plain text, TextGrid, TSV; and what the readers of subtitles and JSON share.
+"""Readers of transcript files: plain text, TextGrid, TSV, SRT and WebVTT; and what they share with that of JSON.
 
 Each reader takes the text of a file and returns its words, or cues if there are no word times. Errors name the line.
 Marks of gestures stay in the texts; `data_module.text.transcript` takes them out.
+
+Recognisers write the times of words into subtitles in two ways: a cue for each word, with the whole line in it and the
+word in <u>, <b>, <font> or <c> (whisper and whisperX with highlighted words, stable-ts); or a time in angle brackets
+before each word (WebVTT; rolling captions repeat the line above).
 """
 
 from __future__ import annotations
 
+import html
+import itertools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from data_module.errors import InputError
 from data_module.text.alignment import written_words
-from data_module.text.marks import marked_text
+from data_module.text.marks import is_mark, marked_text
 
 SILENCES = frozenset({"", "sp", "sil", "<eps>", "<sil>", "<p>", "<p:>"})
 """Labels of aligners for silent intervals."""
@@ -25,6 +31,12 @@ NUMBER = r"[-+]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][-+]?\d++)?+"
 # The tokens of a TextGrid: quoted text, separate numbers, and a flag; everything else is for people. The last one is an
 # error, an unclosed quote.
 _TOKEN = re.compile(rf'"((?:[^"]++|"")*+)"|(?<![^\s=])({NUMBER})(?!\S)|(<exists>)|"')
+_CLOCK = r"(?:(\d{1,4}):)?(\d{1,4}):(\d{1,4})(?:[.,](\d+))?"
+_CUE = re.compile(rf"\s*{_CLOCK}\s*-->\s*{_CLOCK}(?:\s.*)?")
+# Tags, positions of the SubStation kind, and descriptions of sounds.
+_NOT_SPOKEN = re.compile(r"<[^<>]*>|\{\\[^{}]*\}|\[[^\[\]]*\]")
+_INNER = re.compile(rf"<{_CLOCK}>")
+_HIGHLIGHT = re.compile(r"<(u|b|font|c)(?:[ .][^<>]*)?>([^<>]*)</\1>", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -135,3 +147,142 @@ def shared_in_cue(cue: Entry) -> list[Entry]:
                 for word, a, b in zip(words[begin:count], edges[begin:], edges[begin + 1:], strict=False)]
         out += [Entry(f"[{name}]", edges[count], edges[count], cue.where)] if name else []
     return out
+
+
+# ---------------------------------------------------------------------------------------------------- subtitles
+
+@dataclass(frozen=True)
+class _Cue:
+    """A cue as written: lines with their tags, and its time, seconds."""
+
+    lines: list[str]
+    start: float
+    end: float
+    where: str
+
+    @property
+    def text(self) -> str:
+        return _plain(" ".join(self.lines))
+
+    def entry(self) -> Entry:
+        return Entry(self.text, self.start, self.end, self.where)
+
+
+def subtitles(source: str, text: str, speaker: str | None = None) -> Content:
+    """SubRip or WebVTT: of each cue a line with two times, and the lines up to an empty one; the rest is not spoken."""
+    cues: list[_Cue] = []
+    inside = False
+    for number, line in enumerate(text.split("\n"), 1):
+        if re.match(r"\s*\d+:[^>]*-->", line):
+            match = _CUE.fullmatch(line)
+            if match is None:
+                raise InputError(source, f"line {number}: {line.strip()[:60]!r} is not a pair of times",
+                                 "write 00:00:01,000 --> 00:00:02,500")
+            times = match.groups()
+            cues.append(_Cue([], _clock(times[:4]), _clock(times[4:]), f"line {number}"))
+            inside = True
+        # In WebVTT a line of spaces is a line; rolling captions have one above the first.
+        elif inside and (line.strip() or (line and not cues[-1].lines)):
+            cues[-1].lines.append(line)
+        else:
+            inside = False
+    # One time inside a line is enough: the first word of each line has the time of its cue.
+    if any(_INNER.search(line) for cue in cues for line in cue.lines):
+        return Content(words=tuple(_timed_inside(cues)))
+    lines = _highlighted_lines(cues)
+    if lines is None:
+        return Content(cues=tuple(cue.entry() for cue in cues))
+    return Content(words=tuple(word for line in lines for word in _words_of_line(line)))
+
+
+def _plain(text: str) -> str:
+    """A line as it is spoken: without tags and notes in brackets; marks of gestures stay."""
+    spoken = _NOT_SPOKEN.sub(lambda note: note[0] if is_mark(note[0]) else " ", text)
+    return " ".join(html.unescape(spoken).split())
+
+
+def _clock(parts: Sequence[str | None]) -> float:
+    hours, minutes, seconds, decimals = parts
+    return int(hours or 0) * 3600 + int(minutes or 0) * 60 + float(f"{seconds}.{decimals or 0}")
+
+
+# ------------------------------------------------------------------------------------------ highlighted words
+
+def _highlight(cue: _Cue) -> tuple[int, int] | None:
+    """Where the one highlighted word of a cue begins and ends among the words of its text; None without one."""
+    text = " ".join(cue.lines)
+    spans = list(_HIGHLIGHT.finditer(text))
+    if len(spans) != 1:
+        return None
+    before, inside = (len(_tokens(part)) for part in (text[:spans[0].start()], spans[0][2]))
+    return (before, before + inside) if inside else None
+
+
+def _tokens(text: str) -> list[str]:
+    return _plain(text).split()
+
+
+def _highlighted_lines(cues: Sequence[_Cue]) -> list[list[_Cue]] | None:
+    """The cues of each line, if one line is shown several times with one word after the other highlighted; else None.
+    """
+    lines: list[list[_Cue]] = []
+    place = 0
+    repeated = False
+    for cue in cues:
+        span = _highlight(cue)
+        # The highlight only moves forward in a line; a step back means that the line is spoken again.
+        again = bool(lines) and lines[-1][-1].text == cue.text and (span is None or span[0] >= place)
+        if again:
+            lines[-1].append(cue)
+            repeated = repeated or (span is not None and place > 0)
+        else:
+            lines.append([cue])
+            place = 0
+        place = span[1] if span is not None else place
+    return lines if repeated else None
+
+
+def _words_of_line(cues: Sequence[_Cue]) -> list[Entry]:
+    """The words of a line with the times at which each is highlighted; a line without highlights is spread over its
+    time, and other words have no times."""
+    tokens = _tokens(" ".join(cues[0].lines))
+    words: list[Entry] = []
+    at = 0
+    for cue in cues:
+        span = _highlight(cue)
+        if span is None or span[0] < at:
+            continue
+        # Words that were never highlighted are filled in between later.
+        words += [Entry(token, None, None, cue.where) for token in tokens[at:span[0]]]
+        words.append(Entry(" ".join(tokens[span[0]:span[1]]), cue.start, cue.end, cue.where))
+        at = span[1]
+    if not words:
+        return shared_in_cue(Entry(cues[0].text, cues[0].start, cues[-1].end, cues[0].where))
+    return words + [Entry(token, None, None, cues[-1].where) for token in tokens[at:]]
+
+
+# ---------------------------------------------------------------------------------------- times inside of cues
+
+def _timed_inside(cues: Sequence[_Cue]) -> Iterator[Entry]:
+    """The words of cues with times inside; a line that repeats one of the cue before is left out."""
+    before: list[str] = []
+    for cue in cues:
+        lines = [_plain(line) for line in cue.lines]
+        for line, plain in zip(cue.lines, lines, strict=True):
+            # A rolling caption shows the line before once more, without times.
+            if plain and (plain not in before or _INNER.search(line)):
+                yield from _pieces(line, cue)
+        before = lines
+
+
+def _pieces(line: str, cue: _Cue) -> Iterator[Entry]:
+    """The words of a line with times inside: each piece lasts from its time to the next one."""
+    starts = [cue.start, *(_clock(match.groups()) for match in _INNER.finditer(line)), cue.end]
+    ends = [0, *(edge for match in _INNER.finditer(line) for edge in match.span()), len(line)]
+    for (start, end), first, last in zip(itertools.pairwise(starts), ends[::2], ends[1::2], strict=True):
+        text = _plain(line[first:last])
+        piece = Entry(text, start, max(start, end), cue.where)
+        if len(written_words(marked_text(text)[0])) > 1:
+            yield from shared_in_cue(piece)
+        elif text:
+            yield piece

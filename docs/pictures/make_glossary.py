@@ -20,7 +20,6 @@ from matplotlib.figure import Figure
 from sklearn.manifold import TSNE
 
 from data_module.blocks import stretch_speech
-from data_module.controls import controls_from
 from data_module.files import write_bytes
 from data_module.motion import kinematics
 from data_module.motion.motion_beats import acting_positions, acting_speed, motion_beats
@@ -285,10 +284,8 @@ def silent_lexeme(s: Scene) -> Figure:
 def control(s: Scene) -> Figure:
     """The height of the right hand when the same speech is asked for low, mid and high hands."""
     figure, (axis,) = canvas((1.5,))
-    assert s.system.bundle.levels is not None
     for level, colour in (("low", BLUE), ("mid", SOFT), ("high", RED)):
-        asked = controls_from(level, None, None, s.system.bundle.levels)
-        motion = s.system(s.sound, controls=asked).motion
+        motion = s.system(s.sound, hand_height=level).motion
         axis.plot(*hand_height(motion, "Right"), color=colour, linewidth=1.6, label=level)
     plain(axis)
     axis.set_xlim(START, 3 * STOP)
@@ -306,7 +303,8 @@ def interpreter(s: Scene) -> Figure:
     upper.tick_params(labelbottom=False)
     for i, start, end in shown(s):
         stop = min(end, STOP)
-        cells = [*zip(s.made.best[i], np.exp(s.made.scores[i]), strict=True), (s.made.lexemes[i], None)]
+        choices = s.made.decided.blocks[i].alternatives
+        cells = [*((choice.lexeme, np.exp(choice.score)) for choice in choices), (s.made.lexemes[i], None)]
         for row, (number, share) in enumerate(cells):
             low = -row - (1.3 if share is None else 1.0)
             tint, depth = (RED, 0.45) if share is None else (TEAL, 0.1 + 0.9 * float(share))
@@ -354,27 +352,10 @@ def matched_beats(s: Scene) -> Figure:
     return figure
 
 
-def bundle(s: Scene) -> Figure:
-    """The files of the shipped bundle and their sizes."""
-    folder = ROOT / "gesticulator" / "assets" / "bundle"
-    files = sorted(folder.iterdir(), key=lambda path: path.stat().st_size)
-    figure, (axis,) = canvas((2.4,))
-    sizes = [path.stat().st_size / 1e6 for path in files]
-    axis.barh(range(len(files)), sizes, color=[TEAL if path.suffix == ".safetensors" else AMBER for path in files])
-    for row, size in enumerate(sizes):
-        text = f" {size:.2f} MB" if size >= 0.1 else f" {1000 * size:.0f} kB"
-        axis.text(size, row, text, va="center", fontsize=8, color=SOFT)
-    plain(axis, time=False)
-    axis.set_xticks([])
-    axis.set_xlim(0, 1.15 * max(sizes))
-    axis.set_yticks(range(len(files)), [path.name for path in files], fontsize=8)
-    return figure
-
-
 PICTURES: dict[str, Callable[[Scene], Figure]] = {
     "onset": onset, "beat": beat, "block": block, "stretching": stretching, "lexeme": lexeme, "lexicon": lexicon,
     "silent-lexeme": silent_lexeme, "interpreter": interpreter, "control": control, "generator": generator,
-    "matched-beats": matched_beats, "bundle": bundle}
+    "matched-beats": matched_beats}
 """Name of the file, without .png -> what draws it."""
 
 

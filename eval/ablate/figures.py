@@ -194,6 +194,7 @@ def draw(rg: RgRows, name: str, rows: Summaries, out: Path) -> str:
     lacking = [row for row in figure.rows if row not in rows]
     if lacking:
         return f"not run: {', '.join(lacking)}"
+    # A figure that cannot be drawn is named in the tables, and the others are drawn all the same.
     try:
         from matplotlib import rc_context
 

@@ -22,7 +22,7 @@ from eval.metrics.diversity import diversity, longest_run
 from gesticulator.bundle import bundle as bundles
 from gesticulator.training.stages import Corpus
 from gesticulator.training.stages.q_network import features_of, takes_of
-from interpreters.base import BlockFeatures, LexemeInterpreter, select
+from interpreters.base import LexemeInterpreter, select
 from interpreters.episodes import Demonstration
 from interpreters.lstm import LstmInterpreter
 from interpreters.reward_table import EnsembleReward, RewardTable
@@ -71,11 +71,6 @@ class Decisions:
             allowed[take.silent] = np.isin(np.arange(self.size), self.silent)
         return allowed
 
-    def features(self, block: int, text: bool = False) -> BlockFeatures:
-        """The input of an interpreter on a block of the corpus (see `features_of`)."""
-        words = self.corpus.text(np.array([block]))[0] if text else None
-        return replace(features_of(self.corpus)(block), text=words)
-
 
 @torch.inference_mode()
 def walk(interpreter: LexemeInterpreter, decisions: Decisions, take: Demonstration, teacher: bool = False) -> Lexemes:
@@ -83,14 +78,15 @@ def walk(interpreter: LexemeInterpreter, decisions: Decisions, take: Demonstrati
 
     teacher: its past is the performer's lexemes.
     """
-    allowed = decisions.allowed(take)
+    allowed, features = decisions.allowed(take), features_of(decisions.corpus)
     reads = isinstance(interpreter, LstmInterpreter) and interpreter.config.reads
     # The first lexeme is the performer's: no policy decides it.
     lexemes = take.lexemes.copy()
     state = interpreter.start(take.speaker, int(lexemes[0]))
     for i in range(1, len(lexemes)):
-        previous = int((take.lexemes if teacher else lexemes)[i - 1])
-        scores, state = interpreter.step(state, decisions.features(int(take.blocks[i]), reads), previous)
+        block, previous = int(take.blocks[i]), int((take.lexemes if teacher else lexemes)[i - 1])
+        words = decisions.corpus.text(np.array([block]))[0] if reads else None
+        scores, state = interpreter.step(state, replace(features(block), text=words), previous)
         lexemes[i] = select(scores, allowed=np.flatnonzero(allowed[i]))
     return lexemes
 

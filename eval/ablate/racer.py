@@ -61,8 +61,6 @@ GREEDY_AT, LEAST_EPSILON = 0.5, 0.1
 """epsilon falls from 1 to the least one by this share of the steps."""
 MOTION = 60
 """Test recordings that are played at most, which is what claims of motion need."""
-Policy = QNetwork | ActorCritic
-"""A row's network, trained."""
 
 
 # ------------------------------------------------------------------------------------------- what all rows stand on
@@ -81,7 +79,7 @@ class RacerRows:
     tables: dict[str, EnsembleReward]
     rg: RgRows
     _episodes: dict[str, Episodes] = field(default_factory=dict, init=False)
-    _trained: dict[tuple[str, int], Policy] = field(default_factory=dict, init=False)
+    _trained: dict[tuple[str, int], QNetwork] = field(default_factory=dict, init=False)
 
     @classmethod
     def over(cls, rg: RgRows) -> RacerRows:
@@ -128,6 +126,7 @@ class RacerRows:
     def shared(self) -> str:
         """Hash of what the rows share: all models, and what scores motion."""
         bundle = self.bundle
+        # Generator and style play what is chosen, so figures of motion depend on them, too.
         models = (bundle.block_lexicon, bundle.interpreter, bundle.reward, bundle.reward_judge, bundle.encoder,
                   bundle.generator, bundle.style)
         return configs.digest(VERSION, [weights_hash(model) for model in models if model is not None],
@@ -136,6 +135,7 @@ class RacerRows:
     def cell_key(self, name: str, seed: int) -> str:
         """Hash of everything that shapes a row's cell."""
         names = [self.corpus.names[take.recording] for take in self.decisions.takes]
+        # A change of the supervised row is one of the actor-critic that begins as it.
         begins_as = self.config(RACER_SUPERVISED) if ROWS[name].train == "actor-critic" else None
         return configs.digest(self.shared, self.config(name), ROWS[name].train, begins_as, seed, names)
 
@@ -191,7 +191,7 @@ def rewarded(racer: RacerRows, config: Config) -> Episodes:
     if key not in racer._episodes:
         # Behaviour beside the recorded one: without it no other lexeme than the person's was ever tried.
         interpreters: dict[str, LexemeInterpreter] = {
-            "sampled": racer.bundle.interpreter, "statistical": racer.bundle.statistical()}
+            "sampled": racer.bundle.interpreter, "statistical": racer.bundle.interpreter_named("statistical")}
         racer._episodes[key] = build(racer.takes, plain, racer.taught(config).sequence, silent=racer.silent,
                                      vectors=racer.bundle.vectors.numpy(), seed=config.seed,
                                      policies=BehaviourPolicies(interpreters, features_of(racer.corpus)))
@@ -213,7 +213,7 @@ def simulator(racer: RacerRows, config: Config) -> Simulator:
     return Simulator(racer.takes, racer.taught(config).rewards, racer.tables[""].window)
 
 
-def latest(policy: Policy, corpus: Corpus, observed: dict[str, Tensor]) -> Tensor:
+def latest(policy: QNetwork, corpus: Corpus, observed: dict[str, Tensor]) -> Tensor:
     """Scores [B, S] of the lexeme to be chosen now, after what was seen (see `eval.ablate.simulator.Choose`)."""
     batch = q_batch(corpus, observed)
     return policy.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[:, -1]
@@ -230,20 +230,15 @@ def epsilon_greedy(network: QNetwork, corpus: Corpus, epsilon: float, rng: np.ra
     return choose
 
 
-def sampled(policy: ActorCritic, corpus: Corpus, rng: np.random.Generator) -> Choose:
-    """A lexeme sampled from pi(. | s) over those allowed: the best after Gumbel noise on the log-probabilities."""
+def sampled(policy: QNetwork, corpus: Corpus, rng: np.random.Generator) -> Choose:
+    """A lexeme sampled from pi(. | s) over those allowed: the best after Gumbel noise on the logits."""
     def choose(observed: dict[str, Tensor]) -> Tensor:
         values = latest(policy, corpus, observed)
-        # The greatest of log-probabilities with Gumbel noise is a draw from the softmax.
+        # The greatest of logits with Gumbel noise is a draw from their softmax.
         noise = torch.as_tensor(rng.gumbel(size=values.shape))
-        return policy.actor.choose(values + noise, observed["silent"][:, -1])
+        return policy.choose(values + noise, observed["silent"][:, -1])
 
     return choose
-
-
-def epsilon_at(step: int, steps: int) -> float:
-    """How often the online row tries anything, at a step of so many."""
-    return max(LEAST_EPSILON, 1 - (1 - LEAST_EPSILON) * step / max(1.0, GREEDY_AT * steps))
 
 
 def offline(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
@@ -267,7 +262,8 @@ class Acting(ConservativeQ):
         if step % ACT_EVERY == 0:
             # Exploration falls with the steps, so late episodes are nearly what the policy itself would do.
             rng = np.random.default_rng([self._seed, step, 1])  # not the numbers that the step's batch is drawn with
-            epsilon = epsilon_at(step, self._config.schedules.cql.steps)
+            share = step / max(1.0, GREEDY_AT * self._config.schedules.cql.steps)
+            epsilon = max(LEAST_EPSILON, 1 - (1 - LEAST_EPSILON) * share)
             with without_dropout(self.online):
                 self._memory.add(self._simulator.collect(
                     epsilon_greedy(self.online, self._racer.corpus, epsilon, rng), rng,
@@ -286,21 +282,22 @@ def online(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Le
 
 def actor_critic(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
     """Policy gradients on what the policy has just done, beginning as the supervised network of the seed."""
+    # First its own weights, which are drawn: a supervised network that is trained now would move the numbers.
+    model = ActorCritic(network, config.cql.gamma)
     # Of the same seed: the pair differs by what came after, as the paper's rows do.
-    supervised, model = trained(racer, RACER_SUPERVISED, seed), ActorCritic(network, config.cql.gamma)
-    assert isinstance(supervised, QNetwork)
-    model.begin_as(supervised)
+    model.begin_as(trained(racer, RACER_SUPERVISED, seed))
     speech = simulator(racer, config)
     return model, lambda rng, size: q_batch(racer.corpus, speech.collect(
-        sampled(model, racer.corpus, rng), rng, size, config.cql.decisions))
+        sampled(model.actor, racer.corpus, rng), rng, size, config.cql.decisions))
 
 
 TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
 
 
-def trained(racer: RacerRows, name: str, seed: int) -> Policy:
-    """The network of a row, trained at its first use."""
+def trained(racer: RacerRows, name: str, seed: int) -> QNetwork:
+    """The network of a row, trained at its first use; of the actor-critic the actor."""
     if (name, seed) not in racer._trained:
+        # Kept for the actor-critic, which begins as the supervised network of its seed.
         config = racer.config(name)
         model, make_batch = TRAININGS[ROWS[name].train](racer, config, racer.untrained(name, seed), seed)
         # No checkpoint is kept: what roll-outs remembered would be lost, so a resumed training would be another one.
@@ -308,5 +305,7 @@ def trained(racer: RacerRows, name: str, seed: int) -> Policy:
             fitting.fit(f"{name}, seed {seed}", model, fitting.Task(
                 make_batch, before_step=model.before_step), config.schedules.cql, Path(scratch),
                 fitting.FitOptions(seed=seed, checkpoint_seconds=float("inf"), progress=racer.context.progress))
-        racer._trained[name, seed] = freeze(model.online if isinstance(model, ConservativeQ) else model)
+        policy = model.online if isinstance(model, ConservativeQ) else model.actor
+        freeze(policy)
+        racer._trained[name, seed] = policy
     return racer._trained[name, seed]

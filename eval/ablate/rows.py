@@ -29,8 +29,7 @@ CONTROLS = {"shuffled": "the performer's motion for another speech", "reversed":
             "jitter": "the performer's motion, each joint 2 cm off, anew in each frame",
             "still": "the performer's mean pose, held", FLOOR: "one half of the performer's clips against the other"}
 """References and controls stand in every table; nothing is trained for them."""
-SYSTEMS = {"SG": "Style Gestures", "Ges": "Gesticulator", "GTC": "Trimodal Context", "S2AG": "Speech2AffectiveGestures",
-           "Bailando": "Bailando"}
+SYSTEMS = ("SG", "Ges", "GTC", "S2AG", "Bailando")
 """The papers' baselines, by the names under which `--system NAME=DIR` fills their lines."""
 DECIDED = 3
 """Seeds; fewer decide nothing."""

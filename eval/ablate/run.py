@@ -203,9 +203,7 @@ class RgRows:
                 "sets": {"pmb_curve": {"percent": np.mean(percent, axis=0).tolist()}}}
 
     def _distances(self, row: ScoreRow, truth: Sequence[Motion]) -> Array:
-        """[clips] FGD in the first network by the jackknife; NaN without a network, and of fewer than two windows."""
-        if not row.features:
-            return np.full(len(truth), np.nan)
+        """[clips] FGD in the first network by the jackknife; NaN for fewer than two windows."""
         network = next(iter(row.features))
         own, real = row.features[network], pooled(list(truth), self.context.networks[network])
         return stats.jackknife(lambda chosen: fgd.of_clips([own[k] for k in chosen], [real[k] for k in chosen]),
@@ -294,8 +292,6 @@ class RgRows:
 
     def _floor(self, scored: ScoredClips) -> dict[str, Any] | None:
         """FGD between halves of the performer's clips, halved in several ways: no skill gets below it."""
-        if not self.context.networks:
-            return None
         truth, clips = scored.clips.motions[TRUTH], []
         real = pooled(truth, next(iter(self.context.networks.values())))
         for seed in range(FLOOR_DRAWS):

@@ -88,6 +88,7 @@ class Replay:
 
     def add(self, windows: dict[str, Tensor]) -> None:
         """Store a batch of windows, each array [B, ...], in the layout of `Episodes.windows`."""
+        # In order of time, so that what falls out is the oldest.
         self._store = {key: torch.cat([self._store.get(key, value[:0]), value])[-self.capacity:]
                        for key, value in windows.items()}
 

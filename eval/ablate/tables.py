@@ -137,16 +137,14 @@ def corpus_table(facts: Mapping[str, Any]) -> Table:
 
 
 def about_table(facts: Mapping[str, Any]) -> Table:
-    """The store, the seeds and the clips of the tables; its facts are the rows' figures by every column."""
-    plain = {name: {**row, "figures": {key: value.to_dict() for key, value in row["figures"].items()}}
-             for name, row in facts["rows"].items()}
+    """How to read the tables; its facts are what they are of."""
     return Table("Ablation", {}, {}, notes=[
         "Means over seeds and clips with 95 % intervals by variance components. The "
         "paper's figures are of other data, another skeleton and another network for FGD: compare the order, not the "
         "values. FGD, diversity and motion variance are means of the jackknife's values, so less biased than the "
         "figures of the sets. (!): a control, motion that is known to be wrong, does as well as `ours` or better.",
         *facts.get("notes", ()), *(f"Not run: {name}: {why}." for name, why in facts["refused"].items())],
-        facts={**facts, "rows": plain})
+        facts={key: value for key, value in facts.items() if key != "rows"})
 
 
 def write(cells: Cells, facts: Mapping[str, Any], out: Path, about: Provenance,
@@ -157,6 +155,7 @@ def write(cells: Cells, facts: Mapping[str, Any], out: Path, about: Provenance,
     decided: where the verdicts do, if they are of another commit.
     """
     rows: Rows = facts["rows"]
+    # RACER's table has no line where none of its rows was run.
     titles = [title for title in TABLES if title != "RACER Table 2" or any(map(is_racer, rows))]
     save([corpus_table(facts), about_table(facts), *(paper_table(title, rows) for title in titles), curve_table(rows)],
          out / "table.json", about)

@@ -10,8 +10,7 @@ say which of two it is:
 
 - Teacher-forced: before each block the interpreter is told the speaker's lexeme of the block before. This is how it is
   trained, and errors cannot add up; but most of the figure may be due to the hint, because lexemes come in runs.
-- Free-running: it is told its own choice, as in use. One early difference sends the two sequences apart for good,
-  though both may suit the speech. Print both, and name them.
+- Free-running: it is told its own choice, as in use. One early difference sends the two sequences apart for good.
 
 What fools it:
 - The commonest lexeme for every block: accuracy is then that lexeme's share. With many silent blocks and a silent mask

@@ -66,6 +66,7 @@ def association(levels: Mapping[str, Labels], lexemes: Labels, recording: Labels
     # Turned, not shuffled: lexemes keep their order, so chance has the runs that real sequences have.
     shuffled = [turned(lexemes, recording, rng) for _ in range(turns)]
     out = {}
+    # The same turns for all levels, so that these differ by their clusters alone.
     for name, clusters in levels.items():
         value = conditional_entropy(clusters, lexemes)
         chance = [conditional_entropy(clusters, other) for other in shuffled]

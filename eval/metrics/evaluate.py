@@ -89,11 +89,12 @@ class Values:
 def clip_values(motion: Motion, truth: Motion, beats: MotionBeats, track: OnsetTrack | None, seed: int) -> Values:
     """Every one of `MOTION_METRICS` for a motion beside the speaker's own of the same length, and its speech."""
     out, joints = Values(), motion_error(motion, truth)
+    # Undefined joint errors have a reason of their own: too few frames, or no joint that both have.
     for name in ("maje", "mad", "mad_per_frame"):
         out.put(name, getattr(joints, name), joints.reason)
     for name, value in hand_figures(motion).items():
         out.put(name, value, f"{len(motion)} frames are too few for it")
-    out.put("beats_per_second", pmb.beat_rate(beats.modes["A"], motion.duration), "")
+    out.put("beats_per_second", len(beats.modes["A"]) / motion.duration, "")
     if track is not None:
         _synchrony_values(out, beats, track.lasting(beats.duration), seed)
     for name in MOTION_METRICS:

@@ -19,7 +19,7 @@ What fools it:
   second to second order. For 32 features of variance 1 that is 5.9 at 100 windows each. `Figure.bias` gives it.
   Windows that overlap count for less than their number, so the true one is larger.
 - Below `ENOUGH` windows a feature the covariance is hardly known, and below one it is singular: the distance is still a
-  number, but not one to print. `Figure.verdict` then says so.
+  number, but not one to print. `Figure.doubt` then says so.
 - Window length. One system gets 194, 171 and 36 at windows of 30, 60 and 90 frames, so no length alone will do:
   `gesticulator score` takes two at least, and shows network, length, rate and hash beside each figure.
 
@@ -40,7 +40,6 @@ import numpy as np
 
 from data_module.types import Array
 from eval import stats
-from eval.metrics.gesture_features import Features
 from eval.stats import Interval
 
 __all__ = ["frechet_distance", "measure"]
@@ -60,7 +59,7 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class Figure:
-    """A distance and all that it depends on.
+    """A distance and what it depends on.
 
     distance: NaN when a set has fewer than two windows. interval: 95 %, over clips. bias: what sets of this size from
     one Gaussian would have between them, if windows were independent. needed: windows that each set should have.
@@ -71,25 +70,14 @@ class Figure:
     bias: float
     windows: tuple[int, int]
     needed: int
-    by: Features
 
     @property
-    def verdict(self) -> str:
-        """A judgement of the sample: "yes" if it suffices, else the fault and how many windows each set should have.
-
-        Twice: the covariance takes `needed` windows, and the bias of the sample, which falls as one over the number of
-        windows, should be a tenth of the distance at most.
-        """
+    def doubt(self) -> str:
+        """Why the sample does not suffice; empty where it does."""
         if min(self.windows) < self.needed:
-            return f"no: {min(self.windows)} windows, and {self.needed} are needed"
-        if self.distance <= self.bias:
-            return "no: not distinguishable from 0; two samples of one motion of this size are as far apart"
-        if self.bias <= self.distance / 10:
-            return "yes"
-        # The bias falls as one over the number of windows, so the number for a tenth follows from it.
-        mean_windows = 2.0 / sum(1.0 / count for count in self.windows)
-        wanted = int(np.ceil(10.0 * self.bias / self.distance * mean_windows))
-        return f"roughly: chance is {100 * self.bias / self.distance:.0f} % of it, and a tenth from {wanted} windows on"
+            return f"{min(self.windows)} windows, and {self.needed} are needed"
+        # As far apart as two samples of one motion of this size are.
+        return "not distinguishable from 0" if self.distance <= self.bias else ""
 
 
 def gaussian(features: Array) -> Gaussian:
@@ -138,7 +126,7 @@ def sampling_bias(of: Gaussian, first: int, second: int) -> float:
     return (1.0 / first + 1.0 / second) * (float(roots.sum()) + second_term)
 
 
-def measure(generated: Sequence[Array], real: Sequence[Array], by: Features, *, paired: bool = False, seed: int = 0,
+def measure(generated: Sequence[Array], real: Sequence[Array], *, paired: bool = False, seed: int = 0,
             draws: int = DRAWS) -> Figure:
     """FGD between the features [n, E] of generated clips and those of real ones, with its interval over clips.
 
@@ -150,15 +138,16 @@ def measure(generated: Sequence[Array], real: Sequence[Array], by: Features, *, 
     counts = (sum(map(len, generated)), sum(map(len, real)))
     if paired and len(generated) != len(real):
         raise ValueError(f"{len(generated)} generated clips cannot be paired with {len(real)} real ones")
+    # By the width of the features, which clips too short for a window have as well.
     needed = ENOUGH * max((clip.shape[1] for clip in (*generated, *real)), default=1)
     if min(counts) < 2:
-        return Figure(math.nan, Interval.undefined(), math.nan, counts, needed, by)
+        return Figure(math.nan, Interval.undefined(), math.nan, counts, needed)
 
     # Paired clips are of one speech: redrawing them apart would widen the interval by what speeches differ.
     sizes = [len(generated)] if paired else [len(generated), len(real)]
     interval = stats.of_set(lambda *chosen: of_clips([generated[k] for k in chosen[0]], [real[k] for k in chosen[-1]]),
                             *sizes, seed=seed, draws=draws, least=0.0)
-    return Figure(interval.mean, interval, sampling_bias(gaussian(_joined(real)), *counts), counts, needed, by)
+    return Figure(interval.mean, interval, sampling_bias(gaussian(_joined(real)), *counts), counts, needed)
 
 
 def difference(first: Sequence[Array], second: Sequence[Array], real: Sequence[Array]) -> Interval:

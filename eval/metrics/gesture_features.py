@@ -65,25 +65,14 @@ def windows(motion: Motion, frames: int, fps: float = FPS) -> Array:
 
 @dataclass(frozen=True)
 class Features:
-    """A feature space of FGD. frames: of a window; sha256: of the file of weights, "none" without one.
-
-    encode: [N, frames, 27] to [N, E].
-    """
+    """A feature space of FGD. frames: of a window; sha256: of the file of weights, "none" without one; features: of
+    windows [N, frames, 27] in our axes, [N, E]."""
 
     name: str
     frames: int
     fps: float
     sha256: str
-    encode: Callable[[Array], Array]
-
-    def features(self, windows: Array) -> Array:
-        """[N, E] of windows [N, frames, 27] in our axes; ValueError for another shape or numbers not finite."""
-        checked = np.asarray(windows, dtype=np.float64)
-        if checked.ndim != 3 or checked.shape[1:] != (self.frames, DIRECTIONS):
-            raise ValueError(f"windows must be [N, {self.frames}, {DIRECTIONS}], not {checked.shape}")
-        if not np.isfinite(checked).all():
-            raise ValueError("windows must be finite")
-        return self.encode(checked)
+    features: Callable[[Array], Array]
 
 
 class RawFeatures(Features):
@@ -108,6 +97,7 @@ def at_hand() -> Path | None:
 def spaces(folder: Path | None) -> dict[str, Features]:
     """Two spaces, of windows of two lengths, by name: the papers' network, of its folder, or raw directions; and raw
     directions of `LONG` windows."""
+    # Never one length alone: a distance at another may order systems otherwise.
     chosen = (RawFeatures(SHORT) if folder is None else published(folder), RawFeatures(LONG))
     return {f"{features.name}, {features.frames} frames": features for features in chosen}
 
@@ -153,6 +143,7 @@ def published(folder: str | Path) -> Features:
     freeze(network)
 
     def encode(windows: Array) -> Array:
+        # In parts: the windows of a whole split would fill the memory.
         batch = torch.as_tensor(windows * np.tile(PUBLISHED_AXES, len(TED_BONES)), dtype=torch.float32)
         with torch.no_grad():
             return torch.cat([network(part) for part in batch.split(BATCH)]).double().numpy()

@@ -103,11 +103,6 @@ def rising(seconds: Array) -> Array:
     return np.sort(values)
 
 
-def beat_rate(motion_beats: Array, duration: float) -> float:
-    """Motion beats a second, of a motion that lasts `duration` seconds; 0 for one that never brakes."""
-    return len(motion_beats) / duration
-
-
 def above_chance(percent: float, by_chance: float) -> float:
     """(PMB - chance) / (100 - chance): 0 is chance, 1 is the best; NaN where chance leaves no room."""
     if not by_chance < 100.0:

@@ -13,8 +13,7 @@ hands alone, which gesture, in m/s, in bins of 0.05 m/s with all that is faster 
 Good: near the speaker's own jerk and acceleration, neither above nor below, and a distance near 0. What fools them:
 - None hears the speech: another clip's motion has the same values, and motion played backwards has them to the digit.
 - Differences amplify noise by fps^n. On one real take (BEAT) the hands' jerk is 50 m/s^3 at 15 fps and 71 at 30; with
-  2 cm of jitter it is 480 and 3900. Compare at one frame rate. A motion that was sampled up in straight lines has a
-  jerk at each of its old frames and none between.
+  2 cm of jitter it is 480 and 3900. Compare at one frame rate.
 - Less jerk is not better: the mean pose, held, has none.
 - A histogram of few frames is far from another of the same source: about sqrt(bins in use / (8 frames)) if frames were
   independent, and neighbours are alike, so it is more. Read it above the distance of two halves of the real clips.

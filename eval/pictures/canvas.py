@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from gesticulator.export.figure import FLOOR, INK, SOFT
 
@@ -11,11 +11,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Place = Literal["outside lower center", "outside upper center"]
 WIDE = 9.0
 """Inches: 864 pixels of a page."""
 COLUMNS = 3
 """Panels in a row: what a page is wide enough for."""
-STYLE: dict[str, Any] = {
+STYLE: dict[Any, Any] = {
     "font.size": 9.0, "axes.titlesize": 10.0, "axes.spines.top": False, "axes.spines.right": False,
     "axes.edgecolor": SOFT, "axes.labelcolor": INK, "axes.titlecolor": INK, "text.color": INK, "xtick.labelcolor": INK,
     "ytick.labelcolor": INK, "axes.axisbelow": True, "grid.color": FLOOR, "legend.frameon": False,
@@ -30,7 +31,7 @@ def canvas(high: float) -> Figure:
     return NewFigure(figsize=(WIDE, high), facecolor="white", layout="constrained")
 
 
-def legend(figure: Figure, axes: Iterable[Axes], place: str = "outside lower center") -> None:
+def legend(figure: Figure, axes: Iterable[Axes], place: Place = "outside lower center") -> None:
     """One legend for all panels, each name once."""
     named = {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
     figure.legend(list(named.values()), list(named), ncols=max(len(named), 1), loc=place)

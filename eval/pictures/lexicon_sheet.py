@@ -1,9 +1,8 @@
 """A contact sheet of a lexicon (RG Fig. 6): `gesticulator plot lexicon --data STORE --out lexemes.png`.
 
 The lexemes that a store uses most, as the decoder makes them, each at its start, middle and end, with its number, how
-often it occurs, and whether it is silent (`gesticulator bundle silent` changes that). A movement begins where the
-training block nearest to it began. What fools it: the decoder alone has never been made to move smoothly, so a decoded
-lexeme may tremble where the block did not.
+often it occurs, and whether it is silent. A movement begins where the training block nearest to it began. What fools
+it: the decoder alone has never been made to move smoothly, so a decoded lexeme may tremble where the block did not.
 """
 
 from __future__ import annotations
@@ -78,8 +77,9 @@ def run(arguments: argparse.Namespace) -> list[Path]:
     """Draw it; the picture's path."""
     context = EvalContext.of(arguments)
     motions, silent = decoded(context.bundle), context.bundle.silent
+    # A lexicon may have more lexemes than the motion ever uses.
     counts = np.bincount(context.labels, minlength=len(motions))
-    # The most used first, without lexemes that the motion never uses.
+    # The most used first: a sheet of all would be too small to read.
     order = [lexeme for lexeme in np.argsort(-counts, kind="stable")[:MOST].tolist() if counts[lexeme]]
     titles = [f"{lexeme}{' (silent)' if lexeme in silent else ''}, {100 * counts[lexeme] / counts.sum():.1f} %"
               for lexeme in order]

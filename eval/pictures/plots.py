@@ -51,6 +51,7 @@ def delta_curves(curves: Mapping[str, Sequence[float]], deltas: Sequence[float],
     # Six colours and seven markers: 42 rows before two look alike.
     for number, (name, percent) in enumerate(curves.items()):
         look: dict[str, Any] = {"color": PALETTE[number % len(PALETTE)], "marker": MARKERS[number % len(MARKERS)]}
+        # References stand apart from what is judged, whatever their number.
         if name in dashed:
             look = {"color": INK, "linestyle": DASHES[number % len(DASHES)]}
         axis.plot(deltas, percent, label=name, **look)
@@ -139,6 +140,7 @@ def cluster_bars(panels: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Fig
     beside what the same lexemes, turned round, have by chance, under the entropy of the lexeme alone. Clusters of a few
     blocks have a low entropy whatever they hold, so a bar means something only beside its chance.
     """
+    # One bar for each level of each motion, the performer's beside ours.
     bars = [(f"{whose}\n{level}", value) for whose, levels in panels.items() for level, value in levels.items()]
     figure, at = canvas(3.9), np.arange(len(bars))
     axis = figure.subplots()

@@ -55,6 +55,7 @@ def sources_of(given: argparse.Namespace) -> tuple[list[Source], Speech | None]:
         if take is None:
             raise InputError("--take", "is not to be had", "set GESTICULATOR_DATA to the folder that holds takes/")
         sources.append(Source("real take", take[0], BEAT_CREDIT))
+        # A sound that was given goes before that of a take or a recording.
         speech = speech or take[1]
     if given.corpus:
         recording = _recording(given.corpus)

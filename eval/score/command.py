@@ -213,15 +213,14 @@ def row_figures(row: ScoreRow, truth: ScoreRow, context: EvalContext) -> dict[st
     figures = {name: Marked(value, reason=row.reasons.get(name, "" if math.isfinite(value.mean) else
                                                           f"{name} is not defined for these clips"))
                for name, value in out.items()}
-    return figures | {key: fgd_cell(fgd.measure(row.features[key], truth.features[key], network, paired=True,
-                                                seed=context.seed), row.kind == TRUTH)
-                      for key, network in context.networks.items()}
+    return figures | {key: fgd_cell(fgd.measure(row.features[key], truth.features[key], paired=True,
+                                                seed=context.seed), row.kind == TRUTH) for key in context.networks}
 
 
 def fgd_cell(figure: fgd.Figure, sure: bool = False) -> Marked:
     """A distance; (?) and why, where the sample is too small for it. sure: of the truth against itself."""
-    doubt = not sure and figure.verdict.startswith("no")
-    return Marked(figure.interval, "(?)" if doubt else "", figure.verdict if doubt else "")
+    doubt = "" if sure else figure.doubt
+    return Marked(figure.interval, "(?)" if doubt else "", doubt)
 
 
 def floor_figures(truth: ScoreRow, shared: ScoredClips) -> dict[str, Marked]:
@@ -234,9 +233,9 @@ def floor_figures(truth: ScoreRow, shared: ScoredClips) -> dict[str, Marked]:
     counts = [np.sum([speed_histogram(hand_speeds(truth.motions[k])) for k in half], axis=0) for half in halves]
     # Histograms are summed before they are compared: a mean of clips' distances is another figure.
     out = {"speed_distance": Marked(Interval.exact(hellinger(counts[0], counts[1]), min(map(len, halves))))}
-    for key, network in context.networks.items():
+    for key in context.networks:
         first, second = ([truth.features[key][k] for k in half] for half in halves)
-        out[key] = fgd_cell(fgd.measure(first, second, network, seed=context.seed))
+        out[key] = fgd_cell(fgd.measure(first, second, seed=context.seed))
     return out
 
 

@@ -54,10 +54,7 @@ def stroke_of_word(word: Word) -> float:
 def cues_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float,
             names: Callable[[], Sequence[LexemeName]]) -> list[TimedCue]:
     """The cues of the body with the times of their strokes. names: returns the lexicon's names; called only for
-    gestures that are not in `GESTURES`.
-
-    `InputError` for a word that is not spoken, a time beyond the end and an unknown gesture.
-    """
+    gestures that are not in `GESTURES`. `InputError` for what is not spoken, known or within the sound."""
     out, spoken = [], _spoken(words if cues else ())
     lexemes: dict[str, int] | None = None
     for cue in cues:
@@ -81,7 +78,7 @@ def expressions_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: 
 
 
 def _spoken(words: Sequence[Word]) -> Mapping[str, Sequence[Word]]:
-    """Plain word -> where it is spoken."""
+    # Plain word -> where it is spoken.
     spoken = dict[str, list[Word]]()
     for word in words:
         spoken.setdefault(plain_word(word.text), []).append(word)
@@ -108,15 +105,9 @@ def _time_of(cue: GestureCue, spoken: Mapping[str, Sequence[Word]], duration: fl
     return stroke_of_word(matches[cue.occurrence - 1])
 
 
-def without_mismatches(options: InferenceOptions, words: Sequence[Word], duration: float) -> InferenceOptions:
-    """The options without cues at words that are not among `words`. Warns (`OptionWarning`) about each such cue, and
-    about each range of stillness that ends after `duration` seconds.
-
-    Without any words the cues stay: they raise an `InputError` later.
-    """
-    for begin, end in options.hold_still:
-        if end > duration:
-            _warn(f"hold_still {begin:g}-{end:g} goes beyond the end of the recording ({duration:.2f} s)")
+def without_mismatches(options: InferenceOptions, words: Sequence[Word]) -> InferenceOptions:
+    """The options without cues at words that are not among `words`. Warns (`OptionWarning`) about each such cue.
+    Without any words the cues stay: they raise an `InputError` later."""
     spoken = _spoken([word for word in words if word.text.strip()])
     if not spoken:
         return options
@@ -127,10 +118,6 @@ def without_mismatches(options: InferenceOptions, words: Sequence[Word], duratio
         if count >= cue.occurrence:
             cues.append(cue)
         else:
-            _warn(f"the cue {cue.word}={cue.gesture}, occurrence {cue.occurrence}, is left out: the word is spoken "
-                  f"{count} times")
+            warnings.warn(OptionWarning(f"the cue {cue.word}={cue.gesture}, occurrence {cue.occurrence}, is left out: "
+                                        f"the word is spoken {count} times"), stacklevel=3)
     return replace(options, cues=tuple(cues))
-
-
-def _warn(line: str) -> None:
-    warnings.warn(OptionWarning(line), stacklevel=4)

@@ -23,8 +23,7 @@ from gesticulator.sampling.loop import ControlRows, Request
 
 
 def still_frames(knobs: PlanKnobs, times: Array, start: float) -> NDArray[np.bool_] | None:
-    """[K] whether the knobs require the hands to rest, in the frames at `times` [K] of a block that begins at `start`;
-    None if in no frame."""
+    """[K] whether the hands are to rest, at `times` [K] of a block that begins at `start`; None if nowhere."""
     ranges = knobs.still_at(start, float(times[-1]))
     return np.any([(times > begin) & (times <= stop) for begin, stop in ranges], axis=0) if ranges else None
 
@@ -54,9 +53,8 @@ _OF_THE_PLAN = ("speaker", "temperature", "beta", "hand_height", "hand_speed", "
 
 def planned(options: InferenceOptions) -> InferenceOptions:
     """The options to render the plan of `options`: those of the plan, with the given knobs and cues added to the plan.
-
-    `InputError` for options that the plan determines, and for a plan without the settings that are needed to replay it.
-    """
+    `InputError` for options that the plan determines, and for a plan without the settings that are needed to replay
+    it."""
     plan = options.plan
     assert plan is not None
     determined = [name for name in _OF_THE_PLAN if getattr(options, name) is not None]
@@ -118,7 +116,6 @@ def _words(plan: GesturePlan) -> tuple[Word, ...]:
 
 
 def _cued(plan: GesturePlan) -> GesturePlan:
-    """The plan with the lexemes of its cues in their blocks."""
     # Cues of lexemes are choices of blocks; those of named gestures are blended over the motion later.
     blocks = list(plan.blocks)
     for cue in cues_at(plan.cues, _words(plan), plan.duration, lambda: plan.lexicon):

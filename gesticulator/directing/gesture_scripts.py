@@ -51,7 +51,7 @@ class Repeat:
 
 @dataclass(frozen=True)
 class HandPart:
-    """What one hand does. keys: the first where the stroke begins, one at time 0, the rest after it; point: metres from
+    """What one hand does. keys: where the stroke begins, at the apex, and after it; point: metres from
     the wrist along the fingers of the point that the places tell; touches: it meets the body or the other hand, so that
     its places are kept; lift: degrees by which the elbow is raised."""
 
@@ -60,11 +60,6 @@ class HandPart:
     repeat: Repeat | None = None
     touches: bool = False
     lift: float = 0.0
-
-    @property
-    def apex(self) -> HandKey:
-        """The pose at the apex."""
-        return next(key for key in self.keys if key.time == 0.0)
 
 
 @dataclass(frozen=True)
@@ -129,8 +124,7 @@ def one_or_both(*pose: Any, **more: Any) -> tuple[GestureScript, GestureScript]:
 
 
 def in_turn(*pose: Any, **more: Any) -> GestureScript:
-    """A gesture in which both hands repeat the same movement, one half a cycle later: one hand is up where the other is
-    down. Arguments as of `one`."""
+    """A gesture in which both hands repeat the same movement, one half a cycle later; arguments as of `one`."""
     part, script = _parted(pose, more)
     assert part.repeat is not None
     return gesture(part, replace(part, repeat=replace(part.repeat, phase=part.repeat.phase + 0.5)), **script)

@@ -47,11 +47,9 @@ def hand_rotation(fingers: Array, palm: Array) -> Rotation:
 
 
 def arm_turns(places: Array, hand: Rotation, swings: Array) -> tuple[Array, Array, Array]:
-    """Exponential maps [M, 3] of upper arm, forearm and hand of a left arm.
-
-    places: [M, 3] of the wrist from the shoulder, metres; hand: M rotations in the frame of the chest; swings: [M]
-    radians of the elbow, outwards and up from where it hangs.
-    """
+    """Exponential maps [M, 3] of upper arm, forearm and hand of a left arm. places: [M, 3] of the wrist from the
+    shoulder, metres; hand: M rotations in the frame of the chest; swings: [M] radians of the elbow, outwards and up
+    from where it hangs."""
     arm, forearm = _bones(places, swings)
     twist, bend = _wrist(forearm, hand)
     # A person twists the hand mostly by turning the forearm; the mesh would wring at the wrist otherwise.

@@ -29,7 +29,6 @@ _LEANS = 0.6
 """A direction is named if its share of the displacement is at least this part of the greatest share."""
 LIFTED = 0.12
 """Height above the hips from which a hand counts as up, metres."""
-_SIDES = ("Right", "Left")
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ def hand_ways(bundle: Bundle) -> HandWays | None:
     motion = representation_of(bundle.config).motion(poses.reshape(-1, poses.shape[-1]), 1.0)
     names = motion.skeleton.names
     places = positions_of(motion).reshape(len(bundle.vectors), -1, len(names), 3)
-    hands = places[:, :, [names.index(side + "Hand") for side in _SIDES]] - places[:, :, :1]
+    hands = places[:, :, [names.index(side + "Hand") for side in ("Right", "Left")]] - places[:, :, :1]
     # Outwards is to the right for the right hand.
     hands = hands * np.array([[-1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
     paths = np.linalg.norm(np.diff(hands, axis=1), axis=-1).sum(axis=1)

@@ -40,8 +40,7 @@ def gesture_of_mark(name: str) -> str | None:
 
 
 def expression_of_mark(name: str) -> str | None:
-    """The expression of `plan.gestures.EXPRESSIONS` that a mark names ("smile", "mood:happy", "raise brows"); None for
-    another."""
+    """The expression of `plan.gestures.EXPRESSIONS` that a mark names ("smile", "mood:happy"); None for another."""
     plain = mark_name(name).removeprefix("mood ").removeprefix("face ")
     return plain if plain in EXPRESSIONS else None
 
@@ -105,10 +104,8 @@ class StreamMarks:
 
     def take(self, words: Sequence[Word], final: float) -> tuple[Word, ...]:
         """The words as they are spoken, with their marks noted; a mark after the last one waits for the next call.
-
         final: seconds of motion that are final, so that a gesture can begin no earlier. `InputError` for a mark where
-        the bundle's poses are no rotations, and for too many marks.
-        """
+        the bundle's poses are no rotations, and for too many marks."""
         parts, late = marked_words([word.text for word in words])
         out, waiting = [], self._late
         for word, (text, marks) in zip(words, parts, strict=True):
@@ -134,16 +131,12 @@ class StreamMarks:
         # A recogniser sends a word again when it has understood it better.
         again = any(cue.cue.gesture == gesture and start == word.start for start, cue in self._marked)
         if time - spoken <= LATEST and not again:
-            self._check_room(final)
+            # Each costs computing time in every block around it, which other streams would wait for.
+            waiting = sum(cue.time > final for cue in self.cues())
+            if waiting >= ALLOWED_CUES or len(self._marked) >= max(ALLOWED_CUES, int(CUES_PER_SECOND * final)):
+                raise InputError("gesture marks", f"more than {ALLOWED_CUES} wait or {CUES_PER_SECOND:g} per second "
+                                 "came", "send fewer")
             self._marked.append((word.start, TimedCue(GestureCue(gesture, time=time, source=SOURCE), time)))
-
-    def _check_room(self, final: float) -> None:
-        """`InputError` if there are more gestures than a plan of the same length may have, or too many at once."""
-        # Each costs computing time in every block around it, which other streams would wait for.
-        waiting = sum(cue.time > final for cue in self.cues())
-        if waiting >= ALLOWED_CUES or len(self._marked) >= max(ALLOWED_CUES, int(CUES_PER_SECOND * final)):
-            raise InputError("gesture marks", f"more than {ALLOWED_CUES} wait or {CUES_PER_SECOND:g} per second came",
-                             "send fewer")
 
     def interrupt(self, at: float) -> None:
         """Forget what begins after `at` seconds, and break off what is being made."""

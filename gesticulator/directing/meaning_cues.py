@@ -212,9 +212,7 @@ class MeaningCues:
 
     def called(self, words: Sequence[str], pauses: Sequence[float] = ()) -> list[CalledGesture]:
         """The words that call for a gesture, in their order; of phrases that overlap the best one, or none on a tie.
-
-        pauses: seconds of silence after each word, where they are known.
-        """
+        pauses: seconds of silence after each word, where they are known."""
         spoken = spoken_text(words, pauses)
         calls = sorted(self._candidates(spoken), key=lambda call: (call.first, call.word, call.label))
         if self._language == "en" and calls:

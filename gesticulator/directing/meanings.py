@@ -50,12 +50,9 @@ class Called:
 
 def chosen(calls: Sequence[Called], level: Level, begun: Sequence[Called] = (), taken: Sequence[float] = (),
            begin: float = 0.0) -> list[Called]:
-    """The calls that are shown, in order of time.
-
-    Left out are: a call under the level's score; one within the level's distance of a shown one or of `taken` (seconds
-    of cues, which outrank it); a meaning that was shown within `AGAIN` seconds; one with a better one within that
-    distance after it; and one whose preparation would begin before `begin`. begun: those shown before.
-    """
+    """The calls that are shown, in order of time. Left out are: a call under the level's score; one within the level's
+    distance of a shown one or of `taken` (seconds of cues, which outrank it); a meaning that was shown within `AGAIN`
+    seconds; one with a better one so near after it; one that would begin before `begin`. begun: those shown before."""
     # Cues of the user, marks and stillness come first; words fill what is left.
     good = [call for call in sorted(calls, key=lambda call: call.cue.time)
             if call.gesture.score >= level.score and call.cue.span[0] >= begin
@@ -93,8 +90,7 @@ class MeaningTrack:
         self._until = 0.0
 
     def add(self, words: Sequence[Word]) -> None:
-        """Add words with their times, seconds. Those with a mark show no meaning, and the gesture of a mark outranks
-        what is found."""
+        """Add words with their times, seconds. Words with a mark show no meaning, and their gesture outranks others."""
         self._taken += tuple(stroke_of_word(word) for word in words if gestures_of(word))
         self._words = sorted([*self._words, *(word for word in words if word.text.strip())],
                              key=lambda word: word.start)
@@ -148,8 +144,7 @@ class MeaningTrack:
 
 
 def track_of(options: InferenceOptions, speech: Speech | None = None) -> MeaningTrack | None:
-    """The track for these options; None where no meaning is to be shown. speech: the whole sound with its words, if it
-    is there."""
+    """The track for these options; None where no meaning is shown. speech: the whole sound with its words, if known."""
     knobs = options.knobs
     if options.meaning == "off" or options.plan is not None or knobs.share == 0.0 or knobs.size == 0.0:
         return None

@@ -1,14 +1,20 @@
 """Named gestures, such as a wave, a shrug or a nod: scripts that are blended over the generated motion.
 
 The lexicon has movements without meanings; no lexeme is a wave. So each gesture of the repertoire
-(`gesticulator.plan.gestures`) is a script of key poses (`gesticulator.directing.gesture_phases`), which inverse
-kinematics turns into poses of arms and fingers. An envelope blends them in and out along the shortest rotation, so that
-there is no jump, and hands that would pass through the trunk are led around it. The apex is at the cue's time.
+(`gesticulator.plan.gestures`) is a script of key poses (`gesticulator.directing.gesture_scripts`), which inverse
+kinematics turns into poses of arms and fingers. The hand is prepared before its stroke and waits in a hold after it, in
+which repeated movements take place; then it is retracted. The apex, the end of the stroke, is at the cue's time;
+seconds are relative to it. An envelope blends the poses in and out along the shortest rotation, so that there is no
+jump, and hands that would pass through the trunk are led around it.
 """
 
 from __future__ import annotations
 
+import functools
+import zlib
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,10 +25,30 @@ from data_module.types import Array, Motion
 from gesticulator.body.clips import exchanged_joints
 from gesticulator.contacts.columns import HEAD, TRUNK
 from gesticulator.contacts.limbs import MARGIN, pose_of
-from gesticulator.directing.gesture_phases import GestureDraw, drawn_gesture, hand_turns, longest
-from gesticulator.directing.gesture_scripts import GestureScript
+from gesticulator.directing.gesture_scripts import SCRIPTS, GestureScript, HandPart, Repeat
+from gesticulator.directing.hands import arm_turns, best_swing, finger_turns, hand_rotation
 from gesticulator.plan.plan import GestureCue
 
+_HOME = np.array([0.03, -0.28, 0.26])
+"""Where a hand is when it rests in front of the body, metres from its shoulder: larger gestures go further from it."""
+_FADE = 0.18
+"""Seconds in which a repeated movement begins and ends."""
+_SINKS = np.array([0.0, -0.012, -0.006])
+"""Way of a free hand during its hold, metres."""
+_OVERLAP = 0.22
+"""Seconds of a stroke in which its preparation still ends, at most."""
+_SHORTER = 0.85
+"""Least factor on the seconds of a phase: phases vary from here to 1, so that no gesture is longer than it says."""
+_HANGING = np.array([0.16, -0.48, 0.07])
+"""Where the wrist of a hanging hand is, metres from its shoulder."""
+_FASTEST = 1.9
+"""Metres a second at which a hand would be led along a straight way; it goes in an arc, and reaches 2.6 at most."""
+_LARGEST = 1.6
+"""Largest intensity of a gesture; its ways must be possible there, too."""
+_PEAK, _GENTLE_PEAK = 1.875, 2.1875
+"""Greatest speed of `smooth` and of `_gentle`, in relation to the mean one."""
+_STRAYS, _TURNS = 0.014, np.radians(5.0)
+"""Standard deviation of a hand's place, metres, and of its direction, radians, from one time to the next."""
 _FLIP = np.array([1.0, -1.0, -1.0])
 """A reflection keeps the x component of an exponential map and negates y and z."""
 _ARM = ("Arm", "ForeArm", "Hand")
@@ -32,6 +58,183 @@ _TOUCH = 0.012
 _WHOLE = 0.5
 """Intensity from which on a gesture is made whole; below, it is blended in by so much less, and not at all at 0."""
 
+
+class Phases(NamedTuple):
+    """Seconds of a gesture's phases. The apex is at the end of the stroke."""
+
+    preparation: float
+    stroke: float
+    hold: float
+    retraction: float
+
+    @property
+    def before(self) -> float:
+        """Seconds from the start to the apex."""
+        return self.preparation + self.stroke
+
+    @property
+    def after(self) -> float:
+        """Seconds from the apex to the end."""
+        return self.hold + self.retraction
+
+    def weight(self, seconds: Array) -> Array:
+        """[M] share of the gesture in the motion at seconds [M]. It becomes whole during the stroke, so that the hand
+        does not stop between preparation and stroke."""
+        rises = _gentle((seconds + self.before) / (self.preparation + min(0.9 * self.stroke, _OVERLAP)))
+        falls: Array = rises * _gentle((self.after - seconds) / self.retraction)
+        return falls
+
+
+@dataclass(frozen=True)
+class GestureDraw:
+    """How a gesture is made this time. size: 1 for intensity 1; place: [2, 3] metres and turn: [2, 3] radians added to
+    the main and the other hand; pace: factor on repeated movements' rate; turns: factor on head and trunk."""
+
+    script: GestureScript
+    phases: Phases
+    size: float
+    place: Array
+    turn: Array
+    pace: float
+    turns: float
+
+
+@functools.cache
+def longest(name: str) -> Phases:
+    """The longest phases of a gesture; what is drawn is at most so long."""
+    rows = [_at_least(script, (1.0, 1.0, 1.0), _hold(script)) for script in SCRIPTS[name]]
+    return Phases(*map(max, zip(*rows, strict=True)))
+
+
+def _hold(script: GestureScript) -> float:
+    # Seconds of a script's hold: its keys and repeated movements take place in it.
+    ends = [part.repeat.count / part.repeat.rate for part in script.hands if part.repeat is not None]
+    return max([script.hold, *ends, *(part.keys[-1].time + 0.1 for part in script.hands)])
+
+
+def _at_least(script: GestureScript, shares: Sequence[float], hold: float) -> Phases:
+    """The phases of a script, preparation, stroke and retraction at a share of their seconds, but not shorter than the
+    ways of its hands take, in its largest size and from hands that hang, at `_FASTEST`."""
+    up, across, down = (max(ways, default=0.0) / _FASTEST for ways in zip(
+        *map(_ways, script.hands), strict=True)) if script.hands else (0.0, 0.0, 0.0)
+    preparation = max(_GENTLE_PEAK * up - min(0.9 * script.stroke, _OVERLAP), 0.0)
+    return Phases(max(script.preparation * shares[0], preparation), max(script.stroke * shares[1], _PEAK * across),
+                  hold, max(script.retraction * shares[2], _GENTLE_PEAK * down))
+
+
+@functools.cache
+def _ways(part: HandPart) -> tuple[float, float, float]:
+    """Metres of the wrist's way, in the largest size: from where it hangs to its stroke, of the stroke, and back."""
+    wrists = _points(part, _LARGEST) - part.point * _directions(part).apply([1.0, 0.0, 0.0])
+    up, across, down = (float(np.linalg.norm(way)) for way in (
+        wrists[0] - _HANGING, wrists[1] - wrists[0], wrists[-1] - _HANGING))
+    return up, across, down
+
+
+def drawn_gesture(cue: GestureCue, at: float, seed: int) -> GestureDraw:
+    """How the gesture of a cue is made at a time, seconds. The same cue, time and seed give the same gesture."""
+    takes = SCRIPTS[cue.gesture]
+    # The order of the draws is part of the result: plans replay gestures from their seed.
+    random = np.random.default_rng([zlib.crc32(cue.gesture.encode()), round(at * 1000.0), seed])
+    script = takes[int(random.integers(len(takes)))]
+    preparation, stroke, _, retraction = random.uniform(_SHORTER, 1.0, 4).tolist()
+    size = float(np.clip(cue.intensity, 0.5, _LARGEST)) * random.uniform(0.94, 1.06)
+    place, turn = random.normal(0.0, _STRAYS, (2, 3)), random.normal(0.0, _TURNS, (2, 3))
+    pace, turns = random.uniform(1.0, 1.12), random.uniform(0.85, 1.15) * (0.45 + 0.55 * size)
+    # Two standard deviations at most: a hand that strays further would be another gesture.
+    place, turn = np.clip(place, -2 * _STRAYS, 2 * _STRAYS), np.clip(turn, -2 * _TURNS, 2 * _TURNS)
+    phases = _at_least(script, (preparation, stroke, retraction), max(_hold(script) / pace, 0.2))
+    return GestureDraw(script, phases, size, place, turn, pace, turns)
+
+
+def smooth(s: Array) -> Array:
+    """A step from 0 to 1 with zero velocity and acceleration at both ends."""
+    u: Array = np.clip(s, 0.0, 1.0)
+    return u ** 3 * (10.0 - 15.0 * u + 6.0 * u * u)
+
+
+def _gentle(s: Array) -> Array:
+    """A step like `smooth` whose change of acceleration begins and ends at zero, too, so that the seam is invisible."""
+    u: Array = np.clip(s, 0.0, 1.0)
+    return u ** 4 * (35.0 - u * (84.0 - u * (70.0 - 20.0 * u)))
+
+
+# ---------------------------------------------------------------------------------------------------- a hand
+
+def hand_turns(draw: GestureDraw, which: int, seconds: Array) -> tuple[Array, Array]:
+    """[M, 3, 3] exponential maps of upper arm, forearm and hand, and [M, 15, 3] of the finger joints, of a left hand.
+    which: 0 for the main hand, 1 for the other; seconds: [M] from the apex."""
+    part = draw.script.main if which == 0 else draw.script.other
+    assert part is not None
+    # Keys before the apex are shares of the stroke; those after it run at the pace of repeated movements.
+    times = np.array([key.time * (draw.phases.stroke if key.time < 0 else 1.0 / draw.pace) for key in part.keys])
+    begin = np.clip(np.searchsorted(times, seconds, side="right") - 1, 0, len(times) - 2)
+    end = begin + 1
+    share = smooth((seconds - times[begin]) / (times[end] - times[begin]))
+
+    def mixed(values: Array) -> Array:
+        between: Array = values[begin] + share.reshape(-1, *[1] * (values.ndim - 1)) * (values[end] - values[begin])
+        return between
+
+    hands = _directions(part)
+    way = (hands[begin].inv() * hands[end]).as_rotvec()
+    turned = hands[begin] * Rotation.from_rotvec(share[:, None] * way)
+    places = mixed(_points(part, draw.size))
+    fingers = mixed(np.array([finger_turns(key.shape) for key in part.keys]))
+    if part.repeat is not None:
+        places, turned, fingers = _repeated(part.repeat, draw, seconds, (places, turned, fingers))
+    if not part.touches:
+        places, turned = places + draw.place[which], Rotation.from_rotvec(draw.turn[which]) * turned
+        # A hand that is held up sinks a little: people do not hold it still.
+        places = places + smooth(seconds / draw.phases.hold)[:, None] * (_SINKS - 0.5 * draw.place[which])
+    # A key fixes the point of the hand that the script names (palm, tips); the arm is solved for the wrist.
+    wrists = places - part.point * turned.apply([1.0, 0.0, 0.0])
+    return np.stack(arm_turns(wrists, turned, mixed(_swings(part))), axis=1), fingers
+
+
+@functools.cache
+def _directions(part: HandPart) -> Rotation:
+    # The rotations of a hand at its keys.
+    return Rotation.concatenate([hand_rotation(np.array(key.fingers), np.array(key.palm)) for key in part.keys])
+
+
+@functools.cache
+def _swings(part: HandPart) -> Array:
+    """[K] swings of the elbow at the keys, radians."""
+    hands = _directions(part)
+    wrists = np.array([key.place for key in part.keys]) - part.point * hands.apply([1.0, 0.0, 0.0])
+    return np.array([best_swing(wrist, hand, float(np.radians(part.lift)))
+                     for wrist, hand in zip(wrists, hands, strict=True)])
+
+
+def _points(part: HandPart, size: float) -> Array:
+    """[K, 3] places of the keys in a size."""
+    apex = np.array(part.keys[1].place)
+    scaled = apex if part.touches else _HOME + (apex - _HOME) * (0.7 + 0.3 * size)
+    return np.array([scaled + (np.array(key.place) - apex) * (0.5 + 0.5 * size) for key in part.keys])
+
+
+def _repeated(repeat: Repeat, draw: GestureDraw, seconds: Array,
+              pose: tuple[Array, Rotation, Array]) -> tuple[Array, Rotation, Array]:
+    """Places [M, 3], rotations and fingers [M, 15, 3] with a repeated movement."""
+    places, turned, fingers = pose
+    rate = repeat.rate * draw.pace
+    end = repeat.count / rate
+    # Both ends fade, and the circle starts at the apex: there is no step in place or speed.
+    level = smooth(seconds / _FADE) * smooth((end - seconds) / _FADE)
+    angle = 2.0 * np.pi * (rate * seconds + repeat.phase)
+    size = level * (0.4 + 0.6 * draw.size)
+    sine, cosine = (size * np.sin(angle))[:, None], (size * (1.0 - np.cos(angle)) / 2.0)[:, None]
+    places = places + sine * np.array(repeat.way) + cosine * np.array(repeat.circle)
+    turned = Rotation.from_rotvec(sine * np.radians(repeat.tilt)) * turned
+    turned = turned * Rotation.from_rotvec(sine * np.radians([repeat.roll, 0.0, 0.0]))
+    if repeat.shape:
+        share = (level * (1.0 - np.cos(angle)) / 2.0)[:, None, None]
+        fingers = fingers + share * (finger_turns(repeat.shape) - fingers)
+    return places, turned, fingers
+
+
+# ------------------------------------------------------------------------------------------------------- the body
 
 def span_of_gesture(name: str) -> tuple[float, float]:
     """Seconds from the start of a gesture to its apex, and from its apex to its end, at most."""
@@ -73,8 +276,7 @@ def _with_gesture(poses: Array, seconds: Array, cue: GestureCue, draw: GestureDr
 
 
 def _targets(draw: GestureDraw, seconds: Array) -> dict[str, Array]:
-    """Joint -> [M, 3] exponential maps that a right-handed gesture leads to: arms and fingers, and the head if a hand
-    touches it."""
+    """Joint -> [M, 3] exponential maps that a right-handed gesture leads to: arms, fingers, a head that is touched."""
     def held(name: str, factor: float) -> Array:
         return np.repeat(factor * np.radians(script.adds.get(name, (0.0, 0.0, 0.0)))[None], len(seconds), axis=0)
 
@@ -108,8 +310,7 @@ def _added(draw: GestureDraw, seconds: Array, weight: Array) -> dict[str, Array]
 
 
 def _blended(now: Array, target: Array, share: Array) -> Array:
-    """[M, 3] rotations a share [M] of the way from `now` to `target`, along the shortest turn, as the exponential maps
-    nearest to `now`."""
+    """[M, 3] rotations a share [M] of the way from `now` to `target`, as the exponential maps nearest to `now`."""
     begin = Rotation.from_rotvec(now)
     # The shortest turn from where the joint is: blending exponential maps would bend the way.
     turn = (begin.inv() * Rotation.from_rotvec(target)).as_rotvec()

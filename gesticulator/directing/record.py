@@ -39,8 +39,7 @@ _SIZES = (1.0, 0.6, 1.0, 1.5)
 @dataclass(frozen=True)
 class Origin:
     """Provenance of a performance. options: with the bundle's defaults filled in; program: version and bundle, in plain
-    values; settings: everything that the generation depends on; score_is: the kind of the scores; meanings: what the
-    words call for."""
+    values; settings: all that the generation depends on; score_is: the kind of scores; meanings: of the words."""
 
     options: InferenceOptions
     program: Mapping[str, Any]

@@ -22,7 +22,6 @@ about their mean pose. Hands are kept out of the trunk afterwards (`gesticulator
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
@@ -63,17 +62,15 @@ LONGEST_GESTURE = 4.0
 _BROKEN_OFF = 1.2
 """Seconds in which a gesture ends that an interruption breaks off: so long the hands take to hang."""
 _TIME = attrgetter("time")
-MeantCues = Callable[[float], Sequence[TimedCue]]
-"""Gives the gestures that the words call for, or that are marked in them, and that begin up to a time."""
 
 
 class Shaping:
     """Applies intensity, mirroring and named gestures to generated poses [M, D_m] at rising seconds [M]."""
 
     def __init__(self, bundle: Bundle, options: InferenceOptions, speaker: int, words: Sequence[Word], edges: Array,
-                 meant: MeantCues | None = None) -> None:
+                 meant: Callable[[float], Sequence[TimedCue]] | None = None) -> None:
         """edges: [N + 1] seconds of the blocks; without a plan, the start and the end (infinity for a stream) are
-        enough. meant: called with the last of the seconds."""
+        enough. meant: gives the gestures that words call for, or that are marked, and that begin up to a time."""
         representation = representation_of(bundle.config)
         if representation.name != "rotations":
             raise InputError("intensity, energy, cues and plans", "need a bundle of joint rotations, and this "
@@ -83,7 +80,7 @@ class Shaping:
         self._curve = None if options.plan is None else options.plan.curve("intensity")
         self._shares = eased_levels(edges, rest_share(self._sizes), REST_FADE, self._locked)
         cues = cues_at(options.cues, words, float(edges[-1]), lambda: lexeme_names(bundle))
-        self._cues = sorted((cue for cue in cues if cue.lexeme is None), key=_TIME)
+        self._cues = [cue for cue in cues if cue.lexeme is None]
         self._shaper = Shaper(bundle.statistics, representation, speaker)
 
     def levels(self, times: Array) -> ShapeLevels:
@@ -105,9 +102,8 @@ class Shaping:
             return []
         # A stroke outside of these times may still reach into them with its preparation or its hold.
         begin, end = float(times[0]) - LONGEST_GESTURE, float(times[-1]) + LONGEST_GESTURE
-        cues = self._cues[bisect_left(self._cues, begin, key=_TIME):bisect_right(self._cues, end, key=_TIME)]
         called = self._meant(float(times[-1])) if self._meant else ()
-        return sorted([*cues, *(cue for cue in called if begin <= cue.time <= end)], key=_TIME)
+        return sorted((cue for cue in (*self._cues, *called) if begin <= cue.time <= end), key=_TIME)
 
     def __call__(self, poses: Array, times: Array) -> Array:
         """The next poses."""
@@ -116,8 +112,7 @@ class Shaping:
 
 
 def with_gestures(poses: Array, times: Array, cues: Sequence[TimedCue], seed: int) -> Array:
-    """Poses [M, D] at seconds [M] with named gestures, and with those that were broken off as they end; seed: of their
-    variation."""
+    """Poses [M, D] at seconds [M] with named gestures, also those that are broken off; seed: of their variation."""
     if not cues:
         return poses
     from gesticulator.directing.named_gestures import laid_over, nearest_turn
@@ -151,11 +146,8 @@ def _levels(options: InferenceOptions, count: int) -> tuple[Array, Array, NDArra
 def levels_at(edges: Array, levels: NDArray[np.floating], times: Array, fade: float,
               locked: NDArray[np.bool_] | None = None) -> Array:
     """[M] level at rising times [M], where block n of edges [N + 1] has levels[n]. Between blocks of different levels
-    it changes smoothly, over `fade` seconds to both sides or half of the shorter run of blocks.
-
-    Elsewhere it is exactly the level of the block. locked: [N] blocks that must keep their level; beside them the
-    change takes place on the other side alone.
-    """
+    it changes smoothly, over `fade` seconds to both sides or half of the shorter run of blocks. Elsewhere it is exactly
+    the level of the block. locked: [N] blocks that keep their level; beside them the other side alone changes."""
     block = np.clip(np.searchsorted(edges, times, side="left") - 1, 0, len(levels) - 1)
     out = np.asarray(levels, dtype=np.float64)[block]
     # Runs of equal blocks: a change may use half of the run on either side, so that two changes never overlap.
@@ -178,10 +170,8 @@ def levels_at(edges: Array, levels: NDArray[np.floating], times: Array, fade: fl
 
 def eased_levels(edges: Array, levels: NDArray[np.floating], fade: float, locked: NDArray[np.bool_]) -> Array:
     """[N] levels of blocks in which runs of equal levels that are too short to fade are moved towards the more similar
-    neighbouring run: by 1 - duration / (2 fade) of the difference, so that the change is not too fast.
-
-    edges: [N + 1] seconds; locked: [N] blocks that keep their level.
-    """
+    neighbouring run: by 1 - duration / (2 fade) of the difference, so that the change is not too fast. edges: [N + 1]
+    seconds; locked: [N] blocks that keep their level."""
     out = np.array(levels, dtype=np.float64)
     begins = [0, *(np.flatnonzero(np.diff(levels)) + 1), len(levels)]
     for before, at, stop, after in zip([-1, *begins[:-2]], begins[:-1], begins[1:], [*begins[2:], -1], strict=True):
@@ -201,11 +191,6 @@ class ShapeLevels:
     intensity: Array
     share: Array
     mirrored: Array
-
-    @property
-    def changed(self) -> NDArray[np.int64]:
-        """[n] indices of the times at which poses change."""
-        return np.flatnonzero((self.intensity != 1.0) | (self.share != 1.0))
 
 
 def rest_share(intensity: NDArray[np.floating]) -> Array:
@@ -253,7 +238,7 @@ class Shaper:
         for arm in self._arms:
             arm.large.push(times, poses)
             arm.fine.push(times, poses)
-        result, at = poses.copy(), levels.changed
+        result, at = poses.copy(), np.flatnonzero((levels.intensity != 1.0) | (levels.share != 1.0))
         if len(at):
             result[at] = self._scaled(poses, times, levels, at)
         at = np.flatnonzero(levels.mirrored)
@@ -293,7 +278,7 @@ class Shaper:
 
 
 def _columns(joints: list[int]) -> NDArray[np.int64]:
-    """[3 n] columns of n joints in a pose."""
+    # [3 n] columns of n joints in a pose.
     return (3 * np.array(joints, dtype=np.int64)[:, None] + np.arange(3)).ravel()
 
 

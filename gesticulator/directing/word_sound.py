@@ -77,12 +77,6 @@ class WordSounds:
     def size(self, word: Word) -> float:
         """The factor on the size of a word's gesture: larger for a word that is louder, higher and longer than the
         words around it, smaller for one that is less so, and 1 where too little is known."""
-        emphasis = self.emphasis(word)
-        return _LARGER if emphasis >= _STANDS_OUT else _SMALLER if emphasis <= -_STANDS_OUT else 1.0
-
-    def emphasis(self, word: Word) -> float:
-        """How much a word stands out from its neighbours: the mean of the differences in loudness, pitch and duration,
-        each between -1 and 1."""
         near = [other for other in self._words
                 if abs(other.start - word.start) <= _NEIGHBOURS and other.start != word.start]
         rows = np.array([self._measured(other) for other in near]).reshape(len(near), 3)
@@ -90,11 +84,11 @@ class WordSounds:
         differences = [float(np.clip((mine - np.median(column)) / spread, -1.0, 1.0)) for mine, spread, column
                        in zip(self._measured(word), _SPREAD, others, strict=True)
                        if len(column) >= _FEWEST and math.isfinite(mine)]
-        return sum(differences) / len(differences) if differences else 0.0
+        emphasis = sum(differences) / max(len(differences), 1)
+        return _LARGER if emphasis >= _STANDS_OUT else _SMALLER if emphasis <= -_STANDS_OUT else 1.0
 
     def _measure(self, word: Word) -> tuple[float, float, float]:
-        """Peak level, decibels; median pitch, semitones; duration in relation to its letters, logarithm. NaN where
-        there is none."""
+        """Peak level, decibels; median pitch, semitones; logarithm of duration over what its letters take; or NaN."""
         level, voiced, pitch = self._frames(word)
         letters = sum(mark.isalnum() for mark in word.text)
         lasts = math.log(max(word.end - word.start, _HOP) / (0.12 + 0.045 * letters))
@@ -103,8 +97,7 @@ class WordSounds:
         return float(level[voiced].max()), float(np.median(pitch[voiced])), lasts
 
     def _frames(self, word: Word) -> tuple[Array, Array, Array]:
-        """Of a word every `_HOP` seconds: [T] level of the band of vowels, decibels; whether it is voiced; its pitch,
-        semitones."""
+        """Of a word every `_HOP` seconds: [T] level of vowels, decibels; whether it is voiced; its pitch, semitones."""
         # Frames are centred on their moment, and one more period of the lowest pitch follows for the lags.
         hop, length = round(_HOP * self._rate), round(_FRAME * self._rate)
         longest = round(self._rate / _PITCHES[0])

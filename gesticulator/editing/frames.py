@@ -38,13 +38,10 @@ _TOGETHER = 64
 
 @dataclass(frozen=True)
 class EditedFrames:
-    """The frames of a rendered plan, with what they were computed from.
+    """The frames of a rendered plan, with what they were computed from. inputs: [M, D_m + 4] seconds of the
+    knots, the generated poses, normalised, and what the knobs ask for; gestures: the named ones; poses: [M, D_m] with
+    knobs and gestures applied. unpinned, motion: without and with the pins of the plan."""
 
-    times: [M] seconds of the knots; inputs: [M, D_m + 3] the generated poses, normalised, and what the knobs ask for;
-    gestures: the named ones; poses: [M, D_m] with knobs and gestures applied. unpinned, motion: without and with the
-    pins of the plan."""
-
-    times: Array
     inputs: Array
     gestures: tuple[TimedCue, ...]
     poses: Array
@@ -71,28 +68,28 @@ class FrameRenderer:
             levels, gestures = shaping.levels(times), tuple(shaping.named(times))
             asked = np.column_stack([levels.intensity, levels.share, levels.mirrored])
         # What is asked stands beside the poses, so that a knob that changes over time counts as a change of the poses.
-        inputs = np.column_stack([features, asked])
-        poses = self._poses(times, features, inputs, gestures, shaping, before)
+        inputs = np.column_stack([times, features, asked])
+        poses = self._poses(features, inputs, gestures, shaping, before)
         knots = generated.cut.knot_times.size // len(generated.cut)
         if motion is None:
             motion = self._frames(times, poses, knots, float(generated.cut.edges[-1]), before)
-        return EditedFrames(times, inputs, gestures, poses, motion, pinned(motion, plan) if plan.pins else motion)
+        return EditedFrames(inputs, gestures, poses, motion, pinned(motion, plan) if plan.pins else motion)
 
-    def _poses(self, times: Array, features: NDArray[np.float32], inputs: Array, gestures: tuple[TimedCue, ...],
+    def _poses(self, features: NDArray[np.float32], inputs: Array, gestures: tuple[TimedCue, ...],
                shaping: Shaping | None, before: EditedFrames | None) -> Array:
         """[M, D_m] poses with knobs and gestures."""
+        times = inputs[:, 0]
+
         def plain(first: int, last: int) -> Array:
             return self.bundle.statistics.denormalise(features[first:last].astype(np.float64), self.speaker)
 
         if before is None:
             return plain(0, len(times)) if shaping is None else shaping(plain(0, len(times)), times)
-        first, last = changed_rows(_timed(before.times, before.inputs), _timed(times, inputs))
+        first, last = changed_rows(before.inputs, inputs)
         # A named gesture that came, went or moved changes the poses of its whole span.
         for cue in {*gestures} ^ {*before.gestures}:
             first = min(first, int(np.searchsorted(times, cue.span[0])))
             last = max(last, int(np.searchsorted(times, cue.span[1], side="right")))
-        if first >= last and len(times) == len(before.times):
-            return before.poses
         last = max(first, last)
         if shaping is None:
             window = plain(first, last)
@@ -108,8 +105,9 @@ class FrameRenderer:
         path = MotionPath(self.bundle, self.speaker, self.options)
         if before is None:
             return self._whole(path, times, poses, knots, duration)
-        first, last = changed_rows(_timed(before.times, before.poses), _timed(times, poses))
-        if first >= last and len(times) == len(before.times):
+        first, last = changed_rows(*(np.column_stack(rows) for rows in (
+            (before.inputs[:, 0], before.poses), (times, poses))))
+        if first >= last and len(times) == len(before.inputs):
             return before.unpinned
         if path.has_legs:  # they depend on everything before
             return self._whole(path, times, poses, knots, duration)
@@ -177,11 +175,6 @@ def spliced(before: Motion, window: Motion, begin: int, stop: int) -> Motion:
 def _signs(one: Array, other: Array) -> Array:
     """[J, 1] 1.0 where quaternions [J, 4] are on the same side, else -1.0."""
     return np.where(np.sum(one * other, axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
-
-
-def _timed(times: Array, rows: Array) -> Array:
-    """[M, 1 + D] rows with their times before them."""
-    return np.column_stack([times, rows])
 
 
 def _joined(parts: Sequence[Motion | None]) -> Motion:

@@ -108,11 +108,6 @@ def _nearest(stretches: Sequence[Stretch], time: float) -> Stretch:
     return min(stretches, key=lambda stretch: (_beyond(stretch, time), float(stretch.times[0] - stretch.times[-1])))
 
 
-def _replaces(before: Stretch, after: Stretch) -> bool:
-    """Whether both sounds have something between two stretches, so that nothing was only cut or only inserted."""
-    return min(float(after.times[0] - before.times[-1]), float(after.there[0] - before.there[-1])) > _SHORT
-
-
 def _located(stretches: Sequence[Stretch], time: float) -> tuple[float, float] | None:
     """The times there just before and just after a moment; None where the sound was replaced."""
     time = min(time, float(stretches[-1].times[-1]))
@@ -150,7 +145,8 @@ def _refined(stretch: Stretch, before: Array, onsets: Array) -> Stretch:
 def _settled(sounds: SoundMap, at: int, edges: Sequence[float]) -> SoundMap:
     """The map with the boundary after stretch `at` where it changes the fewest blocks."""
     before, after = sounds.stretches[at:at + 2]
-    if _replaces(before, after):
+    # Where both sounds have something between two stretches, nothing was only cut or only inserted.
+    if min(float(after.times[0] - before.times[-1]), float(after.there[0] - before.there[-1])) > _SHORT:
         return sounds
     # Only blocks near the boundary can change, so only they are counted for each place of it.
     earlier, later = sounds.sliding(at)

@@ -132,8 +132,7 @@ class PlanRenderer:
 
     def render(self, plan: GesturePlan, on_block: OnBlock | None = None) -> GeneratedMotion:
         """The motion of a plan of this first generation. on_block: called with the number of finished blocks and the
-        total after each block that is sampled, and may raise an error to abandon the rendering: what was sampled until
-        then is remembered."""
+        total after each sampled block, and may raise an error to abandon it: what was sampled is remembered."""
         edited = edited_themselves(plan)
         if not any(edited) and plan.knobs.share == self._original.knobs.share:
             # Without edits the plan is its first generation, which needs no fades and no second one.
@@ -179,8 +178,7 @@ class PlanRenderer:
 
     def sampled(self, before: SampledBlock, key: Hashable, request: Callable[[], Request],
                 on_block: OnBlock | None, done: int) -> SampledBlock:
-        """The block that is sampled after another one. key: everything that the request depends on; done: number of
-        finished blocks after it."""
+        """The block that is sampled after another one. key: all that the request depends on; done: blocks with it."""
         known = (before, key) in self._sampled
         block = self._remembered((before, key), lambda: self._sample(before, request()))
         if on_block is not None and not known:  # which may raise an error: the block is remembered by now
@@ -202,8 +200,7 @@ class PlanRenderer:
 
     def speech(self, edges: Sequence[float], flags: Sequence[BeatFlag], wanted: Sequence[int]
                ) -> dict[int, tuple[Hashable, SpeechBlock]]:
-        """Number -> speech of the wanted blocks (rising) of N blocks with edges [N + 1] and flags [N], and what its
-        numbers depend on."""
+        """Number -> what the speech of a wanted block depends on, and it; of N blocks with edges [N + 1], flags [N]."""
         if len(self._recut) > self._most:
             self._recut.clear()
         out: dict[int, tuple[Hashable, SpeechBlock]] = {}
@@ -387,11 +384,10 @@ def window(edges: Sequence[float], at: int) -> Window:
 
 
 class Recutter:
-    """Cuts blocks of one recording at other beats, N blocks with edges [N + 1], seconds, as cutting all of it would.
-
-    A block's features depend on the sound of the block and its two neighbours, and on what the cutter knew at its end
-    about the sound before. So a copy of the first cutter from shortly before an edited part goes on with these beats.
-    """
+    """Cuts blocks of one recording at other beats, N blocks with edges [N + 1], seconds, as cutting all of it would. A
+    block's features depend on the sound of the block and its two neighbours, and on what the cutter knew at its end
+    about the sound before. So a copy of the first cutter from shortly before an edited part goes on with these
+    beats."""
 
     def __init__(self, samples: Samples, cutters: Sequence[BlockCutter]) -> None:
         """samples: at 16 kHz; cutters: copies before every `CUTTER_EVERY` of them (`encode_speech`)."""

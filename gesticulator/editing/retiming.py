@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from bisect import bisect_left
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, cast
@@ -83,21 +83,6 @@ def _exact(time: float, before: float) -> float:
 
 # ------------------------------------------------------------------------------------------------------ the blocks
 
-_Cell = tuple[list[tuple[int, float, float]], list[tuple[int, float, float]]]
-"""The blocks between two beats that the first generation and the plan have in common: index, start and end, in seconds,
-of those of both."""
-
-
-def _cells(plan: GesturePlan) -> Iterator[_Cell]:
-    drawn = plan.drawn.edges
-    # Numbers in files are rounded: the plan ends where its first generation does.
-    ends = (0.0, *(block.end for block in plan.blocks[:-1]), drawn[-1])
-    # Between two common beats the blocks of both are moved or dropped together, so that edits stay edits of what they
-    # were made to.
-    for start, end in pairwise(sorted(set(drawn) & set(ends))):
-        yield _inside(drawn, start, end), _inside(ends, start, end)
-
-
 def _inside(edges: Sequence[float], start: float, end: float) -> list[tuple[int, float, float]]:
     """Index, start and end of the blocks between two of their edges."""
     return [(at, edges[at], edges[at + 1]) for at in range(bisect_left(edges, start), bisect_left(edges, end))]
@@ -115,16 +100,21 @@ class _Cutter:
         self.drawn: list[_Piece] = []
         self.blocks: list[_Piece] = []
         self._cursor, end = 0.0, float(detected.edges[-1])
-        for cell in _cells(plan):
-            self._take(cell)
+        drawn = plan.drawn.edges
+        # Numbers in files are rounded: the plan ends where its first generation does.
+        ends = (0.0, *(block.end for block in plan.blocks[:-1]), drawn[-1])
+        # Between two common beats the blocks of both are moved or dropped together, so that edits stay edits of what
+        # they were made to.
+        for first, last in pairwise(sorted(set(drawn) & set(ends))):
+            self._take(_inside(drawn, first, last), _inside(ends, first, last))
         if end - self._cursor >= _CLOSEST or not self.drawn:
             self._fill(end)
         for pieces in (self.drawn, self.blocks):
             pieces[-1] = replace(pieces[-1], end=end)
 
-    def _take(self, cell: _Cell) -> None:
-        """Add the blocks of a cell, or nothing if one of them does not fit."""
-        drawn, planned = map(self._moved, cell, self._flags)
+    def _take(self, *cells: Sequence[tuple[int, float, float]]) -> None:
+        """Add the blocks of the first generation and of the plan between two beats, or none if one does not fit."""
+        drawn, planned = map(self._moved, cells, self._flags)
         if drawn is None or planned is None:
             return
         start = drawn[0].start
@@ -179,11 +169,9 @@ class _Cutter:
 # ------------------------------------------------------------------------------------------------------ the plan
 
 def drafted(plan: GesturePlan, speech: Speech, features: SpeechFeatures, words: Sequence[PlanWord] | None) -> Retimed:
-    """The plan on a new sound, with blocks that are still to be decided (`decided`): their lexemes are None.
-
-    features: of the sound, cut at its beats; words: of a new transcript, or None. `InputError` for a plan without a
-    fingerprint, and if the sounds have too little speech in common.
-    """
+    """The plan on a new sound, with blocks that are still to be decided (`decided`): their lexemes are None. features:
+    of the sound, cut at its beats; words: of a new transcript, or None. `InputError` for a plan without a fingerprint,
+    and if the sounds have too little speech in common."""
     if plan.fingerprint is None:
         raise plan.error(("fingerprint",), "is missing, so the new sound cannot be compared with the old one",
                          "make a new plan")
@@ -197,7 +185,10 @@ def drafted(plan: GesturePlan, speech: Speech, features: SpeechFeatures, words: 
     drawn = _drawn(plan, cut.drawn, beats)
     # A new block has the random numbers of the generation's block that begins with it, as any other.
     numbers = dict(zip(drawn.edges, _numbers(drawn), strict=False))
-    blocks = tuple(_block(plan, piece, numbers.get(piece.start, 0)) for piece in cut.blocks)
+    blocks = tuple(
+        Block(piece.start, piece.end, None, piece.silent, BlockDraw(plan.seed, plan.variation, numbers[piece.start]),
+              piece.flag) if piece.source is None
+        else replace(plan.blocks[piece.source], start=piece.start, end=piece.end) for piece in cut.blocks)
     parts, losses = _sections(plan, beats, words, drawn.edges[-1])
     moved = replace(plan, **parts, drawn=drawn, blocks=blocks, source="plan",
                     sound=PlanSound("", speech.duration, speech.sample_rate, sound_hash(speech)),
@@ -212,8 +203,7 @@ def _numbers(drawn: DrawnBlocks) -> Sequence[int]:
 
 
 def _drawn(plan: GesturePlan, pieces: Sequence[_Piece], beats: BeatMap) -> DrawnBlocks:
-    """The first generation on the new sound. Blocks that are kept keep the numbers of their random keys; new ones get
-    numbers that no block has."""
+    """The first generation on the new sound: kept blocks with their numbers, new ones with numbers that none has."""
     old, known = plan.drawn, _numbers(plan.drawn)
     # Beyond all numbers in use: an undone edit may name one that no block has now.
     fresh = itertools.count(max(*known, *(block.draw.block for block in plan.blocks)) + 1)
@@ -226,12 +216,6 @@ def _drawn(plan: GesturePlan, pieces: Sequence[_Piece], beats: BeatMap) -> Drawn
                        tuple(piece.silent if piece.source is None else old.silent[piece.source] for piece in pieces),
                        lexemes, _knobs(old.knobs, beats), () if numbers == tuple(range(len(numbers))) else numbers,
                        () if keyed_at == starts else keyed_at)
-
-
-def _block(plan: GesturePlan, piece: _Piece, number: int) -> Block:
-    if piece.source is not None:
-        return replace(plan.blocks[piece.source], start=piece.start, end=piece.end)
-    return Block(piece.start, piece.end, None, piece.silent, BlockDraw(plan.seed, plan.variation, number), piece.flag)
 
 
 def decided(draft: GesturePlan, generated: Sequence[BlockMotion]) -> GesturePlan:
@@ -256,9 +240,7 @@ def _lost_edits(plan: GesturePlan, gone: Sequence[int]) -> list[str]:
 def _sections(plan: GesturePlan, beats: BeatMap, words: Sequence[PlanWord] | None, duration: float
                    ) -> tuple[dict[str, Any], list[str]]:
     """The parts of a plan with times, moved, for `dataclasses.replace`; and a line for each pin and cue that is lost.
-
-    words: those of a new transcript, or None to move the old ones; duration: seconds that the blocks will cover.
-    """
+    words: those of a new transcript, or None to move the old ones; duration: seconds that the blocks will cover."""
     # Words come first: cues at words are looked for among those that are left, or among the new ones.
     now = tuple(words) if words is not None else _spans(plan.words, beats, duration)
     cues, pins, losses = list[GestureCue](), [], []

@@ -130,10 +130,6 @@ class Connection:
         """time.monotonic() up to which idle motion was generated; None if it is not requested."""
         self._waits = "idle"
         """The kind of idle motion: "idle" or "think"."""
-        self._computed: _Command | None = None
-        """The wait that is being computed."""
-        self._cut = False
-        """Whether the wait that is being computed ends now."""
         self._cut_at = math.inf
         """Media time at which an interruption ends all waits."""
         self._leaving = False
@@ -244,19 +240,9 @@ class Connection:
         async with self._changed:
             if seconds or isinstance(item, _Command):
                 self._waiting.append(item)
-            if seconds and not item.other_voice:  # type: ignore[union-attr]
-                self._end_early()
             self._waiting_idle += waits
             self.waiting_seconds += seconds
             self._changed.notify_all()
-
-    def _end_early(self) -> None:
-        """End the waits that sound ends: the one that is being computed, and those that are queued."""
-        for number, item in enumerate(self._waiting):
-            if isinstance(item, _Command) and item.message.get("until_sound"):
-                self._waiting_idle -= item.seconds
-                self._waiting[number] = _Command({"type": item.message["type"], "seconds": 0.0})
-        self._cut = self._computed is not None and bool(self._computed.message.get("until_sound"))
 
     async def _drop_waiting(self, request: StreamRequest) -> None:
         """Drop unprocessed audio of the avatar, which will not be played."""
@@ -298,11 +284,9 @@ class Connection:
                     return
 
     async def _obey(self, session: Session, command: _Command, begin: float) -> None:
-        self._computed = command if command.seconds else None
         try:
-            await self._compute(session, session.obey(command.message))
+            await self._compute(session, session.obey(command.message), waits=command.seconds > 0)
         finally:
-            self._computed, self._cut = None, False
             # Not below 0, where the rounding of many sums could lead.
             self._waiting_idle = max(0.0, self._waiting_idle - command.seconds)
         if command.message["type"] == "interrupt":
@@ -310,15 +294,11 @@ class Connection:
         if command.message in ({"type": "idle"}, {"type": "think"}):
             self._waits, self._idling = command.message["type"], begin
 
-    def _ends(self, session: Session) -> bool:
-        """Whether the wait that is being computed ends here."""
-        return self._computed is not None and (self._cut or session.until >= self._cut_at)
-
-    async def _compute(self, session: Session, work: Work) -> None:
-        """Do some work turn by turn, and queue its answers. A wait ends when it is cut, and all work pauses while the
-        client does not read."""
+    async def _compute(self, session: Session, work: Work, waits: bool = False) -> None:
+        """Do some work turn by turn, and queue its answers. One that `waits` ends at an interruption, and all work
+        pauses while the client does not read."""
         done = False
-        while not done and not self._ends(session):
+        while not done and not (waits and session.until >= self._cut_at):
             answer, done, elapsed = await self.place.compute.run(lambda: _turn(work))
             self.place.metrics.compute_seconds.observe(elapsed)
             await self._put(answer)

@@ -16,12 +16,12 @@ CUES_PER_SECOND, ALLOWED_CUES = 4.0, 100
 """Most cues per second of sound; so many are allowed in any case. A gesture takes a second, so more cannot be seen."""
 _LARGEST_SEED = 2**64 - 1
 _PUNCTUATION = " .,;:!?\"'“”‘’„«»()[]-–—…¿¡"
+# Joints that can be pinned to a place; arms and spine follow them.
 _PLACED = ("LeftHand", "RightHand", "Head")
-"""Joints that can be pinned to a place; arms and spine follow them."""
+# Largest difference of two equal times, seconds: numbers in files are rounded.
 _EPS = 1e-6
-"""Largest difference of two equal times, seconds: numbers in files are rounded."""
+# Largest deviation of the squared length of a quaternion from 1: numbers in files are rounded.
 _UNIT = 1e-3
-"""Largest deviation of the squared length of a quaternion from 1: numbers in files are rounded."""
 
 Fault = tuple[Place, str, str]
 """A part of a plan, what is wrong with it, and what to do."""
@@ -35,7 +35,7 @@ def plain_word(text: str) -> str:
 def check_plan(plan: GesturePlan) -> None:
     """`InputError` if the parts of a plan are inconsistent."""
     # The first generation comes first: the other checks look blocks up in it.
-    for fault in chain(*(check(plan) for check in (_drawn, _blocks, _cues, _units, _meanings, _pins, _curves))):
+    for fault in chain(*(check(plan) for check in (_drawn, _blocks, _cues, _meanings, _pins, _curves))):
         raise plan.error(*fault)
 
 
@@ -58,7 +58,7 @@ def _drawn(plan: GesturePlan) -> Iterator[Fault]:
 
 
 def _blocks(plan: GesturePlan) -> Iterator[Fault]:
-    """Blocks must tile the sound and have lexemes of the lexicon."""
+    # Blocks must tile the sound and have lexemes of the lexicon.
     if not plan.blocks:
         yield ("blocks",), "is empty", "leave at least one block"
     known = [entry.lexeme for entry in plan.lexicon]
@@ -97,7 +97,7 @@ def _cues(plan: GesturePlan) -> Iterator[Fault]:
 
 
 def _bounded(plan: GesturePlan, name: str) -> Iterator[Fault]:
-    """Too many cues or pins, and those after the end."""
+    # Too many cues or pins, and those after the end.
     rows, most = getattr(plan, name), max(ALLOWED_CUES, int(CUES_PER_SECOND * plan.duration))
     if len(rows) > most:
         yield (name, most), f"is one of {len(rows)}", f"give {most} at most"
@@ -106,31 +106,11 @@ def _bounded(plan: GesturePlan, name: str) -> Iterator[Fault]:
             yield (name, at, "time"), f"is {row.time:g}", f"give 0 to {plan.duration:g} seconds"
 
 
-def _units(plan: GesturePlan) -> Iterator[Fault]:
-    """Units and their phases follow each other without overlap, phases within their unit."""
-    # One cursor for both levels: phases fill their unit, and the next unit begins after it.
-    end = 0.0
-    for at, unit in enumerate(plan.units):
-        if not end <= unit.start < unit.end:
-            yield ("units", at, "start"), f"is {unit.start:g}", f"give {end:g} or more, and less than its end"
-        end = unit.start
-        for number, phase in enumerate(unit.phases):
-            if not end <= phase.start < phase.end <= unit.end:
-                yield (("units", at, "phases", number), f"is {phase.start:g} to {phase.end:g} s",
-                       f"give a range within {end:g} to {unit.end:g} s")
-            end = phase.end
-        end = unit.end
-
-
 def _meanings(plan: GesturePlan) -> Iterator[Fault]:
     for at, meaning in enumerate(plan.meanings):
-        if not meaning.start <= meaning.end:
-            yield ("meanings", at), f"is {meaning.start:g} to {meaning.end:g} s", "give from and to, the smaller first"
         if meaning.gesture is not None and meaning.gesture not in GESTURES:
             yield (("meanings", at, "gesture"), f"is {shown(meaning.gesture)}, the name of no gesture",
                    near_gestures(meaning.gesture))
-        if (meaning.gesture is None) != (meaning.time is None):
-            yield ("meanings", at), "has either a gesture or a time alone", "give both, or neither"
 
 
 def _pins(plan: GesturePlan) -> Iterator[Fault]:
@@ -147,7 +127,7 @@ def _pins(plan: GesturePlan) -> Iterator[Fault]:
 
 
 def _curves(plan: GesturePlan) -> Iterator[Fault]:
-    """Ranges of stillness, and curves of knobs."""
+    # Ranges of stillness, and curves of knobs.
     for at, (start, end) in enumerate(plan.knobs.hold_still):
         if not start < end:
             yield ("knobs", "hold_still", at), f"is {start:g} to {end:g}", "give from and to, the smaller first"

@@ -2,7 +2,7 @@
 
 `gestures.csv` is the table: a name, its category, the hands that make it, whether talk often calls for it (`core`),
 whether its picture alone says little (`weak`), whether it may offend, and what it means. How they move is in
-`gesticulator.directing.gesture_phases`.
+`gesticulator.directing.named_gestures`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from data_module.files import read_table
-
-__all__ = ["ALIASES", "EXPRESSIONS", "GESTURES", "REPERTOIRE", "NamedGesture", "mark_of", "near_gestures"]
 
 _TABLE = Path(__file__).with_name("gestures.csv")
 # Marks in texts are typed by people: the shortest word that is understood has to work.
@@ -69,8 +67,7 @@ def mark_of(name: str) -> str:
 
 
 def near_gestures(name: str, others: Iterable[str] = ()) -> str:
-    """What to say of an unknown name: the nearest names, and how to list all. others: further names that may be meant,
-    such as the lexicon's."""
+    """What to say of an unknown name: the nearest names, and how to list all. others: further names, as of lexemes."""
     near = difflib.get_close_matches(name, [*GESTURES, *others], 3, 0.55)
     return ((f"did you mean {' or '.join(near)}? " if near else "")
             + "choose a name of gesticulator gestures, or of the lexicon (gesticulator plan names)")

@@ -406,13 +406,12 @@ class GesturePlan:
 
 @functools.cache
 def members(kind: type) -> Mapping[str, bool]:
-    """Member of the file -> whether it is left out while it is null or empty: the fields of a dataclass, apart from
-    `source`, which is not compared."""
+    """Member of the file -> whether it is left out while it is null or empty: all fields of a class but `source`."""
     return {field.name: field.default in (None, ()) for field in dataclasses.fields(cast(Any, kind)) if field.compare}
 
 
 def _plain(record: Any) -> Any:
-    """Plain values for JSON."""
+    # Plain values for JSON.
     if isinstance(record, tuple | list):
         return [_plain(entry) for entry in record]
     if not dataclasses.is_dataclass(record):
@@ -422,8 +421,8 @@ def _plain(record: Any) -> Any:
 
 
 def _in_lines(value: Any, depth: int = 0) -> str:
-    """JSON text with one line for each member of the first two levels; deeper values stay on one line, so that a
-    changed block is one changed line for tools that compare files."""
+    # JSON text with one line for each member of the first two levels; deeper values stay on one line, so that a changed
+    # block is one changed line for tools that compare files.
     flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
     is_object = isinstance(value, dict)
     # Short values, lists of numbers, and everything from the rows of lists on stay on one line.
@@ -450,11 +449,9 @@ def sound_hash(speech: Speech) -> str:
 
 
 def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:
-    """Whether each block must be generated again; the others are replayed.
-
-    A block is replayed if its beats, lexeme, silence and random keys are those of the first generation, and the knobs
-    that influence its generation are too, unless it is locked.
-    """
+    """Whether each block must be generated again; the others are replayed. A block is replayed if its beats, lexeme,
+    silence and random keys are those of the first generation, and the knobs that influence its generation are too,
+    unless it is locked."""
     # Activity changes every block that is not locked; size and mirroring are applied afterwards.
     edited = edited_themselves(plan)
     if plan.knobs.share == plan.drawn.knobs.share:
@@ -481,15 +478,10 @@ def edited_themselves(plan: GesturePlan) -> tuple[bool, ...]:
 
 
 def shapes(plan: GesturePlan) -> bool:
-    """Whether the plan may change the generated poses, by intensity or mirroring."""
+    """Whether the plan may change the generated poses, by intensity, mirroring or a gesture that shows a meaning."""
     # Most plans change no pose: then none of the arms' movements need to be remembered.
     knobs = plan.knobs
-    if knobs.size != 1.0 or plan.curve("intensity"):
+    if knobs.size != 1.0 or plan.curve("intensity") or any(meaning.gesture for meaning in plan.meanings):
         return True
     return any(block.intensity != 1.0 or block.mirror or (block.locked and knobs != plan.drawn.knobs)
                for block in plan.blocks)
-
-
-def shows_meanings(plan: GesturePlan) -> bool:
-    """Whether a meaning of the plan is shown by a gesture."""
-    return any(meaning.gesture is not None for meaning in plan.meanings)

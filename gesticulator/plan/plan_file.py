@@ -64,8 +64,7 @@ def plan_from(plain: Any, source: str = "plan") -> GesturePlan:
 
 
 def _check_members(plain: Any, record: Any, path: Place, source: str) -> None:
-    """`InputError` for a member that no field has: msgspec ignores those of dataclasses, and a misspelt member of an
-    edited plan must not be ignored."""
+    # A member that no field has, such as a misspelt one, must not be ignored as msgspec does with dataclasses.
     if isinstance(plain, list):
         for at, (row, entry) in enumerate(zip(plain, record, strict=True)):
             _check_members(row, entry, (*path, at), source)
@@ -85,10 +84,8 @@ def write_plan_file(path: str | os.PathLike[str], plan: GesturePlan) -> Path:
 
 
 def schema() -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of a plan; descriptions are the docstrings below the fields.
-
-    Names of gestures are examples, as a cue may name a lexeme, too.
-    """
+    """The JSON Schema (draft 2020-12) of a plan; descriptions are the docstrings below the fields. Names of gestures
+    are examples, as a cue may name a lexeme, too."""
     whole = msgspec.json.schema(GesturePlan)
     for name, definition in whole["$defs"].items():
         kind = getattr(nouns, name)

@@ -67,11 +67,9 @@ LEXEME, SEAM, BODY, TOGETHER, PITCH, CONTROLS = 2.0, 0.25, 16.0, 1.0, 1.5, 2.0
 
 @dataclass(frozen=True)
 class CandidateMotion:
-    """The motion of C candidates over T frames: the last `_BEFORE` before a block, and those of the block.
-
-    poses: [C, T, D_m] radians or metres; places: [C, T, 8, 3] positions over the hips, metres, of hands, elbows and
-    shoulders (the right one first), the chest and the head; shown: the places with the shift that is shown.
-    """
+    """The motion of C candidates over T frames: the last `_BEFORE` before a block, and those of the block. poses: [C,
+    T, D_m] radians or metres; places: [C, T, 8, 3] positions over the hips, metres, of hands, elbows and shoulders (the
+    right one first), the chest and the head; shown: the places with the shift that is shown."""
 
     poses: Array
     places: Array
@@ -207,8 +205,7 @@ def fastest(hands: Array, times: Array) -> Array:
 
 
 def slow_enough(hands: Array, times: Array) -> NDArray[np.int64]:
-    """Indices of the candidates whose hands and elbows stay under `FASTEST`, or of the slowest one if none does; see
-    `fastest`."""
+    """Indices of the candidates whose hands and elbows stay under `FASTEST` (see `fastest`), or of the slowest one."""
     speeds = fastest(hands, times)
     slow = np.flatnonzero(speeds <= FASTEST)
     return slow if len(slow) else np.array([speeds.argmin()])

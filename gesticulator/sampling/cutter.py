@@ -95,8 +95,7 @@ class _PauseFlags:
         return self._first + len(self._final)
 
     def between(self, first: int, last: int) -> NDArray[np.bool_]:
-        """Flags of the frames first to last - 1. A silence that may become a pause counts as one; frames that were not
-        added yet get the last flag."""
+        """Flags of frames first to last - 1. What may become a pause counts as one; later frames get the last flag."""
         flags = self._final + [True] * self._tracker.waiting
         flags += flags[-1:] * (last - self._first - len(flags))
         return np.array(flags[max(first - self._first, 0):last - self._first], dtype=bool)
@@ -117,18 +116,15 @@ class _PauseFlags:
 
 
 class BlockCutter:
-    """Cuts speech at 16 kHz at its beats as it arrives, and encodes each window of three blocks.
-
-    low: of low latency. Otherwise a block is returned once the next block is known, which is the input the models were
-    trained with; with it, once its end is known, with a guess in place of the next block (`_foreseen`). It may be set
-    at any time, and affects the blocks that were not returned yet.
-    """
+    """Cuts speech at 16 kHz at its beats as it arrives, and encodes each window of three blocks. low: of low latency.
+    Otherwise a block is returned once the next block is known, which is the input the models were trained with; with
+    it, once its end is known, with a guess in place of the next block (`_foreseen`). It may be set at any time, and
+    affects the blocks that were not returned yet."""
 
     def __init__(self, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
-                 low: bool = False, start: float = 0.0) -> None:
-        """words: encoder of the words that `add_words` will add, or None; start: where the first block begins, seconds
-        of the sound."""
-        self._config, self._front, self.low = config, front or front_end_for(config), low
+                 start: float = 0.0) -> None:
+        """words: encoder of the words that `add_words` will add, or None; start: of the first block, seconds."""
+        self._config, self._front, self.low = config, front or front_end_for(config), False
         self._length = config.rhythm.frames * samples_per_frame(SAMPLE_RATE, config.rhythm.fps)
         self._context = round(CONTEXT * SAMPLE_RATE)
         self._words = None if words is None else WordTrack(words, config.selection.words_so_far)
@@ -147,8 +143,7 @@ class BlockCutter:
         self._ended = self._beats_given = False
 
     def cut_at(self, beats: Sequence[tuple[float, BeatFlag]]) -> None:
-        """Cut at these beats from now on, rising seconds with their flags, all of them after the last of `uncut`, and
-        detect none."""
+        """Cut at these beats, rising seconds after the last of `uncut` with their flags, and detect none."""
         self._edges, self._beats_given = [self._edges[0], *beats], True
 
     def fork(self) -> BlockCutter:
@@ -341,21 +336,20 @@ class WordTrack:
     def __init__(self, encoder: WordEncoder, so_far: bool = False) -> None:
         """so_far: see `WordEncoder.encode`."""
         self._encoder, self._so_far = encoder, so_far
-        self._words: list[tuple[float, int, Word]] = []  # by their start
-        self._vectors: dict[int, Features] = {}
-        self._next = 0
+        self._words: list[tuple[float, int, Word, Features]] = []  # by their start
+        self._count = 0
 
     def add(self, words: Sequence[Word]) -> None:
         """Add words with their times in the sound, seconds; the words of one call are encoded together."""
         for word, vector in zip(words, self._encoder.encode(words, so_far=self._so_far), strict=True):
-            insort(self._words, (word.start, self._next, word))
-            self._vectors[self._next] = np.append(vector, np.float32(0.0)).astype(np.float32)
-            self._next += 1
+            row = np.append(vector, np.float32(0.0)).astype(np.float32)
+            insort(self._words, (word.start, self._count, word, row))
+            self._count += 1
 
     def fork(self) -> WordTrack:
         """An independent copy; words and vectors are never changed."""
         twin = copy.copy(self)
-        twin._words, twin._vectors = list(self._words), dict(self._vectors)
+        twin._words = list(self._words)
         return twin
 
     def rows(self, block: _CutBlock | None, frames: int, fps: float) -> Features:
@@ -371,27 +365,22 @@ class WordTrack:
         # A word may begin before the block and sound into it.
         near = self._words[first:last]
         blocks = Blocks(np.array([block.start, block.end]), np.zeros(1, np.int8), np.zeros(1, bool), frames, fps)
-        words = word_frames([word for *_, word in near], blocks)[0]
+        words = word_frames([word for *_, word, _ in near], blocks)[0]
         for row in np.flatnonzero(words >= 0):
-            out[row] = self._vectors[near[words[row]][1]]
+            out[row] = near[words[row]][3]
         return out
 
     def forget(self, before: float) -> None:
         """Free the memory of the words that no block after `before` seconds can need."""
         # Twice the reach: `rows` of a block that was cut earlier may still look for words.
-        old = bisect_left(self._words, (before - 2 * _WORDS_NEAR, -1))
-        for _, number, _ in self._words[:old]:
-            del self._vectors[number]
-        del self._words[:old]
+        del self._words[:bisect_left(self._words, (before - 2 * _WORDS_NEAR, -1))]
 
 
 def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None, words: WordEncoder | None = None,
                   blocks: Blocks | None = None, cutters: list[BlockCutter] | None = None) -> SpeechFeatures:
-    """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, its text too.
-
-    blocks: cut the speech into these instead of detecting beats. cutters: receives a copy of the cutter before every
-    `CUTTER_EVERY` samples, from which parts can be cut again (`editing.render.Recutter`).
-    """
+    """Cut speech (16 kHz) into blocks and encode every window of three; with `words`, its text too. blocks: cut the
+    speech into these instead of detecting beats. cutters: receives a copy of the cutter before every `CUTTER_EVERY`
+    samples, from which parts can be cut again (`editing.render.Recutter`)."""
     # Without words the audio-only models are used, which take no rows of text.
     read = words if speech.words is not None else None
     cutter = BlockCutter(config, front, read)

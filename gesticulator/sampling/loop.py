@@ -45,18 +45,16 @@ Scores = NDArray[np.float64]
 
 BEST = 5
 """Number of alternative lexemes stored for a block."""
-_CONTIGUOUS = 1e-3
-"""Seconds between two blocks without a gap."""
+CONTIGUOUS = 1e-3
+"""Most seconds between two blocks without a gap."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """Everything about a performance that was resolved and checked once, before its first block.
-
-    speaker: index. temperature: of the choice of lexemes, 0 takes the best. seed: of the random numbers; variation:
-    selects other motion for the same lexemes. activity: share of the speaking time with gestures, 0 to 1. beta: of the
-    interpreter, or None. text: words are read.
-    """
+    """All about a performance that was resolved and checked once, before its first block. speaker: index.
+    temperature: of the choice of lexemes, 0 takes the best. seed: of the random numbers; variation: selects other
+    motion for the same lexemes. activity: share of the speaking time with gestures, 0 to 1. beta: of the interpreter,
+    or None. text: words are read."""
 
     interpreter: Interpreter
     speaker: int
@@ -76,12 +74,10 @@ class Setup:
 
 @dataclass(frozen=True)
 class Request:
-    """Everything that a block depends on, apart from the blocks before it.
-
-    control: rows [K, 2 F], or None. lexeme: the lexeme to show; None lets the interpreter choose. keys: of the noise
-    and the choice of an edited block; None for those of the performance. still: [K] frames in which the hands are to
-    rest, or None. fast: sample at lower cost, if the system can.
-    """
+    """Everything that a block depends on, apart from the blocks before it. control: rows [K, 2 F], or None. lexeme: the
+    lexeme to show; None lets the interpreter choose. keys: of the noise and the choice of an edited block; None for
+    those of the performance. still: [K] frames in which the hands are to rest, or None. fast: sample at lower cost, if
+    the system can."""
 
     speech: SpeechBlock
     control: ControlRows | None = None
@@ -93,16 +89,13 @@ class Request:
 
 @dataclass(frozen=True)
 class State:
-    """The state of a performance between two blocks.
-
-    keys: of the noise of its motion. text: whether the blocks come with words. lexeme: of the block before. past: [1,
-    K, D_m] the motion last shown, without idle motion; generated: [1, K, D_m] the same as the generator sees it;
-    offset: what lies between the two and fades, or None. interpreter, unguided, generator, planner, gate: states of the
-    models; unguided is that of the interpreter without the style control. unit: the planner's decision for the block
-    before. rest: decides when and how the hands rest; never changed, only copied. quiet: number of quiet blocks in a
-    row. until: seconds, end of the block before. varied: the state of the variation whose motion is shown, if it is
-    another than this one.
-    """
+    """The state of a performance between two blocks. keys: of the noise of its motion. text: whether the blocks come
+    with words. lexeme: of the block before. past: [1, K, D_m] the motion last shown, without idle motion; generated:
+    [1, K, D_m] the same as the generator sees it; offset: what lies between the two and fades, or None. interpreter,
+    unguided, generator, planner, gate: states of the models; unguided is that of the interpreter without the style
+    control. unit: the planner's decision for the block before. rest: decides when and how the hands rest; never
+    changed, only copied. quiet: number of quiet blocks in a row. until: seconds, end of the block before. varied: the
+    state of the variation whose motion is shown, if it is another than this one."""
 
     keys: Keys
     text: bool
@@ -124,12 +117,9 @@ class State:
 
 @dataclass(frozen=True)
 class BlockMotion:
-    """A generated block.
-
-    block: the block of the plan, without names of lexemes (`directing.record.named`). lexeme: the one that is shown;
-    where the hands are to rest, an edited plan may hold another. motion: [K, D_m] features with rest and idle motion.
-    code: [d_z] style code. unit: the decision of the planner of gesture units; None without one.
-    """
+    """A generated block. block: the block of the plan, without names of lexemes (`directing.record.named`). lexeme: the
+    one that is shown; where the hands are to rest, an edited plan may hold another. motion: [K, D_m] features with rest
+    and idle motion. code: [d_z] style code. unit: the decision of the planner of gesture units; None without one."""
 
     block: Block
     lexeme: int
@@ -140,8 +130,7 @@ class BlockMotion:
 
 @dataclass(frozen=True)
 class GeneratedMotion:
-    """A recording's N generated blocks and their normalised motion [N, K, D_m], K frames per block. cut: the N blocks
-    of its speech."""
+    """A recording's N generated blocks and their normalised motion [N, K, D_m]. cut: the N blocks of its speech."""
 
     cut: Blocks
     blocks: Sequence[BlockMotion]
@@ -152,11 +141,8 @@ class GeneratedMotion:
 
 @torch.inference_mode()
 def begin(bundle: Bundle, setup: Setup, text: bool = False, keys: Keys | None = None) -> State:
-    """The state before the first block, at rest.
-
-    text: the blocks come with words. keys: of the noise, if not those of the setup. A setup with a variation chooses
-    its lexemes as without one, and shows the motion of a second state.
-    """
+    """The state before the first block, at rest. text: the blocks come with words. keys: of the noise, if not those of
+    the setup. A setup with a variation chooses its lexemes as without one, and shows the motion of a second state."""
     # A variation runs beside the plain performance, whose lexemes it shows.
     start: Callable[..., State] = bundle.system.begin
     if setup.variation:
@@ -235,13 +221,8 @@ def at_rest(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
     # Reading `bundle.gate` opens its weights, which a run at full activity does not need.
     gate = bundle.gate.start(speaker) if setup.activity < 1 and bundle.gate is not None else None
     rest = Rest(bundle.statistics, representation_of(config), speaker, setup.activity,
-                setup.seed) if bundle.rests_by_phrase else None
+                setup.seed) if bundle.config.rests_by_phrase else None
     return State(keys, text, lexeme, past, past, interpreter, interpreter, gate=gate, rest=rest)
-
-
-def goes_on(state: State, speech: SpeechBlock) -> bool:
-    """Whether the block begins where the one before ended."""
-    return abs(speech.start - state.until) <= _CONTIGUOUS
 
 
 def tensor(bundle: Bundle, values: NDArray[Any]) -> Tensor:
@@ -288,10 +269,8 @@ def resting(bundle: Bundle, setup: Setup, state: State, request: Request, featur
 
 
 def scores_of(bundle: Bundle, setup: Setup, state: State, features: BlockFeatures) -> tuple[Scores, Any, Any]:
-    """[S] scores of the interpreter, and its states after the block, with and without the style control.
-
-    With a control the scores are extrapolated from those without it (classifier-free guidance).
-    """
+    """[S] scores of the interpreter, and its states after the block, with and without the style control. With a control
+    the scores are extrapolated from those without it (classifier-free guidance)."""
     interpreter = setup.interpreter
     scores, after = interpreter.step(state.interpreter, features, state.lexeme)
     if features.control is None or "control" not in interpreter.needs:

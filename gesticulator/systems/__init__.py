@@ -23,15 +23,13 @@ if TYPE_CHECKING:
 
 
 class System(Protocol):
-    """A module of this package, as the rest of the product sees it.
-
-    NAME: the word of `Config.system`. PARTS: the models that its bundle needs besides the lexicon; STAGES: the names of
-    its training stages in order (`gesticulator.training.stages`), whether or not the settings want each. CODEBOOK: the
-    name of the tensor of code vectors in the lexicon's file. BLOCKS: blocks at the beat are generated one by one, so
-    that a single one can be generated again; IN_CONTEXT: the motion of a lexeme depends on the block before; SILENCE:
-    some lexemes are silent (RG 6.4.1); VARIES: the same lexemes can be sampled as different motion. begin, step: of the
-    same arguments as those of `gesticulator.sampling.loop`; motion_of: the motion [N, K, D_m] of all N blocks.
-    """
+    """A module of this package, as the rest of the product sees it. NAME: the word of `Config.system`. PARTS: the
+    models that its bundle needs besides the lexicon; STAGES: the names of its training stages in order
+    (`gesticulator.training.stages`), whether or not the settings want each. CODEBOOK: the name of the tensor of code
+    vectors in the lexicon's file. BLOCKS: blocks at the beat are generated one by one, so that a single one can be
+    generated again; IN_CONTEXT: the motion of a lexeme depends on the block before; SILENCE: some lexemes are silent
+    (RG 6.4.1); VARIES: the same lexemes can be sampled as different motion. begin, step: of the same arguments as those
+    of `gesticulator.sampling.loop`; motion_of: the motion [N, K, D_m] of all N blocks."""
 
     NAME: str
     PARTS: tuple[str, ...]

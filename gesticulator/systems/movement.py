@@ -34,6 +34,7 @@ from gesticulator.body.life import SIDES
 from gesticulator.bundle.features import CONTROL_WIDTH, Flags, SpeechBlock, body_columns
 from gesticulator.sampling.candidates import CandidateChooser, CandidateMotion
 from gesticulator.sampling.loop import (
+    CONTIGUOUS,
     BlockMotion,
     Request,
     Scores,
@@ -43,7 +44,6 @@ from gesticulator.sampling.loop import (
     choose,
     decided,
     features_of,
-    goes_on,
     resting,
     scores_of,
     shown,
@@ -121,7 +121,7 @@ def begin(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
 def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
     """The next block, and the state after it."""
     speech = request.speech
-    if not goes_on(state, speech):  # an offset does not fade while nothing is seen
+    if abs(speech.start - state.until) > CONTIGUOUS:  # an offset does not fade while nothing is seen
         state = replace(state, generated=state.past, offset=None)
     features = features_of(bundle, request, state.generated[0])
 
@@ -173,8 +173,7 @@ HOLD = 1.2
 GOES_ON_PAUSING = 0.5
 """Added to the logit of a hold in a pause that goes on: people hold at the ends of phrases."""
 VOICE_RETURNS = 4.0
-"""Added to the logit of a preparation in a pause after which the voice returns in the next block: people prepare before
-they speak."""
+"""Added to the logit of a preparation in a pause that ends in the next block: people prepare before they speak."""
 
 
 def phrasing(speech: SpeechBlock) -> Scores:
@@ -202,8 +201,7 @@ def decide_unit(bundle: Bundle, setup: Setup, planner: PlannerState | None, spee
 
 
 def within_phase(bundle: Bundle, scores: Scores, unit: UnitDecision | None) -> Scores:
-    """Scores [S] plus what each lexeme is worth in the planner's phase, less a constant by which log-probabilities
-    keep their sum."""
+    """Scores [S] plus what each lexeme is worth in the planner's phase, with the sum of probabilities as before."""
     if unit is None or bundle.planner is None:
         return scores
     within = scores + bundle.planner.bias(unit)
@@ -271,8 +269,7 @@ def first_pose(keys: Keys, names: Sequence[str], rest: Array, time: float) -> ND
 
 
 def sets_out(state: State, speech: SpeechBlock, unit: UnitDecision | None) -> bool:
-    """Whether what was before is forgotten in this block: the planner lets the hands set out, or one stroke has
-    followed another for long."""
+    """Whether what was before is forgotten: the hands set out, or one stroke has followed another for long."""
     if unit is None or state.rest is None:
         return False
     return unit.begins_after(state.unit) or (unit.follows(state.unit)
@@ -329,8 +326,7 @@ _NEAREST = 1e-6
 @dataclass(frozen=True)
 class BlockToSample:
     """What one block is sampled for. keys: of its noise; shift: [2 K, D_m] what will be added to the past and to the
-    block where they are shown, or None; fast: at lower cost; hidden: rest will take the block's place, so any motion
-    will do."""
+    block where they are shown, or None; fast: at lower cost; hidden: rest will take its place."""
 
     speech: SpeechBlock
     features: BlockFeatures
@@ -343,8 +339,7 @@ class BlockToSample:
 
 
 class _Style(NamedTuple):
-    """code: [1, d_z] the style code of a block; against: [1, d_z] that of the prediction without the planner's decision
-    (`selection.contrast`)."""
+    """code: [1, d_z] the style code of a block; against: that without the planner's decision (`selection.contrast`)."""
 
     code: Tensor
     against: Tensor

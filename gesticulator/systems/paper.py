@@ -200,10 +200,7 @@ def as_silence(bundle: Bundle, features: BlockFeatures) -> BlockFeatures:
 
 def approach_rest(last: Tensor, block: Tensor, share: float) -> Tensor:
     """A block of rest [B, K, D_m]: a straight line from the last pose [B, 1, D_m], `share` of the way to the block's
-    mean pose.
-
-    Each block shortens the distance to rest by `share`, so the body becomes still in a long rest.
-    """
+    mean pose. Each block shortens the distance to rest by `share`, so the body becomes still in a long rest."""
     frames = block.shape[1]
     steps = torch.arange(1, frames + 1, dtype=block.dtype, device=block.device)[:, None] / frames
     return last + share * steps * (block.mean(dim=1, keepdim=True) - last)

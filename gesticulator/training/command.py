@@ -21,14 +21,15 @@ def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--work", metavar="DIR",
                    help="work folder for finished stages, reused if it exists (default: BUNDLE.work)")
     p.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
-    p.add_argument("--threads", type=int, help="torch threads (default: all cores)")
+    p.add_argument("--threads", type=int, help="torch threads per process (default: all cores)")
     p.add_argument("--seed", type=int, help="random seed")
     p.add_argument("--quiet", action="store_true", help="print no progress")
 
 
 def run(args: argparse.Namespace) -> int:
     """Train; InputError for invalid arguments."""
-    threads = args.threads if args.threads is not None else os.cpu_count() or 1
+    machine = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # processes started here by torchrun
+    threads = args.threads if args.threads is not None else max(1, (os.cpu_count() or 1) // machine)
     if threads < 1:
         raise InputError(f"--threads {threads}", "is out of range", "choose 1 or more")
     import torch
@@ -36,6 +37,7 @@ def run(args: argparse.Namespace) -> int:
     from data_module.build_report import doubts
     from data_module.store import Store
     from gesticulator.bundle.config import with_settings
+    from gesticulator.training.distributed import joined, rank
     from gesticulator.training.presets import preset
     from gesticulator.training.stages import Run
     from gesticulator.training.stages.training import train
@@ -52,9 +54,12 @@ def run(args: argparse.Namespace) -> int:
     store = Store.open(args.data)
     for line in () if args.quiet else doubts(store):
         complain(f"{PROGRAM}: warning: {args.data}: {line}")
-    bundle = train(Run(config, store, work, args.device, not args.quiet, threads), out)
-    hours = float(bundle.provenance["hours"]["train"])
-    print(f"{out}: trained on {hours * 60:.0f} minutes of motion; use it with --bundle {out}")
+    with joined(args.device) as device:
+        silent = rank() > 0
+        bundle = train(Run(config, store, work, device, not args.quiet and not silent, threads * machine), out)
+    if not silent:
+        hours = float(bundle.provenance["hours"]["train"])
+        print(f"{out}: trained on {hours * 60:.0f} minutes of motion; use it with --bundle {out}")
     return 0
 
 

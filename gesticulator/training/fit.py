@@ -1,14 +1,15 @@
 """The training loop: every stage uses `fit`.
 
 A model offers `losses(batch, progress) -> dict[str, Tensor]` and `weights`, keyed alike; it does not know the trainer.
-Every step is a function of (seed, step) alone: the batch, dropout and Gumbel noise come from generators seeded with
-them. So a run that was stopped and resumed gives the same weights as an uninterrupted one.
+Every step is a function of (seed, step, process) alone: the batch, dropout and Gumbel noise come from generators seeded
+with them. So a run that was stopped and resumed gives the same weights as an uninterrupted one.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import os
 import pickle
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -19,10 +20,13 @@ from typing import Any, TextIO
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
 from tqdm import tqdm
 
+from data_module.errors import InputError
 from data_module.files import new_file
 from gesticulator.bundle.config import FitSettings
+from gesticulator.training import distributed
 
 Batch = dict[str, Tensor]
 MakeBatch = Callable[[np.random.Generator, int], Batch]
@@ -50,9 +54,9 @@ def moved(batch: Batch, device: str) -> Batch:
     return {key: value.to(device) for key, value in batch.items()}
 
 
-def generator_for(seed: int, step: int) -> np.random.Generator:
+def generator_for(seed: int, step: int, process: int = 0) -> np.random.Generator:
     """The random generator of one step, independent of earlier steps."""
-    return np.random.default_rng([seed, step])
+    return np.random.default_rng([seed, step, process])
 
 
 def _optimisers(model: nn.Module, settings: FitSettings) -> list[tuple[torch.optim.Optimizer, float]]:
@@ -113,7 +117,9 @@ class BestWeights:
 
 
 def open_log(path: Path, from_step: int) -> TextIO:
-    """The log with one JSON line per step; lines after the resumed step are dropped."""
+    """The log with one JSON line per step, written by the first process; lines after the resumed step are dropped."""
+    if distributed.rank():
+        path = Path(os.devnull)
     lines = path.read_text().splitlines() if path.is_file() else []
     path.write_text("".join(line + "\n" for line in lines[:from_step]))
     return path.open("a", buffering=1)
@@ -154,8 +160,8 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
     """Train `model` for `settings.steps` steps and return the last validation figures. With patience, stop after that
     many validations without improvement, and restore the best weights and figures.
 
-    folder receives `STAGE.ckpt` (resumed from if valid) and `STAGE.jsonl` (one line per step). FloatingPointError if
-    the loss becomes NaN or infinite.
+    folder receives `STAGE.ckpt` (resumed from if valid) and `STAGE.jsonl` (one line per step), written by the first
+    process. FloatingPointError if the loss becomes NaN or infinite.
     """
     model.to(options.device).train()
     learner = _Learner(model, task, settings, options)
@@ -163,6 +169,9 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
     parts = [model, *(optimiser for optimiser, _ in learner.optimisers), *([] if best is None else [best])]
     checkpoint = folder / f"{stage}.ckpt"
     first = load_checkpoint(checkpoint, parts)
+    # All processes must resume from the same step, or their batches would differ.
+    if distributed.agreed(first) != first:
+        raise InputError(folder, "holds different checkpoints on different machines", "put --work on shared storage")
     # Validations are spread evenly over the run.
     every = max(1, settings.steps // settings.validations)
     figures: dict[str, float] = {}
@@ -176,7 +185,8 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
             row, done = learner.step(step), step + 1
             if task.validate is not None and (done % every == 0 or done == settings.steps):
                 model.eval()
-                figures = task.validate()
+                # Processes with other processors may differ in the last digit, but must stop at the same step.
+                figures = distributed.agreed(task.validate())
                 model.train()
                 if best is not None:
                     best.note(done, figures, model)
@@ -184,7 +194,8 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
                 bar.set_postfix({key: f"{value:.3g}" for key, value in list(figures.items())[:4]}, refresh=False)
             log.write(json.dumps(row) + "\n")
             bar.update()
-            if time.monotonic() - saved_at > options.checkpoint_seconds or done == settings.steps:
+            if not distributed.rank() and (
+                    time.monotonic() - saved_at > options.checkpoint_seconds or done == settings.steps):
                 save_checkpoint(checkpoint, done, parts)
                 saved_at = time.monotonic()
     model.eval()
@@ -196,37 +207,55 @@ def fit(stage: str, model: nn.Module, task: Task, settings: FitSettings, folder:
     return figures
 
 
+class _Objective(nn.Module):
+    """The weighted sum of a model's losses as a forward pass, which DistributedDataParallel can wrap."""
+
+    def __init__(self, model: nn.Module, losses: Losses) -> None:
+        super().__init__()
+        self.model, self.losses = model, losses
+        self.weights: dict[str, float] = model.weights  # type: ignore[assignment]
+
+    def forward(self, batch: Batch, progress: float) -> tuple[Tensor, dict[str, Tensor]]:
+        """The sum [] and, for the log, its terms."""
+        terms = self.losses(batch, progress)
+        total = sum((self.weights[key] * term for key, term in terms.items() if self.weights[key]),
+                    start=torch.zeros((), device=next(self.model.parameters()).device))
+        return total, {key: term.detach() for key, term in terms.items()}
+
+
 class _Learner:
     """A model with its optimisers; `step` makes one update."""
 
     def __init__(self, model: nn.Module, task: Task, settings: FitSettings, options: FitOptions) -> None:
         self.task, self.settings, self.options = task, settings, options
-        self.losses: Losses = task.losses or model.losses  # type: ignore[assignment]
-        self.weights: dict[str, float] = model.weights  # type: ignore[assignment]
+        self.objective: nn.Module = _Objective(model, task.losses or model.losses)  # type: ignore[arg-type]
+        # Which parameters have a gradient changes during a run, as with the warm-up of a codebook.
+        if distributed.processes() > 1:
+            self.objective = DistributedDataParallel(self.objective, find_unused_parameters=True)
         self.optimisers = _optimisers(model, settings)
 
     def step(self, step: int) -> dict[str, Any]:
         """Make the update of a step, a function of (seed, step) alone; returns its row of the log."""
         if self.task.before_step is not None:
             self.task.before_step(step)
-        rng = generator_for(self.options.seed, step)
+        rng = generator_for(self.options.seed, step, distributed.rank())
         factor = rate_factor(self.settings, step)
         for optimiser, rate in self.optimisers:
             for group in optimiser.param_groups:
                 group["lr"] = rate * factor
             optimiser.zero_grad(set_to_none=True)
-        batch = moved(self.task.make_batch(rng, self.settings.batch), self.options.device)
+        # The batch of the settings is that of all processes together.
+        size = max(1, self.settings.batch // distributed.processes())
+        batch = moved(self.task.make_batch(rng, size), self.options.device)
         # Dropout and Gumbel noise follow from (seed, step), so a resumed run repeats them.
         torch.manual_seed(int(rng.integers(2**62)))
-        terms = self.losses(batch, step / max(1, self.settings.steps))
-        total = sum((self.weights[key] * term for key, term in terms.items() if self.weights[key]),
-                    start=torch.zeros((), device=self.options.device))
+        total, terms = self.objective(batch, step / max(1, self.settings.steps))
         total.backward()
         (plain, _), *others = self.optimisers
         # Style codes, which are updated sparsely and have a rate of their own, are not clipped.
         norm = float(nn.utils.clip_grad_norm_([p for group in plain.param_groups for p in group["params"]
                                                if p.grad is not None], LARGEST_GRADIENT))
-        figures, loss = {key: float(term.detach()) for key, term in terms.items()}, float(total.detach())
+        figures, loss = {key: float(term) for key, term in terms.items()}, float(total.detach())
         # Before the update, so that the weights of the last checkpoint stay finite.
         if not math.isfinite(loss) or not math.isfinite(norm):
             raise FloatingPointError(f"the loss is not finite at step {step}: {figures}")

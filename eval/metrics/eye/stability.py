@@ -3,12 +3,9 @@
 Theory: an animator who has approved a clip exports the sound again. The new motion should be the old one. Of two
 motions on the common body, over the frames that both have, with d_j the distance of joint j:
 
-- distance of the joints (head, shoulders, elbows, wrists), and of the hands alone, cm, mean over frames.
-- hands apart: percentage of frames in which a wrist is more than 2 cm from its twin.
-- apart from: seconds at which they part for the first time.
-- healed: of the times at which they part, the percentage after which they are together again (for 0.25 s) within so
-  many seconds.
-- correlation of the hands' mean speeds.
+- distance of the hands, cm, mean over frames.
+- healed: of the times at which a wrist parts from its twin by more than 2 cm, the percentage after which they are
+  together again (for 0.25 s) within so many seconds.
 
 And of two plans: percentage of the time they have in common with another lexeme. Comparing the k-th blocks would call
 all blocks other after a beat that only one of the sounds has.
@@ -30,8 +27,6 @@ from numpy.typing import NDArray
 
 from data_module.types import Array
 from eval.metrics.eye.body import HZ, CommonBody
-from eval.metrics.eye.hands import correlation
-from eval.metrics.eye.together import hand_speeds
 from eval.stats import runs
 
 ALIKE = 0.02
@@ -40,24 +35,16 @@ TOGETHER = 0.25
 """Seconds for which they must be together to have come together again."""
 UNIT = 5.0
 """Seconds: half of the gesture units of real speakers are shorter than 3.5 to 9.6."""
-_JOINTS = ("Head", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "LeftHand", "RightHand")
-
-
 Blocks = tuple[Array, NDArray[np.int64]]
 """Edges of the blocks of a plan [N + 1], seconds, and their lexemes [N]."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """How far two takes are apart; see the chapter. joints, hands: mean cm; apart: % of time; first: seconds, NaN for
-    never; healed: %, NaN where they never part; speed: correlation."""
+    """How far two takes are apart; see the chapter. hands: mean cm; healed: %, NaN where they never part."""
 
-    joints: float
     hands: float
-    apart: float
-    first: float
     healed: float
-    speed: float
 
 
 def healed(apart: NDArray[np.bool_], within: float, hz: float = HZ) -> float:
@@ -79,14 +66,9 @@ def healed(apart: NDArray[np.bool_], within: float, hz: float = HZ) -> float:
 def difference(first: CommonBody, second: CommonBody, within: float = UNIT) -> Difference:
     """Of two takes; within: seconds in which they should come together again."""
     frames = min(len(first), len(second))
-    first, second = first.crop(0, frames), second.crop(0, frames)
-    away = np.stack([np.linalg.norm(first.points[joint] - second.points[joint], axis=1) for joint in _JOINTS], axis=1)
-    # The last two of `_JOINTS` are the wrists.
-    apart = away[:, -2:].max(axis=1) > ALIKE
-    parting = float(np.argmax(apart)) / HZ if apart.any() else math.nan
-    speeds = np.stack([hand_speeds(body).mean(axis=1) for body in (first, second)], axis=1)
-    return Difference(100.0 * float(away.mean()), 100.0 * float(away[:, -2:].mean()), 100.0 * float(apart.mean()),
-                      parting, healed(apart, within), correlation(speeds))
+    # Wrists alone: what a viewer follows, and what parts first.
+    away = np.linalg.norm(first.hands[:frames] - second.hands[:frames], axis=-1)
+    return Difference(100.0 * float(away.mean()), healed(away.max(axis=1) > ALIKE, within))
 
 
 def other_lexemes(first: Blocks, second: Blocks) -> float:

@@ -23,6 +23,7 @@ from data_module.files import read_object, write_bytes, write_text
 from data_module.layers import freeze
 from data_module.store import Store
 from gesticulator.bundle.config import Config, FitSettings, digest
+from gesticulator.training import distributed
 from gesticulator.training import fit as fitting
 
 T = TypeVar("T")
@@ -89,12 +90,13 @@ class Run:
     _keys: dict[str, str] = field(default_factory=dict, repr=False)
 
     def get(self, node: Node[T]) -> T:
-        """The value of a node, computed (or read from the work folder) on first use."""
+        """The value of a node, computed (or read from the work folder) on first use. Of several processes the first
+        computes it, then the others from its files."""
         if node.name not in self._values:
             if isinstance(node, Stage):
                 assert node.build is not None
                 # A finished stage asks for what its shape depends on alone: its data set may take minutes to make.
-                for need in () if self.finished(node) else node.needs(self.config):
+                for need in () if distributed.agreed(self.finished(node)) else node.needs(self.config):
                     self.get(need)
                 torch.manual_seed(self.seed(node))  # initial weights
                 # Built whether finished or not: the shapes of the weights follow from the settings alone.
@@ -103,7 +105,11 @@ class Run:
                 self._values[node.name] = node.finish(freeze(model))
             else:
                 assert node.make is not None
-                self._values[node.name] = node.make(self)
+                if distributed.processes() > 1:  # stages are trained by all processes together
+                    for need in node.needs(self.config):
+                        self.get(need)
+                with distributed.first():
+                    self._values[node.name] = node.make(self)
         return cast(T, self._values[node.name])
 
     def provide(self, node: Node[Any], value: Any, key: str | None = None) -> None:
@@ -146,13 +152,16 @@ class Run:
     def train_stage(self, stage: Stage[Any], model: nn.Module) -> Figures:
         """Load a finished stage into `model`, or train it; returns its validation figures."""
         folder = self.folder(stage)
-        if not finished(folder, model):
+        if not distributed.agreed(finished(folder, model)):
             folder.mkdir(parents=True, exist_ok=True)
             assert stage.train is not None
             task = stage.train(self, model)
-            keep(folder, model, task if isinstance(task, dict) else self._fit(stage, model, task, folder))
-            # Only now: a kill in between finds the finished stage or the checkpoint.
-            (folder / f"{stage.name}.ckpt").unlink(missing_ok=True)
+            figures = task if isinstance(task, dict) else self._fit(stage, model, task, folder)
+            with distributed.first():
+                if not distributed.rank():
+                    keep(folder, model, figures)
+                    # Only now: a kill in between finds the finished stage or the checkpoint.
+                    (folder / f"{stage.name}.ckpt").unlink(missing_ok=True)
         # Read back also after training, so that a first run uses exactly what a resumed one would.
         model.cpu().load_state_dict(load_file(folder / WEIGHTS))
         return read_object(folder / FIGURES, "delete it, and train again", python=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from pathlib import Path
 from typing import Any
@@ -9,15 +10,20 @@ from typing import Any
 from data_module.files import lock
 from gesticulator.bundle.bundle import Bundle, save
 from gesticulator.bundle.card import model_card
+from gesticulator.training import distributed
 from gesticulator.training.stages import BLOCKS, CORPUS, Run, assemble, wanted
 
 
 def train(run: Run, out: Path) -> Bundle:
-    """Run all unfinished stages and write the bundle.
+    """Run all unfinished stages and write the bundle; several processes run it together
+    (`gesticulator.training.distributed.joined`).
 
     InputError if settings and store do not match, or if another training has locked the work folder.
     """
-    with lock(run.work, "a training"):
+    with contextlib.ExitStack() as held:
+        with distributed.first():
+            if not distributed.rank():
+                held.enter_context(lock(run.work, "a training"))
         run.get(BLOCKS)  # report problems of the store before hours of training
         plan = wanted(run.config)
         for place, stage in enumerate(plan):
@@ -26,7 +32,8 @@ def train(run: Run, out: Path) -> Bundle:
                 print(f"stage {place + 1} of {len(plan)}: {stage.name}, {state}", file=sys.stderr)
             run.get(stage)
         trained = assemble(run, provenance(run))
-        save(trained, out, model_card(trained))
+        if not distributed.rank():
+            save(trained, out, model_card(trained))
         return trained
 
 

@@ -1,1 +1,1 @@
-"""The scripted performer: real strokes played by rule on speech, so that the truth of a corpus is known."""
+"""The scripted performer: real strokes played by rule on speech."""

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from data_module.motion import kinematics, rotation
-from data_module.truth import Phrase, Syllable
 from data_module.types import Array
 from gesticulator_performer.strokes import SIDES, PerformerBody
+from gesticulator_performer.types import Phrase, Syllable
 
 # Metres by which a hand is carried higher and farther out at full drive. Over phrases a drive has a deviation of about
 # a half. Reach is averaged over both hands and the whole unit, and so needs as much as height.

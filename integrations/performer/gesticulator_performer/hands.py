@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_module.truth import Phrase
 from data_module.types import Array
 from gesticulator_performer.strokes import LEFT, RIGHT
+from gesticulator_performer.types import Phrase
 
 HANG, LOW, STAY = "hang", "low", "stay"
 HANGING_LEVEL = 0.04

@@ -15,7 +15,6 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from data_module.motion.motion_beats import beats_of_speed
-from data_module.truth import Phrase
 from data_module.types import Array, Speech, Word
 from gesticulator_performer import voices
 from gesticulator_performer.sentence_pool import Pool, stretched
@@ -24,7 +23,7 @@ from gesticulator_performer.syllables import Nucleus, listen
 from gesticulator_performer.takes import WRISTS, arms_speed
 from gesticulator_performer.text import Part
 from gesticulator_performer.torso import FPS
-from gesticulator_performer.types import Spoken
+from gesticulator_performer.types import Phrase, Spoken
 
 SLOWEST, FASTEST = 0.80, 1.25
 """Bounds of the playing rate of a phrase, relative to the voice's own rate."""

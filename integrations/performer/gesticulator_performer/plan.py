@@ -11,14 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from data_module.truth import REST, Mark, Phrase, Syllable
 from data_module.types import Array
 from gesticulator_performer import meaning
 from gesticulator_performer.cues import Asked
 from gesticulator_performer.hands import Manner, PhraseHands, hands_of_phrases, unevenness, weights_at
 from gesticulator_performer.strokes import LEFT, RIGHT, Stroke, StrokeSet
 from gesticulator_performer.styles import NEUTRAL, StyleTrack
-from gesticulator_performer.types import Spoken
+from gesticulator_performer.types import Phrase, Spoken, Syllable
 
 REST_PAUSE = 1.6
 """Pause in speech, seconds, after which the arms go to rest."""
@@ -126,13 +125,6 @@ def runs_of(phrases: Sequence[Phrase], pause: float = REST_PAUSE) -> list[tuple[
         else:
             runs.append((phrase.start, phrase.end))
     return runs
-
-
-def rests_of(phrases: Sequence[Phrase], duration: float) -> tuple[Mark, ...]:
-    """The pauses in a recording of `duration` seconds that are long enough for the arms to rest."""
-    runs = runs_of(phrases)
-    ends, starts = [0.0, *(end for _, end in runs)], [*(start for start, _ in runs), duration]
-    return tuple(Mark(REST, end, start) for end, start in zip(ends, starts, strict=True) if start - end >= REST_PAUSE)
 
 
 def drives(spoken: Spoken) -> Array:

@@ -19,7 +19,6 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from data_module.motion import rotation
 from data_module.motion.kinematics import minimum_jerk, quintic_offset
 from data_module.motion.motion_beats import acting_speed, beats_of_speed
-from data_module.truth import PlayedStroke
 from data_module.types import Array, Motion
 from gesticulator_performer import plan as planning
 from gesticulator_performer.carriage import carriage
@@ -41,7 +40,7 @@ from gesticulator_performer.trunk import (
     with_activity,
     yaw_scale,
 )
-from gesticulator_performer.types import Played, Spoken
+from gesticulator_performer.types import Played, PlayedStroke, Spoken
 
 # Fitting the motion to its plan.
 # Most renderings of both arms that bring the measured beats to the planned ones.
@@ -187,7 +186,7 @@ class Staging:
 
 def perform(spoken: Spoken, performer: str, strokes: StrokeSet, staging: Staging, rng: np.random.Generator,
             split: str = "train") -> Played:
-    """Perform `spoken` with the body and the strokes of `performer`: 60 fps on the performer's skeleton, with truth.
+    """Perform `spoken` with the body and the strokes of `performer`: 60 fps on the performer's skeleton.
 
     The hands act independently, and the trunk is a real person's. The result depends on the arguments and the state of
     `rng` alone. Held-out strokes are played in the split "test" only. InputError for an unknown performer.
@@ -205,7 +204,7 @@ def perform(spoken: Spoken, performer: str, strokes: StrokeSet, staging: Staging
         score = replace(score, leads=np.maximum(score.leads, trespass))
     else:
         score, tuning, _ = _rehearse(score, tuning)
-    return Played(_assemble(score, _render(score, tuning)), tuple(_truth(p) for p in score.planned))
+    return Played(_assemble(score, _render(score, tuning)), tuple(_stroke_of(p) for p in score.planned))
 
 
 def _rehearse(score: _Score, tuning: _Tuning) -> tuple[_Score, _Tuning, Array]:
@@ -287,7 +286,7 @@ def _tuned(tuning: _Tuning, missing: Array, faint: NDArray[np.bool_], answer: Ar
     return _Tuning(beats, np.minimum(accents + more, _MOST_ACCENT), fades, slow)
 
 
-def _truth(p: Planned) -> PlayedStroke:
+def _stroke_of(p: Planned) -> PlayedStroke:
     s = p.stroke
     return PlayedStroke(s.lexeme, s.clip, s.hand, p.start, p.beat, p.hold_end, p.end, p.syllable, p.gain, s.held_out,
                         p.meaning, p.word)

@@ -29,11 +29,8 @@ import numpy as np
 from data_module.corpora.base import Item, Options, split_of
 from data_module.errors import InputError
 from data_module.files import read_text
-from data_module.motion.phases import Phase, hand_phases
 from data_module.registry import RegistryEntry
 from data_module.store import Recording, RecordingInfo, Split
-from data_module.truth import JOIN, Mark, PhaseSpan, StyleKnot, Truth
-from data_module.types import Motion
 from gesticulator.directing import meaning_cues
 from gesticulator_performer import tables, text, voices
 from gesticulator_performer.types import Spoken
@@ -196,7 +193,6 @@ class Performer:
             return self._speech_for_motion(item)
         from gesticulator_performer import play, styles
         from gesticulator_performer.hands import STEADY, draw_manner
-        from gesticulator_performer.plan import rests_of
 
         rng = self._rng(item.index, _STYLE)
         style = styles.NEUTRAL
@@ -212,13 +208,9 @@ class Performer:
         staging = play.Staging(manner, self._segments(item.info.split), style)
         played = play.perform(spoken, item.info.speaker, self._strokes, staging, self._rng(item.index, _PLAY),
                               item.info.split)
-        knots = zip(style.times.tolist(), style.values.tolist(), strict=True) if style is not styles.NEUTRAL else ()
-        truth = Truth(played.strokes, spoken.syllables, spoken.phrases,
-                      rests_of(spoken.phrases, spoken.speech.duration),
-                      tuple(StyleKnot(time, *values) for time, values in knots), truth_of_phases(played.motion))
         info = replace(item.info, language=spoken.language,
                        sources=tuple(sorted({stroke.clip.removesuffix("-mirrored") for stroke in played.strokes})))
-        return Recording(info, replace(spoken.speech, speaker=info.speaker), played.motion, truth, stands=True)
+        return Recording(info, replace(spoken.speech, speaker=info.speaker), played.motion, stands=True)
 
     def _speech_for_motion(self, item: Item) -> Recording:
         from gesticulator_performer.talks import TalkRequest, talk_for_motion
@@ -230,9 +222,7 @@ class Performer:
         talk = talk_for_motion(request, self._library, takes, pool, self._rng(item.index, _PLAY))
         spoken = talk.spoken
         info = replace(item.info, language=spoken.language, sources=talk.takes)
-        joins = tuple(Mark(JOIN, time, time) for time in talk.edges[1:-1].tolist())
-        truth = Truth((), spoken.syllables, spoken.phrases, joins, phases=truth_of_phases(talk.motion))
-        return Recording(info, replace(spoken.speech, speaker=info.speaker), talk.motion, truth, stands=True)
+        return Recording(info, replace(spoken.speech, speaker=info.speaker), talk.motion, stands=True)
 
     def notes(self) -> Sequence[str]:
         strokes = self._strokes.strokes
@@ -408,23 +398,6 @@ class Performer:
             transcript = read_text(self._source / "speech" / f"{reading.stem}.txt", "save it as text in UTF-8")
             speech = replace(speech, words=transcripts.alignment(speech, transcript).words)
         return find_syllables(speech, item.info.language)
-
-
-def truth_of_phases(motion: Motion) -> tuple[PhaseSpan, ...]:
-    """The phases of both hands of a motion in order of time, seconds."""
-    out = []
-    for hand, found in zip(("left", "right"), hand_phases(motion), strict=True):
-        apexes = {movement.apex: movement.size for movement in found.strokes}
-        for number, (first, last) in enumerate(found.units):
-            changes = np.flatnonzero(np.diff(found.labels[first:last])) + 1 + first
-            for start, end in zip([first, *changes], [*changes, last], strict=True):
-                phase = Phase(found.labels[start])
-                apex = max((at for at in apexes if start <= at < end), key=apexes.__getitem__, default=end)
-                size = sum(size for at, size in apexes.items() if start <= at < end)
-                seconds = [float(frame) / motion.fps for frame in (start, end, apex)]
-                out.append(PhaseSpan(hand, phase.name.lower(), number, seconds[0], seconds[1], seconds[2],
-                                     float(size)))
-    return tuple(sorted(out, key=lambda phase: (phase.start, phase.hand)))
 
 
 def tail_begins(samples: np.ndarray, sample_rate: int) -> int:

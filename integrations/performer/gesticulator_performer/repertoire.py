@@ -16,7 +16,6 @@ import numpy as np
 
 from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh
-from data_module.truth import SCRIPTED
 from gesticulator_performer.clips import complete_rows
 from gesticulator_performer.lending import lent
 from gesticulator_performer.strokes import (
@@ -27,6 +26,7 @@ from gesticulator_performer.strokes import (
     mirror,
     standing_body,
 )
+from gesticulator_performer.types import SCRIPTED
 
 ENOUGH = 3
 """Captured strokes of a label, mirror images apart, from which on its scripted takes are not played."""

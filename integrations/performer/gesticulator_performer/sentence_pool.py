@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from data_module.truth import Phrase
 from data_module.types import Array, Samples, Speech, Word
 from gesticulator_performer import meaning, text, voices
 from gesticulator_performer.sound import RATE
 from gesticulator_performer.syllables import Nucleus, listen
+from gesticulator_performer.types import Phrase
 
 _LEAST_LETTERS, _LONGEST_LETTERS = 6, 70
 # Probability that a phrase is joined with the next of its sentence, because motion has phrases of up to 6 s.

@@ -10,10 +10,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, find_peaks, resample_poly, sosfiltfilt
 
-from data_module.truth import Phrase, Syllable
 from data_module.types import Array, Samples, Speech, Word
 from gesticulator_performer.tables import table
-from gesticulator_performer.types import Spoken
+from gesticulator_performer.types import Phrase, Spoken, Syllable
 
 HOP = 0.01
 """Seconds between the measurements of loudness and pitch."""

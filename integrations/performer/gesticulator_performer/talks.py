@@ -60,11 +60,10 @@ to the spread so that the variation within a talk counts more."""
 
 @dataclass(frozen=True)
 class MadeTalk:
-    """Motion with speech synthesised for it. edges: seconds at which stretches begin; takes: names of those used."""
+    """Motion with speech synthesised for it. takes: names of those used."""
 
     motion: Motion
     spoken: Spoken
-    edges: Array
     takes: tuple[str, ...]
 
 
@@ -96,7 +95,7 @@ def talk_for_motion(request: TalkRequest, library: Library, takes: Sequence[Real
     lacking = {joint for take in takes if take.name in used for joint in take.filled}
     motion = Motion(CHARACTERS[rotations.shape[1]], rotations, root, FPS,
                     filled=tuple(joint for joint in FINGERED.names if joint in lacking))
-    return MadeTalk(motion, spoken, joined.edges, used)
+    return MadeTalk(motion, spoken, used)
 
 
 def _smoothest(library: Library, pieces: Sequence[Array], seconds: float,

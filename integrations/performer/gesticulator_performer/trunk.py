@@ -15,11 +15,10 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from data_module.motion.kinematics import minimum_jerk, quintic_offset
-from data_module.truth import Syllable
 from data_module.types import Array
 from gesticulator_performer.takes import ARM_SIDES, GROUPS, HIPS, MIRROR, SKULL, SPINE, Library, soft_limit
 from gesticulator_performer.torso import FPS
-from gesticulator_performer.types import Spoken
+from gesticulator_performer.types import Spoken, Syllable
 
 _PARTS = (HIPS, SPINE, SKULL)
 _LIMITS = np.radians([8.0, 16.0, 38.0])

@@ -10,12 +10,11 @@ from gesticulator_performer import hands, styles, text, voices
 from gesticulator_performer.hands import HANGING_LEVEL, Manner, PhraseHands
 from gesticulator_performer.strokes import LEFT, RIGHT, StrokeSet
 from gesticulator_performer.torso import FPS
-from gesticulator_performer.types import Played, Spoken
+from gesticulator_performer.types import Phrase, Played, Spoken
 from procedural import played as perform_by
 from procedural import procedural_strokes
 
 from data_module.motion import kinematics
-from data_module.truth import Phrase
 from data_module.types import Array
 
 MANNER = Manner(both=0.4, dominant=0.7, switch=0.7, hanging=0.5, falling=0.1, gain=1.15, hold=1.3, drift=0.6,

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from gesticulator_performer import talks, trunk
 from gesticulator_performer.takes import WRISTS
+from gesticulator_performer.types import Syllable
 from test_phases import FPS, HIGH, LOW, MIDDLE, path
 
 from data_module.motion.phases import Phase, phases_of
 from data_module.motion.skeletons import CHARACTER
-from data_module.truth import Syllable
 
 
 def test_holds_are_set_where_a_raised_hand_is_slow_and_nothing_is_lost() -> None:

@@ -14,14 +14,13 @@ from gesticulator_performer.lending import lent
 from gesticulator_performer.plan import HABITS, Planned
 from gesticulator_performer.strokes import PerformerBody, Stroke, StrokeSet, mirror
 from gesticulator_performer.text import Utterance, compose, sentence_key
-from gesticulator_performer.types import Spoken
+from gesticulator_performer.types import Phrase, Spoken, Syllable
 from hypothesis import given
 from hypothesis import strategies as st
 from procedural import planned, procedural_strokes
 
 from data_module.files import read_table
 from data_module.motion import kinematics, rotation
-from data_module.truth import Phrase, Syllable
 from data_module.types import Array, Speech, Word
 
 PUPPET = "puppet"

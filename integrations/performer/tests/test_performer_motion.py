@@ -15,7 +15,7 @@ from gesticulator_performer.strokes import (
     mirror,
 )
 from gesticulator_performer.torso import FPS
-from gesticulator_performer.types import Played, Spoken
+from gesticulator_performer.types import Phrase, Played, Spoken, Syllable
 from procedural import planned as planned_by
 from procedural import played as perform_by
 from procedural import procedural_strokes
@@ -23,7 +23,6 @@ from procedural import procedural_strokes
 from data_module.errors import InputError
 from data_module.motion import kinematics, rotation
 from data_module.motion.motion_beats import acting_positions, acting_speed, beats_of_speed
-from data_module.truth import Phrase, Syllable
 from data_module.types import Array, Motion, Speech, Word
 from eval.metrics.eye.body import common_body
 from eval.metrics.eye.trunk import figures

@@ -13,7 +13,7 @@ import pytest
 import soundfile
 from gesticulator_performer import flite, sound, syllables
 from gesticulator_performer.text import Part, Utterance, compose
-from gesticulator_performer.types import Spoken
+from gesticulator_performer.types import Phrase, Spoken
 from gesticulator_performer.voices import (
     TEST_VOICES,
     TRAIN_VOICES,
@@ -23,7 +23,6 @@ from gesticulator_performer.voices import (
 )
 
 from data_module.errors import InputError
-from data_module.truth import Phrase
 from data_module.types import Speech
 
 RATE = 16000

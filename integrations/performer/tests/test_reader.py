@@ -102,7 +102,7 @@ def test_a_talk_made_for_motion_uses_takes_of_its_split_alone(outside_data: Path
     recording = load(reader, item)
     assert recording.info.sources and all(reader._take_splits[name] == "train" for name in recording.info.sources)
     assert recording.motion.duration == pytest.approx(recording.speech.duration, abs=1 / 60)
-    assert recording.truth is not None and len(recording.truth.phrases) > 8 and recording.speech.words
+    assert recording.speech.words
     hands = kinematics.positions_of(recording.motion)[:, [11, 15]]
     speed = np.linalg.norm(np.diff(hands, axis=0), axis=-1) * recording.motion.fps
     assert 0.2 < speed.mean() < 1.0

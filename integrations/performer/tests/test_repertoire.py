@@ -13,14 +13,13 @@ from gesticulator_performer.cues import Cues, plain
 from gesticulator_performer.repertoire import Repertoire, read_repertoire
 from gesticulator_performer.sources.gesture_takes import write_takes
 from gesticulator_performer.strokes import StrokeSet, standing_body
-from gesticulator_performer.types import Spoken
+from gesticulator_performer.types import SCRIPTED, Phrase, Spoken, Syllable
 from procedural import planned, played, procedural_strokes
 
 from data_module.errors import InputError
 from data_module.files import read_table
 from data_module.motion import rotation
 from data_module.motion.bvh import read_bvh
-from data_module.truth import SCRIPTED, Phrase, Syllable
 from data_module.types import Speech, Word
 from gesticulator.cli import main
 from gesticulator.directing.meaning_cues import meaning_cues

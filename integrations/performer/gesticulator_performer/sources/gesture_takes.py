@@ -18,8 +18,7 @@ from data_module.motion import rotation
 from data_module.motion.bvh import write_bvh
 from data_module.motion.skeletons import FINGERED
 from data_module.types import Array, Motion
-from gesticulator.directing.gesture_phases import GestureDraw, drawn_gesture
-from gesticulator.directing.named_gestures import laid_over
+from gesticulator.directing.named_gestures import GestureDraw, drawn_gesture, laid_over
 from gesticulator.plan.gestures import REPERTOIRE, NamedGesture
 from gesticulator.plan.plan import GestureCue
 from gesticulator_performer.repertoire import COLUMNS, SIZES, TAKES
