@@ -128,7 +128,7 @@ def test_verbs_and_options_are_known(page: str, line: str, capsys: pytest.Captur
     options = {option for word in rest if word.startswith("--") for option in OPTION.findall(word)}
     if not options:
         return
-    # The first word may name a part that has options of its own: `study make`, `bundle silent`.
+    # The first word may name a part that has options of its own: `study make`, `bundle inspect`.
     part = [rest[0]] if re.fullmatch(r"[a-z][a-z-]*", rest[0]) else []
     with pytest.raises(SystemExit) as stop:
         command(verb).main(f"gesticulator {verb}", [*part, "--help"])
