@@ -126,7 +126,7 @@ class Performer:
         parser.add_argument("--hours", type=float, default=4.2, help="hours of synthetic speech (default 4.2)")
         parser.add_argument("--repertoire", type=Path, metavar="DIR",
                             help="takes of named gestures, which are played at words that call for them; they are "
-                            "drawn if DIR does not exist (see gesticulator gesture-takes)")
+                            "drawn if DIR does not exist")
 
     @staticmethod
     def options(arguments: argparse.Namespace) -> PerformerOptions:
@@ -159,7 +159,7 @@ class Performer:
             from gesticulator_performer.repertoire import read_repertoire
 
             if not options.repertoire.exists():
-                from gesticulator_performer.sources.gesture_takes import write_takes
+                from gesticulator_performer.gesture_takes import write_takes
 
                 count = write_takes(options.repertoire, options.seed)
                 print(f"{options.repertoire}: {count} takes of named gestures were drawn", flush=True)
