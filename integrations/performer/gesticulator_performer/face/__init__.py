@@ -1,0 +1,1 @@
+"""The network of the lips: its training on speech of known phones."""

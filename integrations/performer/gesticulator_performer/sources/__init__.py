@@ -1,0 +1,1 @@
+"""Makers of the folders that the performer plays: strokes of SmartBody, takes of named gestures."""
