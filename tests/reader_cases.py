@@ -447,6 +447,20 @@ def _read_sound_message(file: Path) -> object:
     return [StreamRequest(RATE, format).samples(file.read_bytes()) for format in ("pcm16", "float32")]
 
 
+def _lips(folder: Path) -> Path:
+    from gesticulator.face.lips import SHIPPED
+
+    for file in SHIPPED.iterdir():
+        (folder / file.name).write_bytes(file.read_bytes())
+    return folder / "face.json"
+
+
+def _read_lips(file: Path) -> object:
+    from gesticulator.face.lips import load_weights
+
+    return load_weights(file.parent)
+
+
 READERS: dict[str, Case] = {
     **{kind: Case(_sound(kind, subtype), load_speech, examples=share)
        # MP3 takes a process each.
@@ -481,6 +495,7 @@ READERS: dict[str, Case] = {
     "plan": Case(_plan, _read_plan),
     "fingerprint in a plan": Case(_written("a.txt", fingerprint_text(np.random.default_rng(0).integers(
         0, 16, (40, 12), dtype=np.uint8))), lambda file: fingerprint_frames(file.read_text("latin-1"))),
+    "weights of the lips": Case(_lips, _read_lips),
     "request to the server of a page": Case(_request, _read_request, examples=2.0),
     "manifest": Case(_manifest, _read_manifest),
     **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json")},

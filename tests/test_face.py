@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -132,10 +134,18 @@ def test_the_network_in_numpy_is_torchs() -> None:
     np.testing.assert_allclose(np.array([step(frame) for frame in frames.numpy()]), expected.numpy(), atol=2e-5)
 
 
-def test_weights_are_small_and_are_what_their_record_says() -> None:
+def test_weights_are_small_and_are_what_their_record_says(tmp_path: Path) -> None:
     record = json.loads((SHIPPED / "face.json").read_text())
     data = (SHIPPED / "visemes.safetensors").read_bytes()
     assert len(data) < 2_000_000 and hashlib.sha256(data).hexdigest() == record["sha256"]["visemes.safetensors"]
+    folder = tmp_path / "face"
+    shutil.copytree(SHIPPED, folder)
+    (folder / "visemes.safetensors").write_bytes(data[:-1] + b"x")
+    with pytest.raises(InputError, match="not the file"):
+        load_weights(folder)
+    (folder / "visemes.safetensors").unlink()
+    with pytest.raises(InputError, match="cannot be read"):
+        load_weights(folder)
 
 
 # -------------------------------------------------------------------------------------------------- lids, brows, eyes

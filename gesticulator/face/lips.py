@@ -7,14 +7,18 @@ rows, a gated recurrent unit that remembers voice, level and noise, and a softma
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.errors import InputError
+from data_module.files import read_object
 from data_module.speech.front_ends import MelFrontEnd
 from data_module.speech.silence import FRAME, MARGIN, STEP, LoudnessTracker, frame_levels
 from data_module.types import Array, Samples, Word
@@ -36,6 +40,7 @@ HIDDEN = 112
 Rows = NDArray[np.float32]
 Weights = Mapping[str, NDArray[np.float32]]
 SHIPPED = Path(__file__).parents[1] / "assets" / "face"
+_AGAIN = "install gesticulator again, or train it: gesticulator train-face --out DIR"
 DOMINANCE = np.array([2.0, 50.0, 16.0, 1.2, 1.0, 1.0, 6.0, 4.8, 1.0, 1.3, 6.0, 6.0, 6.0, 7.8, 9.6])
 """[15] how far each viseme imposes itself on those that it overlaps (Cohen and Massaro 1993): lips that must close or
 touch do so even where a vowel is as likely, rounding spreads, and a tongue that moves behind the teeth (d, k, n, th)
@@ -51,12 +56,26 @@ REACH = max(LOOK_AHEAD, STEP * FRAME) + (len(_KERNEL) // 2 + 1) / RATE
 """Seconds of sound after an instant that the mouth at that instant depends on."""
 
 
-@lru_cache(maxsize=1)
-def load_weights() -> Weights:
-    """The weights of the lips network."""
-    from safetensors.numpy import load_file
+@lru_cache(maxsize=2)
+def load_weights(folder: Path = SHIPPED) -> Weights:
+    """The weights of the lips network. `InputError` if the folder lacks them, or they are not what its record says."""
+    from safetensors.numpy import load
 
-    return load_file(SHIPPED / "visemes.safetensors")
+    record = read_object(folder / "face.json", _AGAIN)
+    path = folder / "visemes.safetensors"
+    try:
+        data = path.read_bytes()
+    except OSError:
+        raise InputError(path, "cannot be read", _AGAIN) from None
+    # The hash is of the bytes that are read here, so that other weights never pass for the shipped ones.
+    hashes: Any = record.get("sha256")
+    expected = hashes.get(path.name) if isinstance(hashes, dict) else None
+    if hashlib.sha256(data).hexdigest() != expected or record.get("visemes") != list(VISEMES):
+        raise InputError(path, "is not the file that its record describes", _AGAIN)
+    weights: Weights = load(data)
+    if weights["enter.weight"].shape != (HIDDEN, STACKED):
+        raise InputError(path, f"has weights of shape {weights['enter.weight'].shape}", _AGAIN)
+    return weights
 
 
 @lru_cache(maxsize=2)
@@ -141,10 +160,10 @@ def _sigmoid(x: NDArray[np.float32]) -> NDArray[np.float32]:
 class Lips:
     """The mouth of an utterance: sound in, weights of visemes out."""
 
-    def __init__(self, start: float = 0.0) -> None:
+    def __init__(self, start: float = 0.0, weights: Weights | None = None) -> None:
         """start: media time of the first sample, seconds."""
         self.start = start
-        self._features, self._step = LipFeatures(), VisemeStepper(load_weights())
+        self._features, self._step = LipFeatures(), VisemeStepper(load_weights() if weights is None else weights)
         self._gate = _Gate()
         self._curve: list[NDArray[np.float32]] = []
         self._opens: list[float] = []
