@@ -45,7 +45,7 @@ def row_of(minutes: float, suffix: str) -> dict[str, Any]:
         sound, outputs = Path(folder, "speech.flac"), [Path(folder, f"out{one}") for one in suffix.split(",")]
         recording(sound, minutes)
         named = [word for out in outputs for word in ("-o", str(out))]
-        command = [sys.executable, "-c", CHILD, str(sound), *named, "--quiet", "--any-length"]
+        command = [sys.executable, "-c", CHILD, str(sound), *named, "--quiet"]
         done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
         peak, seconds = map(float, done.stdout.split())
         size = sum(out.stat().st_size for out in outputs)

@@ -20,7 +20,7 @@ from data_module.motion import skeletons
 from data_module.motion.kinematics import positions_of
 from data_module.types import Array, Blocks, Motion
 
-__all__ = ["Controls", "Curve", "Levels", "controls_from", "measure"]
+__all__ = ["Controls", "Curve", "Levels", "measure"]
 
 FEATURES = ("height", "speed", "radius")
 """Right hand over the hips (m), mean speed of both hands (m/s), mean horizontal distance of both hands from the
@@ -178,13 +178,6 @@ class Controls:
 
 
 # ------------------------------------------------------------------------------------------ the command line
-
-def controls_from(height: str | None, speed: str | None, radius: str | None, levels: Levels) -> Controls:
-    """The controls from the options --hand-height, --hand-speed and --hand-radius; see `parse`."""
-    given = dict(zip(FEATURES, (height, speed, radius), strict=True))
-    return Controls(**{name: parse(f"--hand-{name}", text, name, levels)
-                       for name, text in given.items() if text is not None})
-
 
 def parse(flag: str, text: str, feature: str, levels: Levels) -> float:
     """The target of a feature from "low", "mid" or "high", or a number in its unit. `InputError` names the flag. A

@@ -152,10 +152,8 @@ class Store:
     def load(self, name: str, joints: int = len(JOINTS)) -> Recording:
         """Read one recording: its motion on the character at the corpus's own rate. joints: in which of its sizes
         (`skeletons.CHARACTERS`); those that the store lacks are at rest and `absent`."""
-        for info in self.recordings:
-            if info.name == name:
-                break
-        else:
+        info = next((info for info in self.recordings if info.name == name), None)
+        if info is None:
             raise InputError(name, f"is not in the store {self.path}", f"it holds {len(self.recordings)} recordings")
         sound, arrays = _files(self.path, name)
         for file, wanted in zip((sound, arrays), self._hashes[name], strict=True):

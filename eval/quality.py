@@ -44,7 +44,7 @@ def tables(arguments: argparse.Namespace) -> Sequence[Table]:
         interpreters["lstm with text"] = bundle.interpreter_text
     interpreters |= {
         "previous lexeme and speaker": Bigram.fitted(context.corpus, context.labels, bundle.config.lexicon.size),
-        "statistical": bundle.statistical(), "majority": Majority(bundle)}
+        "statistical": bundle.interpreter_named("statistical"), "majority": Majority(bundle)}
     return [lexicon_table(context), accuracy_table(context, interpreters)]
 
 

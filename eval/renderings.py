@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from data_module.speech import audio
 from data_module.store import Store
 from data_module.types import Array, Motion, Speech
+from eval.baselines import controls
 from eval.clip.excerpts import excerpt
 from eval.metrics.eye import VoiceActivity, hear
 from eval.metrics.eye.pitch import pitch_track
@@ -111,10 +112,12 @@ class BundleSystem:
         blocks = performance.blocks
         return Rendering(performance.motion, blocks.edges, blocks.silent, performance.lexemes, self.gesticulator.drawn)
 
-    def perform(self, voice: AcceptanceVoice, seed: int, **options: Any) -> Performance:
-        """The same as a performance."""
+    def perform(self, voice: AcceptanceVoice, seed: int, rolled: bool = False, **options: Any) -> Performance:
+        """The same as a performance. rolled: the sound comes `controls.ROLLED` blocks late, on the same blocks: the
+        control of everything that is in time."""
         speech = audio.resample(voice.speech, audio.SAMPLE_RATE)
         # A voice is rendered with several seeds in a row; the features of all voices would fill the memory.
         if self._last is None or self._last[0] is not voice:
             self._last = voice, self.gesticulator.encode_speech(speech)
-        return self.gesticulator(speech, encoded=self._last[1], seed=seed, speaker=self.speaker, **options)
+        encoded = controls.rolled(self._last[1]) if rolled else self._last[1]
+        return self.gesticulator(speech, encoded=encoded, seed=seed, speaker=self.speaker, **options)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from gesticulator.version import __version__, check
+from gesticulator.version import __version__
 
 if TYPE_CHECKING:
     from data_module.controls import Controls, Curve
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from gesticulator.gesticulator import Gesticulator
     from gesticulator.options import InferenceOptions
     from gesticulator.performance import Performance
-
-check()
 
 __all__ = ["Controls", "Curve", "Gesticulator", "InferenceOptions", "InputError", "Motion", "Performance", "Speech",
            "Word", "__version__", "load_speech"]
@@ -36,7 +34,3 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_HOMES[name]), name)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)

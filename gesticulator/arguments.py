@@ -14,14 +14,14 @@ from data_module.errors import InputError
 from data_module.settings import field_docs, whole_number
 from gesticulator.cli import PROGRAM
 from gesticulator.export.clip import NAME, ClipLayout, check_clip_outputs, parse_keys
-from gesticulator.export.writers import ELSEWHERE, WRITERS, check_output, suffix_of
+from gesticulator.export.writers import WRITERS, check_output, suffix_of
 from gesticulator.jobs import CharacterRequest, Job, RunSettings, is_folder, jobs_for
 from gesticulator.options import RANGES, InferenceOptions, OptionFlag
 from gesticulator.version import __version__
 from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
-    from gesticulator.plan.plan import GestureCue, GesturePlan
+    from gesticulator.plan.plan import GestureCue
 
 FORMAT = "bvh"
 """The format written to a folder if --format is not given."""
@@ -36,14 +36,11 @@ def number(name: str) -> Callable[[str], float]:
 
 def _seconds(text: str) -> tuple[float, float]:
     """A range of seconds such as 3.2-5.0."""
-    begin, mark, stop = text.partition("-")
+    begin, _, stop = text.partition("-")
     try:
-        first, last = float(begin), float(stop)
+        return float(begin), float(stop)
     except ValueError:
-        mark, first, last = "", 0.0, 0.0
-    if not mark or not 0 <= first < last < float("inf"):
-        raise InputError(f"--hold-still {text[:40]}", "is not a range of seconds", "write it as 3.2-5.0")
-    return first, last
+        raise InputError(f"--hold-still {text[:40]}", "is not a range of seconds", "write it as 3.2-5.0") from None
 
 
 def _cue(text: str) -> GestureCue:
@@ -81,7 +78,6 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
     audio.add_argument("--text", metavar="FILE", help="transcript, in which cue phrases choose gestures with a meaning "
                        "(--meaning): plain text, TextGrid, SRT, VTT, TSV or JSON with word times; or a folder of "
                        "transcripts named like the recordings")
-    audio.add_argument("--any-length", action="store_true", help="accept recordings longer than an hour")
     # The help of an option is its docstring, so that both say the same.
     docs = field_docs(InferenceOptions)
     for field in fields(InferenceOptions):
@@ -146,8 +142,8 @@ def infer_arguments(p: argparse.ArgumentParser) -> None:
     """Add the arguments of `gesticulator infer`."""
     p.usage = f"{p.prog} SPEECH [SPEECH ...] -o FILE [options]"
     p.add_argument("speech", nargs="*", metavar="SPEECH",
-                   help="audio files (WAV, FLAC, OGG, MP3; M4A, MP4, WebM and other video with PyAV; 0.3 s to one "
-                   "hour), folders of them, patterns such as '*.wav', or - for standard input")
+                   help="audio files (WAV, FLAC, OGG, MP3; M4A, MP4, WebM and other video with PyAV; 0.3 s or "
+                   "longer), folders of them, or - for standard input")
     out = p.add_argument_group(
         "output (at least one is required)", "A path that ends in / or is a folder receives one file per recording, "
         "named\nafter it; any other path is the file itself. Missing folders are created.")
@@ -189,34 +185,28 @@ def run_settings_of(args: argparse.Namespace) -> RunSettings:
 def settings_of(args: argparse.Namespace, upper: bool = False) -> Job:
     """A job without recording and files, with the settings of all jobs of a command: the arguments of
     `performance_arguments`. upper: only the upper body is written. `InputError` for options that exclude each other."""
+    # Two sources of words could contradict each other.
     if args.transcribe is not None and args.text is not None:
         raise InputError("--transcribe", "hears words, and --text gives them", "leave one of them out")
     values = {field.name: getattr(args, field.name) for field in fields(InferenceOptions) if "flag" in field.metadata}
     # argparse collects repeated options in lists; options are frozen and hashed.
     values.update({name: tuple(value) for name, value in values.items() if isinstance(value, list)})
-    options = InferenceOptions(**{**values, "plan": _plan_of(args)})
+    if args.plan is not None:
+        from gesticulator.plan.plan_file import read_plan
+
+        values["plan"] = read_plan(args.plan)
+    options = InferenceOptions(**values)
     if options.cues and options.face != "full":
         from gesticulator.plan.gestures import EXPRESSIONS
 
         # Without a face the cue would have no effect, which no message would tell.
         if any(cue.gesture in EXPRESSIONS for cue in options.cues):
             raise InputError("--cue", "names an expression of the face", "add --face full, or leave it out")
-    return Job(None, options=options, character=_character_of(args, upper), any_length=args.any_length)
-
-
-def _plan_of(args: argparse.Namespace) -> GesturePlan | None:
-    if args.plan is None:
-        return None
-    from gesticulator.plan.plan_file import read_plan
-
-    return read_plan(args.plan)
+    return Job(None, options=options, character=_character_of(args, upper))
 
 
 def _character_of(args: argparse.Namespace, upper: bool) -> CharacterRequest | None:
     if args.character is None:
-        for name in ("mapping", "save_mapping"):
-            if getattr(args, name) is not None:
-                raise InputError(f"--{name.replace('_', '-')}", "is about a character", "name one with --character")
         return None
     return CharacterRequest(args.character, args.mapping, args.save_mapping, not args.no_contacts,
                             not (args.seated or upper))
@@ -239,8 +229,7 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
         if args.text is not None and not args.retime:
             raise InputError("--text", "is already in the plan", "leave it out")
     like = settings_of(args, clip is not None and clip.bare)
-    return [replace(job, options=like.options, clip=clip, character=like.character,
-                    any_length=like.any_length) for job in jobs]
+    return [replace(job, options=like.options, clip=clip, character=like.character) for job in jobs]
 
 
 def _clip_of(args: argparse.Namespace) -> ClipLayout | None:
@@ -268,10 +257,7 @@ def _output_files(args: argparse.Namespace) -> dict[str, str]:
 def _suffix_of(name: str, chosen: str | None) -> str:
     """The suffix of an output; chosen: the value of --format."""
     if is_folder(name):
-        suffix = "." + (chosen or FORMAT).lower().lstrip(".")
-        # A format of two parts may be named by its first: g1 for .g1.csv.
-        longer = (known for known in (*WRITERS, *ELSEWHERE) if known.startswith(f"{suffix}."))
-        return suffix if suffix in WRITERS else next(longer, suffix)
+        return "." + (chosen or FORMAT).lower().lstrip(".")
     if chosen is not None:
         raise InputError("--format", f"is for folders, and {name} is a file", "leave it out")
     return suffix_of(name) or f".{FORMAT}"

@@ -23,7 +23,7 @@ from data_module.settings import whole_number
 from gesticulator.bundle.files import INDEX, bundle_folder, read_index
 from gesticulator.cli import PROGRAM
 from gesticulator.jobs import Job, RunSettings, file_hash
-from gesticulator.manifest import SUFFIX, ManifestRow, check_manifest, opened_manifest
+from gesticulator.manifest import SUFFIX, ManifestRow, opened_manifest
 from gesticulator.version import __version__
 
 Doing: TypeAlias = "Callable[[str], float]"
@@ -32,8 +32,6 @@ Maker: TypeAlias = "Callable[[], Doing]"
 """Loads the models. It is called once in each worker and must be picklable."""
 Processing: TypeAlias = "Callable[[Sequence[ManifestRow]], Iterator[ManifestRow]]"
 """Processes the recordings of rows, and gives back the rows with what came of it, in any order."""
-READERS = 8
-"""Threads that read and hash recordings: a shared folder is slow to answer, but answers many at a time."""
 _MOST_SHARDS = 10**9
 _BYTES_PER_SECOND = 16_000
 """Assumed for files whose header lacks a duration, such as MP3 at 128 kbit/s; affects only how work is divided."""
@@ -66,6 +64,7 @@ def sharded(rows: Sequence[ManifestRow], shard: int, count: int) -> list[Manifes
     loads = [(0.0, index) for index in range(1, count + 1)]
     chosen = []
     # By name, not by path: the folder may lie elsewhere on another machine.
+    # Longest first: at the end no worker does a long one while the others wait.
     for row in sorted(rows, key=lambda row: (-row.seconds, Path(row.input).name)):
         load, index = heapq.heappop(loads)
         # Recordings of unknown duration still take some time, so they are spread too.
@@ -103,10 +102,10 @@ def run_jobs(jobs: Sequence[Job], settings: RunSettings, processing: Processing)
     # Beside the outputs, so that a folder of results is self-contained.
     name = f"manifest{'' if count == 1 else f'.{index}-of-{count}'}{SUFFIX}"
     path = Path(settings.manifest or jobs[0].targets[0].parent / name)
-    check_manifest(path)
     folder = bundle_folder(settings.bundle)
     # A broken bundle is refused before recordings are hashed, which may take minutes.
     read_index(folder)
+    # The index holds the hashes of all files of the bundle, so its own stands for them.
     made_by = file_hash(folder / INDEX)
     # The number of threads decides the last bits of the output.
     digests = [hashlib.sha256(f"{job.digest} {settings.threads}".encode()).hexdigest() for job in jobs]
@@ -119,14 +118,11 @@ def run_batch(rows: Sequence[ManifestRow], path: Path, processing: Processing, s
               quiet: bool = False) -> tuple[int, int]:
     """Process the recordings of rows that are missing or changed, and add the rows to the manifest at `path`; returns
     (number done, recordings in the shard)."""
-    from concurrent.futures import ThreadPoolExecutor
-
     from tqdm import tqdm
 
-    with ThreadPoolExecutor(READERS, thread_name_prefix="reader") as readers, opened_manifest(path) as manifest:
-        chosen = sharded([replace(row, seconds=seconds)
-                          for row, seconds in zip(rows, readers.map(estimated_seconds, rows), strict=True)], *shard)
-        chosen = list(readers.map(_hashed, chosen))
+    with opened_manifest(path) as manifest:
+        chosen = sharded([replace(row, seconds=estimated_seconds(row)) for row in rows], *shard)
+        chosen = [_hashed(row) for row in chosen]
         waiting = [row for row in chosen if not row.is_done_by(manifest.rows.get(row.input))]
         # A killed run or worker may have left partially written files. Only files of this shard: another machine may be
         # writing its own into the same folder.

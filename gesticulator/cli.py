@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import argparse
 import difflib
-import logging
+import io
 import os
 import sys
-import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import NoReturn
 
 from data_module.errors import InputError, complain, one_line_errors
@@ -25,11 +23,8 @@ from data_module.registry import Registry, RegistryEntry
 __all__ = ["Command", "main"]
 
 PROGRAM = "gesticulator"
-LOG_LEVELS = {"error": logging.ERROR, "warning": logging.WARNING, "info": logging.INFO, "debug": logging.DEBUG}
 DEFAULT = "infer"
 """The verb used if the first word is not a verb: `gesticulator speech.wav -o gesture.bvh`."""
-ELSEWHERE = {"submission": "gesticulator-extra"}
-"""Verb -> the distribution that adds it, for the message where that is not installed."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -69,8 +64,6 @@ class Command:
         parser = Parser(program, description=self.summary, epilog=epilog, allow_abbrev=False,
                         formatter_class=argparse.RawDescriptionHelpFormatter)
         self.arguments(parser)
-        parser.add_argument("--log-level", choices=tuple(LOG_LEVELS), default="info",
-                            help="error: no warnings; debug: tracebacks of errors too (default info)")
         return parser
 
     def main(self, program: str, argv: Sequence[str] | None = None) -> int:
@@ -78,37 +71,17 @@ class Command:
         # Before anything is printed, also where a verb is run without the program.
         steady_streams()
         with one_line_errors(PROGRAM):
-            arguments = self.parser(program).parse_args(argv)
-            # Warnings of the product go through this logger's level, see `_say_warning`.
-            logging.getLogger("gesticulator").setLevel(LOG_LEVELS[arguments.log_level])
-            try:
-                code = self.run(arguments)
-            except (InputError, OSError):
-                if arguments.log_level == "debug":
-                    traceback.print_exc()
-                raise
+            # Parsed within: errors of arguments are one line, too.
+            code = self.run(self.parser(program).parse_args(argv))
             sys.stdout.flush()  # raise errors of a full disk or a closed pipe here
             return code
 
 
 def steady_streams() -> None:
-    """Make sure that printing never fails.
-
-    Characters that the terminal's encoding lacks, and bytes of file names that are not valid text, are printed as
-    escapes. A closed standard stream is replaced by the null device; otherwise the next opened file would take its
-    number and receive the output of libraries.
-    """
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this one
-    for name in ("stdout", "stderr"):
-        stream = getattr(sys, name)
-        if stream is None:
-            nowhere = Path(os.devnull).open("w", encoding="utf-8", errors="backslashreplace")  # noqa: SIM115
-            setattr(sys, name, nowhere)
-        elif hasattr(stream, "reconfigure"):
+    """Make sure that printing never fails: characters that the terminal's encoding lacks, and bytes of file names that
+    are not valid text, are printed as escapes."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
@@ -125,8 +98,6 @@ def our_warnings() -> Iterator[None]:
 
 
 def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
-    if not logging.getLogger("gesticulator").isEnabledFor(logging.WARNING):
-        return
     complain(f"{PROGRAM}: warning: {' '.join(str(message).split())}")
 
 
@@ -157,27 +128,14 @@ def verbs() -> list[str]:
     return sorted(VERBS, key=lambda name: (name != DEFAULT, name))
 
 
-def usage(known: Mapping[str, Command], program: str = PROGRAM) -> str:
-    """The usage of a program with its verbs, one per line."""
-    width = max(map(len, known), default=0)
+def usage(known: Mapping[str, Command]) -> str:
+    """The usage of the program with its verbs, one per line."""
+    width, program = max(map(len, known), default=0), PROGRAM
     lines = "\n".join(f"  {name:<{width}}  {command.summary}" for name, command in known.items())
-    text = f"usage: {program} VERB ...      ({program} VERB --help describes each)\n"
-    if DEFAULT in known:
-        text += f"       {program} SPEECH -o FILE  is short for  {program} {DEFAULT} SPEECH -o FILE\n"
-        lines += f"\n\nFor a recording named like a verb, include its folder: ./{DEFAULT}"
-    return f"{text}\n{lines}\n\n{program} --version prints the version\n"
-
-
-def _usable() -> dict[str, Command]:
-    """The commands that can be loaded; an error line is printed for each of the others."""
-    # A broken third-party package must not make the help of the others unusable.
-    known = {}
-    for name in verbs():
-        try:
-            known[name] = VERBS.load(name)
-        except InputError as error:
-            complain(f"{PROGRAM}: {error}")
-    return known
+    return (f"usage: {program} VERB ...      ({program} VERB --help describes each)\n"
+            f"       {program} SPEECH -o FILE  is short for  {program} {DEFAULT} SPEECH -o FILE\n\n{lines}\n\n"
+            f"For a recording named like a verb, include its folder: ./{DEFAULT}\n\n"
+            f"{program} --version prints the version\n")
 
 
 def _check_is_no_verb(word: str, known: Sequence[str]) -> None:
@@ -185,9 +143,6 @@ def _check_is_no_verb(word: str, known: Sequence[str]) -> None:
     # A word with a dot, a slash or a wildcard is a path, even if nothing is there.
     plain = word and not word.startswith("-") and not set(word) & set("./\\*?[")
     if plain and not os.path.lexists(word):
-        if word in ELSEWHERE:
-            raise InputError(word, f"is a verb of {ELSEWHERE[word]}, which is not installed",
-                             f"pip install {ELSEWHERE[word]}")
         near = difflib.get_close_matches(word, known, 1)
         raise InputError(word, "is neither a verb nor a file", (f"did you mean {near[0]}? " if near else "")
                          + f"verbs are {', '.join(known)}")
@@ -204,15 +159,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     with one_line_errors(PROGRAM):
         if not arguments or arguments[0] in ("-h", "--help"):
-            print(usage(_usable()), end="", flush=True)
+            # A broken third-party package must not make the help of the others unusable.
+            usable = VERBS.usable()
+            print(usage({name: VERBS.load(name) for name in verbs() if name in usable}), end="", flush=True)
             return 0 if arguments else 2
         # What is no verb is the first argument of the default one.
         verb, program = DEFAULT, f"{PROGRAM} {DEFAULT}"
         if arguments[0] in VERBS:
             verb = arguments.pop(0)
             program = f"{PROGRAM} {verb}"
-        elif DEFAULT not in VERBS:
-            raise InputError(PROGRAM, "is not installed with its commands", "install it with pip install .")
         else:
             _check_is_no_verb(arguments[0], verbs())
         command: Command = VERBS.load(verb)

@@ -25,7 +25,7 @@ from gesticulator.performance import Performance
 from gesticulator.plan.plan import sound_hash
 from gesticulator.sampling import loop
 from gesticulator.sampling.cutter import BlockCutter, encode_speech
-from gesticulator.sampling.loop import BlockMotion, GeneratedMotion, OnBlock, Request, Setup, controls_at
+from gesticulator.sampling.loop import BlockMotion, GeneratedMotion, Request, Setup, controls_at
 from gesticulator.setup import SetupResolver
 
 if TYPE_CHECKING:
@@ -66,16 +66,6 @@ class Gesticulator:
         return cls(load_bundle(bundle_folder(path), device))
 
     @property
-    def speakers(self) -> tuple[str, ...]:
-        """Names of the performers in the training data; each has a gesture style of its own."""
-        return self.bundle.speakers
-
-    @property
-    def interpreters(self) -> tuple[str, ...]:
-        """Names of the bundle's lexeme interpreters; the first is the default."""
-        return self.bundle.interpreters
-
-    @property
     def reads_text(self) -> bool:
         """True when the bundle has an interpreter that reads the words."""
         return "interpreter_text" in self.bundle.parts
@@ -98,14 +88,14 @@ class Gesticulator:
     # ------------------------------------------------------------------------------------------------- recordings
 
     def __call__(self, speech: SpeechInput, sample_rate: float | None = None, *, text: Text | None = None,
-                 encoded: SpeechFeatures | None = None, on_block: OnBlock | None = None, **options: Any) -> Performance:
+                 encoded: SpeechFeatures | None = None, **options: Any) -> Performance:
         """Gesture for a recording.
 
         speech: the path of a sound file, samples [n] or [n, channels] with their `sample_rate` in hertz, or a `Speech`,
         with or without words. text: the spoken text as a `str`, or the path of a transcript (plain text, TextGrid, SRT,
         VTT, JSON). Without words the audio-only models are used (RG 6.3). encoded: the result of `encode_speech` for
-        this speech, to avoid encoding it again. on_block(done, total) is called after each block. options: the fields
-        of `InferenceOptions`. `InputError` for unusable input.
+        this speech, to avoid encoding it again. options: the fields of `InferenceOptions`. `InputError` for unusable
+        input.
 
         >>> g = Gesticulator.from_pretrained()
         >>> g("speech.wav", text="Hello there", hand_height="low", seed=3).save("gesture.bvh")
@@ -117,8 +107,8 @@ class Gesticulator:
         recording = as_speech(speech, sample_rate)
         name = Path(speech).name if isinstance(speech, str | os.PathLike) else ""
         if checked.plan is not None:
-            performance = self._of_plan(recording, checked, text, on_block)
-            return performance.labelled(name, performance.notes)
+            performance = self._of_plan(recording, checked, text)
+            return performance.labelled(name, performance.decided.notes)
         recording, note = self._with_words(_prepared(recording, checked), text, checked.transcribe)
         # The words are in the speech from here on, and in the plan.
         checked = replace(checked, transcribe=None)
@@ -126,7 +116,7 @@ class Gesticulator:
             from gesticulator.directing.cues import without_mismatches
 
             checked = without_mismatches(checked, recording.words or ())
-        performance = self._generate(recording, checked, encoded, on_block)
+        performance = self._generate(recording, checked, encoded)
         return performance.labelled(name, () if note is None else (note,))
 
     def encode_speech(self, speech: Speech, blocks: Blocks | None = None, cutters: list[BlockCutter] | None = None
@@ -160,19 +150,19 @@ class Gesticulator:
         from data_module.text.transcript import as_transcript, with_transcript
 
         if text is not None:
-            with_words, timing = with_transcript(speech, as_transcript(text, speech))
-            return with_words, timing.note
-        from data_module.text.transcription import transcribed
+            transcript = as_transcript(text, speech)
+        else:
+            from data_module.text.transcription import transcribed
 
-        assert model is not None
-        transcript = transcribed(speech, model)
-        if transcript is None:
-            return speech, "no words heard"
+            assert model is not None
+            heard = transcribed(speech, model)
+            if heard is None:
+                return speech, "no words heard"
+            transcript = heard
         with_words, timing = with_transcript(speech, transcript)
-        return with_words, timing.note.replace("times given", "heard with their times", 1)
+        return with_words, timing.note
 
-    def _generate(self, speech: Speech, options: InferenceOptions, encoded: SpeechFeatures | None,
-                  on_block: OnBlock | None) -> Performance:
+    def _generate(self, speech: Speech, options: InferenceOptions, encoded: SpeechFeatures | None) -> Performance:
         """A first generation, for speech at 16 kHz with its words."""
         # Marks in the text ([shrug]) become cues; the words themselves are read without them.
         if any(word.marks for word in speech.words or ()):
@@ -190,8 +180,6 @@ class Gesticulator:
             blocks.append(block)
             if self.keeps_generations:
                 states.append(state)
-            if on_block is not None:
-                on_block(len(blocks), len(encoded))
         generated = GeneratedMotion(encoded.blocks, blocks, self.bundle.system.motion_of(self.bundle, setup, blocks))
         performance = self.assemble(Assembler(self.bundle, speech, options, setup), generated)
         if not self.keeps_generations:
@@ -221,8 +209,7 @@ class Gesticulator:
 
     # ------------------------------------------------------------------------------------------------------ plans
 
-    def _of_plan(self, speech: Speech, options: InferenceOptions, text: Text | None, on_block: OnBlock | None
-                 ) -> Performance:
+    def _of_plan(self, speech: Speech, options: InferenceOptions, text: Text | None) -> Performance:
         """The performance of the plan of the options, which is first moved onto this sound if they say so."""
         from gesticulator.directing import directions as directing
 
@@ -238,12 +225,12 @@ class Gesticulator:
             options = replace(options, plan=moved.plan, retime=False)
         options = directing.planned(options)
         assert options.plan is not None
-        performance = self.render(directing.with_planned_words(_prepared(speech, options), options.plan), options,
-                                  on_block=on_block)
-        return replace(performance, retiming=retiming).labelled("", (retiming,) if retiming else performance.notes)
+        performance = self.render(directing.with_planned_words(_prepared(speech, options), options.plan), options)
+        return replace(performance, retiming=retiming).labelled(
+            "", (retiming,) if retiming else performance.decided.notes)
 
-    def render(self, speech: Speech, options: InferenceOptions, renderer: PlanRenderer | None = None,
-               on_block: OnBlock | None = None) -> Performance:
+    def render(self, speech: Speech, options: InferenceOptions, renderer: PlanRenderer | None = None
+               ) -> Performance:
         """Render the plan of the options (as returned by `directing.planned`) for a speech at 16 kHz.
 
         renderer: the `plan_renderer` of the same first generation; then only edited blocks are generated.
@@ -251,9 +238,10 @@ class Gesticulator:
         from gesticulator.directing.directions import check_plan_of
 
         assert options.plan is not None
+        # Lexemes are numbers in one lexicon, and times belong to one sound.
         check_plan_of(self.bundle, options.plan, sound_hash(speech))
         renderer = renderer or self.plan_renderer(speech, options)
-        performance = self.assemble(self.assembler(speech, options), renderer.render(options.plan, on_block))
+        performance = self.assemble(self.assembler(speech, options), renderer.render(options.plan))
         return replace(performance, generation=renderer.generation()) if self.keeps_generations else performance
 
     def plan_renderer(self, speech: Speech, options: InferenceOptions, generation: Generation | None = None
@@ -271,7 +259,7 @@ class Gesticulator:
                             partial(self.encode_speech, speech), plan, generation)
 
     def retimed(self, plan: GesturePlan, speech: SpeechInput, sample_rate: float | None = None, *,
-                text: Text | None = None, on_block: OnBlock | None = None) -> Retimed:
+                text: Text | None = None) -> Retimed:
         """A plan on another export of its sound, and a report of what was kept, moved, decided anew and lost
         (`gesticulator.editing.retiming`).
 
@@ -295,7 +283,7 @@ class Gesticulator:
             return draft
         renderer = self.plan_renderer(directing.with_planned_words(recording, draft.plan),
                                       directing.planned(InferenceOptions(plan=draft.plan)))
-        return replace(draft, plan=named(retiming.decided(draft.plan, renderer.generation(on_block).blocks),
+        return replace(draft, plan=named(retiming.decided(draft.plan, renderer.generation().blocks),
                                          self.lexeme_names()))
 
     # ---------------------------------------------------------------------------------------------------- streams
@@ -311,6 +299,7 @@ class Gesticulator:
         checked = InferenceOptions(**options)
         if checked.transcribe is not None:
             raise InputError("transcribe", "is not for streams", "give the words by add_words")
+        # After the options: what is wrong with them is said at once.
         self.warm(text)
         return self._stream(sample_rate, latency, text, checked)
 
@@ -322,15 +311,12 @@ class Gesticulator:
         self._warm.add(text)
         # Noise with the level of speech: silence would never reach the generator.
         noise = np.random.default_rng(0).normal(0, 0.05, _WARM_SECONDS * SAMPLE_RATE).astype(np.float32)
-        try:
-            # Each latency takes another way through the cutter, and a stream may change between them.
-            for latency in ("full", "low"):
-                stream = self._stream(SAMPLE_RATE, latency, text, InferenceOptions())
-                stream.feed(noise)
-                stream.idle(0.5)
-                stream.finish()
-        except InputError:  # a bundle that cannot stream says so when a stream is opened
-            self._warm.discard(text)
+        # Each latency takes another way through the cutter, and a stream may change between them.
+        for latency in ("full", "low"):
+            stream = self._stream(SAMPLE_RATE, latency, text, InferenceOptions())
+            stream.feed(noise)
+            stream.idle(0.5)
+            stream.finish()
 
     def _stream(self, sample_rate: float, latency: str, text: bool, checked: InferenceOptions) -> Stream:
         from gesticulator.stream import Stream

@@ -22,6 +22,7 @@ EXIT_PART_FAILED = 1
 def run(args: argparse.Namespace) -> int:
     """Process all recordings; exit code 0, 1 if some failed, 2 if none succeeded."""
     jobs, settings = jobs_of(args), run_settings_of(args)
+    # Warnings of libraries mean nothing to a user of the command.
     with our_warnings():
         if settings.is_batch:
             done, total = _run_batch(jobs, settings)
@@ -34,7 +35,7 @@ def _run_all(jobs: Sequence[Job], settings: RunSettings) -> int:
     """Process recordings and print a summary of each; the number of those that succeeded."""
     if len(jobs) == 1:
         check_job(jobs[0])  # before the models are loaded
-    worker, done = _worker(jobs, settings, settings.quiet), 0
+    worker, done = _worker(jobs, settings), 0
     for job in jobs:
         try:
             with limited_threads(settings.threads):
@@ -56,13 +57,13 @@ def _run_all(jobs: Sequence[Job], settings: RunSettings) -> int:
     return done
 
 
-def _worker(jobs: Sequence[Job], settings: RunSettings, quiet: bool) -> Worker:
+def _worker(jobs: Sequence[Job], settings: RunSettings) -> Worker:
     """Load the character and the models, and check that these can follow the options."""
     from gesticulator.gesticulator import Gesticulator
 
     options, retargeter = jobs[0].options, retargeter_for(jobs[0].character, settings.quiet)
     with limited_threads(settings.threads):
-        worker = Worker(Gesticulator.from_pretrained(settings.bundle), retargeter, quiet)
+        worker = Worker(Gesticulator.from_pretrained(settings.bundle), retargeter)
         # A wrong option is the error of the command, not of each recording.
         if options.plan is None:
             worker.gesticulator.resolver.setup(options, text=False)
@@ -87,8 +88,8 @@ def _run_batch(jobs: Sequence[Job], settings: RunSettings) -> tuple[int, int]:
 def _process(jobs: Sequence[Job], settings: RunSettings) -> Callable[[str], float]:
     """Load the models; returns a function that processes the recording at a path and returns its duration in
     seconds."""
-    # In a batch the bar of the whole batch is shown, not one for each recording.
-    worker, by_path = _worker(jobs, settings, quiet=True), {str(job.source): job for job in jobs}
+    # By path and not by number: a row of the manifest knows its recording by it.
+    worker, by_path = _worker(jobs, settings), {str(job.source): job for job in jobs}
 
     def process(path: str) -> float:
         with limited_threads(settings.threads):
@@ -103,13 +104,8 @@ COMMAND = Command(
     examples=(
         "infer speech.wav -o gesture.bvh --preview gesture.html",
         "infer speech.wav -o gesture.bvh --text speech.txt",
-        "infer speech.wav -o gesture.bvh --transcribe tiny.en",
-        "infer speech.wav -o gesture.glb -o gesture.vrma -o gesture.mp4",
-        "infer recordings/ -o out/ --format fbx",
-        "infer speech.wav --character rig.glb -o talk.glb",
         "infer silence.wav --character rig.glb -o idle.glb --loop --clip-name idle",
         "infer speech.wav -o gesture.bvh --hand-height low --hand-speed 0.3 --activity 0.6",
-        "infer speech.wav -o gesture.bvh --plan-out plan.json --energy calm",
         "infer speech.wav -o again.bvh --plan plan.json --intensity 1.3",
         "infer speech2.wav -o gesture.bvh --plan plan.json --retime --plan-out plan2.json",
         "infer speech.wav -o gesture.bvh --text speech.txt --cue bread=wave --hold-still 3.2-5.0",

@@ -7,13 +7,11 @@ error of one recording is stored in its `Job`.
 
 from __future__ import annotations
 
-import glob
 import hashlib
 import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from pathlib import Path
@@ -59,8 +57,7 @@ class Job:
 
     source: its file; None is standard input. targets: the output files. text: its transcript, if any. options: of the
     performance. clip: how files for animation tools are laid out; None: by default. character: None for the default
-    skeleton. any_length: whether it may last longer than an hour. fault: why it cannot be processed, if that is already
-    known.
+    skeleton. fault: why it cannot be processed, if that is already known.
     """
 
     source: Path | None
@@ -69,7 +66,6 @@ class Job:
     options: InferenceOptions = field(default_factory=InferenceOptions)
     clip: ClipLayout | None = None
     character: CharacterRequest | None = None
-    any_length: bool = False
     fault: InputError | None = None
 
     @property
@@ -83,7 +79,7 @@ class Job:
         file that a setting names counts by its content, so that a moved folder changes nothing."""
         # A digest instead of the values: rows of a manifest stay short, and hold no paths.
         parts = [(entry.name, _content(getattr(self, entry.name))) for entry in fields(self)
-                 if entry.name not in ("source", "targets", "any_length", "fault")]
+                 if entry.name not in ("source", "targets", "fault")]
         return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
@@ -111,15 +107,13 @@ def _content(value: Any) -> object:
     if isinstance(value, InferenceOptions | CharacterRequest):
         return [(entry.name, _content(getattr(value, entry.name))) for entry in fields(value)]
     if isinstance(value, str | os.PathLike) and Path(value).is_file():
-        # Time and size in the key of the cache: a changed file is hashed again.
-        status = Path(value).stat()
-        return _cached_hash(Path(value), status.st_mtime_ns, status.st_size)
+        return _cached_hash(Path(value))
     return value
 
 
 @lru_cache(maxsize=64)
-def _cached_hash(path: Path, _modified: int, _size: int) -> str:
-    """A character of many megabytes is read once for all recordings, unless it changes."""
+def _cached_hash(path: Path) -> str:
+    """A character of many megabytes is read once for all recordings."""
     return file_hash(path)
 
 
@@ -130,7 +124,7 @@ def file_hash(path: Path) -> str:
 
 
 def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None = None) -> list[Job]:
-    """The jobs of a command. names: files, folders, patterns, or "-". outputs: suffix (".bvh") -> the file or folder
+    """The jobs of a command. names: files, folders, or "-". outputs: suffix (".bvh") -> the file or folder
     to write to. text: a transcript, or a folder of transcripts named like the recordings.
 
     A path that ends in a slash, or that is a folder, means a folder; anything else is a file. `InputError` for an
@@ -141,7 +135,10 @@ def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None 
     if not outputs:
         raise InputError("output", "is missing", "name a file or a folder with -o")
     for suffix, given in outputs.items():
-        _check_output(given, suffix, len(sources))
+        if not is_folder(given) and len(sources) > 1:
+            raise InputError(given, f"is one file for {len(sources)} recordings", f"name a folder: {given}/")
+        if not is_folder(given) and suffix_of(given) != suffix:
+            raise InputError(given, f"does not end in {suffix}", f"name it so, or {given}/ for a folder")
     if text is not None:
         _check_text(text, len(sources))
     # Two recordings of one name in different folders would overwrite each other's output.
@@ -171,8 +168,7 @@ def is_folder(given: str) -> bool:
 
 
 def _sources(names: Sequence[str]) -> list[Path | None]:
-    """All named recordings without repeats, in the order of the command; contents of folders and patterns are
-    sorted."""
+    """All named recordings without repeats, in the order of the command; contents of folders are sorted."""
     from data_module.speech.audio import SOUNDS
 
     unique: dict[Path | None, Path | None] = {}
@@ -187,30 +183,11 @@ def _sources(names: Sequence[str]) -> list[Path | None]:
                             if file.suffix.lower() in SOUNDS and not file.name.startswith(".") and file.is_file())
             if not inside:
                 raise InputError(path, "is a folder without sound files", f"give one with {', '.join(SOUNDS)}")
-        elif set(name) & set("*?[") and not os.path.lexists(name):
-            # A shell passes a quoted pattern on unexpanded, and Windows never expands patterns.
-            matches = glob.glob(name, recursive=True)  # noqa: PTH207 - Path.glob refuses absolute patterns
-            inside = sorted(Path(match) for match in matches if Path(match).is_file())
-            if not inside:
-                raise InputError(name, "matches no file", "check the pattern")
         else:
             inside = [path]
         # The first name that a recording was given under stays, so messages show what was typed.
         unique.update({file.resolve(): file for file in inside if file.resolve() not in unique})
     return list(unique.values())
-
-
-def _check_output(given: str, suffix: str, count: int) -> None:
-    if is_folder(given):
-        return
-    ending = suffix_of(given)
-    # The advice names the path that was most likely meant.
-    stem = given[:-len(ending)] if ending else given
-    if count > 1:
-        raise InputError(given, f"is one file for {count} recordings", f"name a folder: {stem}/")
-    if ending != suffix:
-        raise InputError(given, f"does not end in {suffix}", f"name it {stem or 'gesture'}{suffix}, or {given}/ for a "
-                         "folder")
 
 
 def _check_text(given: str, count: int) -> None:
@@ -252,7 +229,7 @@ def check_job(job: Job) -> None:
     if job.fault is not None:
         raise job.fault
     if job.source is not None:
-        check_file(job.source, job.any_length)
+        check_file(job.source, any_length=True)
     elif sys.stdin is None or sys.stdin.isatty():
         raise InputError("standard input", "is closed" if sys.stdin is None else "is a terminal",
                          f"pipe a recording into {PROGRAM}, or name a file")
@@ -282,12 +259,10 @@ def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> R
 
 @dataclass(frozen=True)
 class Worker:
-    """What the jobs of a command are processed with. retargeter: None for the default skeleton; quiet: show no progress
-    bar."""
+    """What the jobs of a command are processed with. retargeter: None for the default skeleton."""
 
     gesticulator: Gesticulator
     retargeter: Retargeter | None = None
-    quiet: bool = False
 
     def perform(self, job: Job) -> tuple[float, str]:
         """Process one recording: read it, generate its gestures and write the files. Returns seconds of sound, and the
@@ -298,30 +273,22 @@ class Worker:
         begin = time.perf_counter()
         performance = self._laid_out(job, self.performed(job, speech))
         factor = (time.perf_counter() - begin) / speech.duration
+        # Files appear whole, so what is there after an error can be used.
         written = [performance.save(target) for target in job.targets]
         pages = [f"open {page} in a browser to watch it" for page in written if page.suffix.lower() == ".html"]
         lexemes = performance.lexemes.tolist()
         line = (f"{job.name}: {speech.duration:.1f} s, {len(lexemes) - 1} beats, {len(set(lexemes))} of "
                 f"{len(self.gesticulator.bundle.vectors)} lexemes, real-time factor {factor:.3f} -> "
                 f"{printable(', '.join(map(str, written)))}")
-        return speech.duration, "\n  ".join([line, *performance.notes, *pages])
+        return speech.duration, "\n  ".join([line, *performance.decided.notes, *pages])
 
     def performed(self, job: Job, speech: Speech) -> Performance:
-        """The performance of a recording, on the default skeleton, with a progress bar on the terminal; with legs, too,
-        where the character stands."""
-        from tqdm import tqdm
-
+        """The performance of a recording, on the default skeleton; with legs, too, where the character stands."""
         # Legs cost time, so they are generated only where something shows them.
         stands = self.retargeter is not None and self.retargeter.mapping.legs and self.retargeter.legs
         options: dict[str, Any] = {**vars(job.options), "legs": job.options.legs or stands}
-        with closing(tqdm(desc=job.name, unit=" blocks", leave=False,
-                          disable=self.quiet or not sys.stderr.isatty())) as bar:
-            def on_block(done: int, total: int) -> None:
-                bar.total = total
-                bar.update()
-
-            performance = self.gesticulator(speech, text=job.text, on_block=on_block, **options)
-        return performance.labelled(job.name, performance.notes)
+        performance = self.gesticulator(speech, text=job.text, **options)
+        return performance.labelled(job.name, performance.decided.notes)
 
     def _laid_out(self, job: Job, performance: Performance) -> Performance:
         """The performance as the clip of the job, on the character."""
@@ -334,7 +301,7 @@ def load(job: Job) -> Speech:
     """The recording; warns if it is too quiet even after the requested gain."""
     from data_module.speech.audio import amplified, level_note, load_speech
 
-    speech = load_speech(job.source or sys.stdin.buffer, job.any_length)
+    speech = load_speech(job.source or sys.stdin.buffer, any_length=True)
     note = level_note(amplified(speech, job.options.gain))
     if note is not None:
         complain(f"{PROGRAM}: warning: {job.name}: {note}")

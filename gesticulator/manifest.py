@@ -80,6 +80,7 @@ def read_manifest(path: Path) -> dict[str, ManifestRow]:
 
 def _row(path: Path, line: bytes) -> ManifestRow:
     try:
+        # Names of files that are not valid text come as unpaired surrogates, which JSON itself forbids.
         entry = parse_json(line, "a row", "", python=True)
         row = from_dict(ManifestRow, entry if isinstance(entry, Mapping) else {})
         check(row)
@@ -108,6 +109,7 @@ def opened_manifest(path: Path) -> Iterator[Manifest]:
     """A manifest, new or with the rows of earlier runs; `InputError` if another process writes it."""
     check_manifest(path)
     path.parent.mkdir(parents=True, exist_ok=True)
+    # Two batches with one manifest would overwrite each other's rows.
     with lock(path, "a batch", beside=True):
         rows = read_manifest(path) if path.exists() else {}
         # Written anew, because rows must not be appended to an incomplete line.

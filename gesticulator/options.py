@@ -6,11 +6,12 @@ Nothing heavy is imported, so that the command line checks its arguments before 
 from __future__ import annotations
 
 import math
+import numbers
 import os
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from data_module.errors import InputError
+from data_module.errors import InputError, shown
 from gesticulator.plan.plan import ENERGIES, PlanKnobs, shapes
 
 if TYPE_CHECKING:
@@ -45,20 +46,17 @@ class Range:
             # Python reads 0_4 as 4, which is more likely a typo here.
             number = math.nan if "_" in text else int(text) if self.whole else float(text)
         except ValueError:
-            raise self._not_a_number(f"{name} {text[:40]}") from None
-        return self.check(name, number)
+            number = math.nan
+        return self.check(name, number, text)
 
-    def check(self, name: str, number: float) -> float:
-        """Return the number; `InputError` with the option's name if it is not a number or out of range."""
-        if isinstance(number, bool) or not hasattr(number, "__index__" if self.whole else "__float__"):
-            raise self._not_a_number(f"{name} {number!r}")
-        if not self.low <= number <= self.high:  # also NaN
-            text = f"{number:g}" if not abs(number) > 1e300 or number in (math.inf, -math.inf) else "of that size"
-            raise InputError(f"{name} {text}", "is out of range", f"choose {self.advice}")
+    def check(self, name: str, number: float, text: object = None) -> float:
+        """Return the number; `InputError` with the option's name if it is not a number or out of range. text: as it
+        was given, if not as a number."""
+        kind = numbers.Integral if self.whole else numbers.Real
+        if isinstance(number, bool) or not isinstance(number, kind) or not self.low <= number <= self.high:  # also NaN
+            raise InputError(f"{name} {shown(number if text is None else text)}",
+                             f"is not a {'whole ' * self.whole}number in range", f"choose {self.advice}")
         return number
-
-    def _not_a_number(self, argument: str) -> InputError:
-        return InputError(argument, f"is not a {'whole ' if self.whole else ''}number", f"choose {self.advice}")
 
 
 RANGES = {
@@ -116,7 +114,7 @@ class InferenceOptions:
     """Performer whose gesture style to use (gesticulator bundle inspect lists them). It has nothing to do with the
     voice."""
     interpreter: str | LexemeInterpreter | None = _option(None, "NAME")
-    """The model that chooses the lexemes. A name of `Gesticulator.interpreters` ("lstm", "cql", "advantage",
+    """The model that chooses the lexemes. A name of the bundle's `interpreters` ("lstm", "cql", "advantage",
     "statistical") or an object (`interpreters.base.LexemeInterpreter`)."""
     seed: int = _option(0, "N")
     """The same seed gives the same bytes, with the same bundle and speech."""

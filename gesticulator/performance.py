@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["Performance"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Performance:
     """Gesture for one recording: the speech, its gesture plan, and the motion.
 
@@ -52,7 +52,7 @@ class Performance:
     """Returns the names of the lexemes."""
     retiming: str | None = None
     """What became of a plan that was moved onto this sound (`InferenceOptions.retime`)."""
-    generation: Generation | None = field(default=None, repr=False, compare=False)
+    generation: Generation | None = field(default=None, compare=False)
     """The first generation, from which edits start (`Gesticulator.keeps_generations`)."""
     character: CharacterMotion | None = None
     """The same motion on a user's character, written to .bvh, .glb, .fbx, .usda, .usdc and .csv."""
@@ -64,57 +64,17 @@ class Performance:
     """Returns the speaker's resting pose, a motion of one frame."""
 
     @property
-    def best(self) -> NDArray[np.int64]:
-        """[N, M] the best lexemes of each block, best first. The one that was played may be another: it may have been
-        sampled, or set by a cue or an edit."""
-        return self._alternatives("lexeme", int)
-
-    @property
     def scores(self) -> NDArray[np.float64]:
-        """[N, M] the interpreter's scores of `best`, falling along M."""
-        return self._alternatives("score", float)
-
-    @property
-    def score_is(self) -> str:
-        """The kind of `scores`: "log-probability" (natural logarithm), or "Q value", by which RACER's Q-network ranks
-        lexemes. A Q value is not an expected return: the conservative loss lowers it where data are sparse (RACER
-        Eq. 11)."""
-        return self.decided.score_is
-
-    @property
-    def gate(self) -> NDArray[np.float64]:
-        """[N] the gate's probability of a gesture, NaN without a gate."""
+        """[N, M] the interpreter's scores of the best lexemes of each block, falling along M."""
         import numpy as np
 
-        return np.array([np.nan if block.gate is None else block.gate for block in self.decided.blocks])
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Remarks for the user, a line each."""
-        return self.decided.notes
-
-    @property
-    def sound_name(self) -> str:
-        """The name of the sound file; empty for samples."""
-        return self.decided.sound.name
+        return np.array([[choice.score for choice in block.alternatives] for block in self.decided.blocks])
 
     def labelled(self, sound_name: str, notes: tuple[str, ...] = ()) -> Performance:
         """The performance with the name of its sound file and with remarks for the user."""
         # A file name may contain bytes that are not valid UTF-8.
         name = sound_name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
         return replace(self, decided=replace(self.decided, notes=notes, sound=replace(self.decided.sound, name=name)))
-
-    def _alternatives(self, member: str, kind: type) -> NDArray[Any]:
-        import numpy as np
-
-        rows = [[getattr(choice, member) for choice in block.alternatives] for block in self.decided.blocks]
-        return np.array(rows, dtype=kind)
-
-    def __repr__(self) -> str:
-        by = ", ".join(name for name in (self.decided.speaker, self.decided.interpreter) if name)
-        return (f"<Performance of {self.sound_name or 'samples'}: {self.duration:.1f} s, {len(self.blocks)} blocks, "
-                f"{len(self.motion)} frames of {len(self.joints)} joints at {self.fps:g} fps"
-                + (f", by {by}>" if by else ">"))
 
     @property
     def duration(self) -> float:
@@ -167,9 +127,8 @@ class Performance:
                      None if self.face is None else self.face.fitted(len(motion)))
 
     def as_clip(self, clip: ClipLayout) -> Performance:
-        """The performance laid out as a clip for animation tools: looped, of the upper body alone. Do it
-        before `on`; ValueError after. `InputError` if the motion is too short for a loop, or if there is no resting
-        pose for an additive clip."""
+        """The performance laid out as a clip for animation tools: looped, of the upper body alone. Do it before `on`;
+        ValueError after. `InputError` if the motion is too short for a loop."""
         if self.character is not None and clip.changes_motion:
             raise ValueError("make the clip first, then transfer it to a character")
         motion = self.motion
@@ -181,20 +140,14 @@ class Performance:
                 from gesticulator.body.clips import looped
 
                 motion = looped(motion)
-        made = replace(self, motion=motion, clip=clip)
-        if clip.additive:
-            made._rest_of(motion)
-        return made
+        return replace(self, motion=motion, clip=clip)
 
     def _rest_of(self, motion: Motion) -> Motion:
         """The resting pose on the skeleton of a motion, of the upper body alone."""
-        from data_module.errors import InputError
         from data_module.motion.skeletons import resized
         from gesticulator.body.clips import upper_alone
 
-        if self.rest is None:
-            raise InputError("--layer additive", "needs a resting pose, which these weights lack",
-                             "use a bundle whose motion is in rotations")
+        assert self.rest is not None
         rest = upper_alone(resized(self.rest(), motion.skeleton))
         return replace(rest, root_positions=motion.root_positions[:1])
 

@@ -48,6 +48,7 @@ def done_on_ray(given: str, make: Maker, rows: Sequence[ManifestRow]) -> Iterato
     try:
         if connected:
             _connect(ray, given)
+        # One processor for a task, because the models use one thread.
         task = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_do)
         workers = int(ray.cluster_resources().get("CPU", 1))
         # In a list, Ray does not fetch it for every task: the maker holds all jobs.
@@ -73,6 +74,7 @@ def _connect(ray: Any, given: str) -> None:
     where: dict[str, Any] = {"address": given}
     if given.startswith(_LOCAL):
         where = {"address": "local", "num_cpus": int(given[len(_LOCAL):]), "include_dashboard": False}
+    # Workers must not print into the terminal of the command.
     ray.init(**where, log_to_driver=False, logging_level="ERROR",
              runtime_env={"env_vars": {**environment, "OMP_NUM_THREADS": "1"}})
 
@@ -81,6 +83,7 @@ def _do(maker: list[Any], row: ManifestRow) -> ManifestRow | str:
     """In a worker: process a recording; returns the error message if the models cannot be loaded here."""
     import ray
 
+    # A worker process may outlive a batch: another one has other settings.
     key = maker[0].hex()
     if key not in _LOADED:
         try:

@@ -17,7 +17,7 @@ from gesticulator.plan.plan import ENERGIES, PlanMeaning
 from gesticulator.sampling.loop import Setup
 from gesticulator.version import __version__
 from interpreters import INTERPRETERS
-from interpreters.base import LexemeInterpreter, as_interpreter
+from interpreters.base import as_interpreter
 
 
 class InterpreterWarning(UserWarning):
@@ -25,12 +25,10 @@ class InterpreterWarning(UserWarning):
 
 
 class SetupResolver:
-    """Resolves options for one bundle. It remembers interpreter objects, so that their plans can be rendered again."""
+    """Resolves options for one bundle."""
 
     def __init__(self, bundle: Bundle) -> None:
         self._bundle = bundle
-        self._objects: dict[str, LexemeInterpreter] = {}
-        self._warned = set[str]()
 
     def speaker(self, name: str | None) -> int:
         """The index of a performer, or of the default one for None; `InputError` lists the known names."""
@@ -51,20 +49,21 @@ class SetupResolver:
         bundle, defaults = self._bundle, self._bundle.config.selection
         activity = (defaults.activity if options.activity is None else options.activity) * ENERGIES[options.energy][1]
         # With rest by phrases (silence.rest=life) activity works without a gate, which would only rank the phrases.
-        if 0 < activity < 1 and "gate" not in bundle.parts and not bundle.rests_by_phrase:
+        if 0 < activity < 1 and "gate" not in bundle.parts and not bundle.config.rests_by_phrase:
             raise InputError(f"activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")
         if options.variation and not bundle.system.VARIES:
             raise InputError(f"variation {options.variation}", "needs a generator that samples, and this bundle's is "
                              "deterministic", "leave it out, or choose another seed")
-        interpreter = as_interpreter(self._interpreter(options, text))
+        chosen = options.interpreter or bundle.interpreters[0]
+        # An object may have `start` and `step` alone, and gets defaults for the rest.
+        interpreter = as_interpreter(bundle.interpreter_named(chosen, text) if isinstance(chosen, str) else chosen)
         # Interpreters of other packages have no figures of ours, so there is nothing to warn of.
         known = INTERPRETERS.get(interpreter.name)
-        if known is not None and known.doubt and interpreter.name not in self._warned:
-            self._warned.add(interpreter.name)
+        if known is not None and known.doubt:
             warnings.warn(InterpreterWarning(known.doubt), stacklevel=2)
         temperature = options.temperature
-        if temperature is None:
-            temperature = None if known is None else known.temperature
+        if temperature is None and known is not None:
+            temperature = known.temperature
         if temperature is None:
             # Q values and log-probabilities have different scales, so each has a default of its own.
             temperature = defaults.q_temperature if interpreter.gives_values else defaults.temperature
@@ -73,19 +72,6 @@ class SetupResolver:
         return Setup(interpreter, self.speaker(options.speaker), temperature, int(options.seed), activity,
                      hand_controls(bundle, options), int(options.variation), interpreter.beta, text)
 
-    def _interpreter(self, options: InferenceOptions, text: bool) -> LexemeInterpreter:
-        """The interpreter object of the options, or the one of their name: the bundle's, or an object used before."""
-        chosen = options.interpreter or self._bundle.interpreters[0]
-        if not isinstance(chosen, str):
-            # A plan stores the name alone; the object is needed again where a block is edited.
-            self._objects[interpreter_name(chosen)] = chosen
-            return chosen
-        if chosen in self._bundle.interpreters or options.plan is None:
-            return self._bundle.interpreter_named(chosen, text)
-        if chosen not in self._objects:
-            raise options.plan.error(("interpreter",), f"is {shown(chosen)}, which is not in the bundle",
-                                     "pass the object that the plan was made with: interpreter=...")
-        return self._objects[chosen]
 
 
 def hand_controls(bundle: Bundle, options: InferenceOptions) -> Controls:
@@ -106,7 +92,7 @@ def hand_controls(bundle: Bundle, options: InferenceOptions) -> Controls:
             return value
         # The same parser as on the command line, so a level and a number mean the same.
         text = value if isinstance(value, str) else repr(float(value))
-        return parse(f"hand_{feature}", text, feature, levels)
+        return parse(f"--hand-{feature}", text, feature, levels)
 
     return Controls(**{name: number(name, hand) for name, hand in zip(FEATURES, options.hands, strict=True)})
 

@@ -109,7 +109,7 @@ class Stream:
                  sample_rate: float = SAMPLE_RATE) -> None:
         """setup: the performer; options: frame rate, gain, seed, legs, knobs and cues; cutter: makes the cutter of an
         utterance, whose blocks begin at `start` seconds."""
-        if not bundle.rests_by_phrase:
+        if not bundle.config.rests_by_phrase:
             raise InputError("the bundle", "cannot rest without speech",
                              "use one with a lexicon of blocks and silence.rest=life")
         self._bundle, self._setup, self._new_cutter = bundle, setup, cutter
@@ -125,9 +125,14 @@ class Stream:
             raise InputError("plan", "needs a whole recording", "render it without a stream")
         self._director: Director | None = None
         self._marks: StreamMarks | None = None
-        self._meanings = self._meaning_track(options)
+        self._meanings: MeaningTrack | None = None
         shaping: Callable[[Array, Array], Array] | None = None
         # Imported where it is needed: a plain stream starts faster without it.
+        named = representation_of(bundle.config).name == "rotations"
+        if self._text and named:
+            from gesticulator.directing.meanings import track_of
+
+            self._meanings = track_of(options)
         if options.shaped or options.directed or self._meanings is not None:
             from gesticulator.directing.directions import Director
             from gesticulator.directing.shaping import Shaping
@@ -138,7 +143,7 @@ class Stream:
             from gesticulator.directing.marks import StreamMarks
             from gesticulator.directing.shaping import with_gestures
 
-            self._marks = StreamMarks(representation_of(bundle.config).name == "rotations")
+            self._marks = StreamMarks(named)
             shaping = shaping or (lambda poses, times: with_gestures(
                 poses, times, self._meant(float(times[-1])), options.seed or 0) if len(times) else poses)
         self._path = MotionPath(bundle, setup.speaker, options, shaping=shaping)
@@ -146,7 +151,10 @@ class Stream:
         self._turns = HeadTurns(int(options.seed), joints)
         self._face = _face_of(options)
         self._scale = bundle.statistics.present.numpy() / bundle.statistics.deviation
-        self._state, self._finished, self._hurried = StreamState.IDLE, False, False
+        self._state, self._finished = StreamState.IDLE, False
+        self.hurried = False
+        """Whether blocks are generated at lower cost: one candidate, few steps, no guidance. Set it when generation
+        falls behind; a stream that was never hurried gives the frames of a file."""
         self._begun = self._committed = 0.0  # media time at which the utterance begins, and of the last knot
         self._past_blocks = 0
         rest = bundle.rest_feature(setup.speaker).cpu().numpy().astype(np.float32).reshape(1, -1)
@@ -182,15 +190,12 @@ class Stream:
 
     @property
     def look_ahead(self) -> float:
-        """Seconds of sound after a frame that are needed at most before the frame is final."""
-        return self.look_ahead_at(self.latency)
-
-    def look_ahead_at(self, latency: str) -> float:
-        """`look_ahead` with another latency, "full" or "low"."""
+        """Seconds of sound after a frame that are needed at most before the frame is final; it depends on
+        `latency`."""
         beats = self._bundle.config.rhythm.beats
         # From a beat to where the next beat is certain, and from there to where the pauses of the block after it are.
         certain = beats.d_max + beats.d_min + onsets.LOOK_AHEAD
-        if latency != "low":
+        if not self._path.prompt:
             known = beats.d_max + silence.LOOK_AHEAD + silence.STEP * silence.FRAME
             # A block is generated once the next one is known; its last knot is certain with the knot after that.
             certain = beats.d_max + max(certain, known) + beats.d_max / self._bundle.frames
@@ -209,16 +214,13 @@ class Stream:
 
     @history.setter
     def history(self, seconds: float) -> None:
-        if not 0 < seconds <= LONGEST_HISTORY:
-            raise InputError(f"history {seconds:g} s", "is out of range", f"give up to {LONGEST_HISTORY:g}")
-        self._path.history = float(seconds)
+        self._path.history = min(float(seconds), LONGEST_HISTORY)
 
     @property
     def latency(self) -> str:
         """Look-ahead of the blocks: "full", or "low", with which a block is generated without the one after it. It may
-        be set between two calls: frames follow each other without a gap or a jump. The frames after a change to "full"
-        come when as much sound is known as it needs, so none comes for `look_ahead_at("full") - look_ahead_at("low")`
-        seconds of sound."""
+        be set between two calls: frames follow each other without a gap or a jump. After a change to "full" none comes
+        for as many seconds of sound as `look_ahead` grows by."""
         return "low" if self._path.prompt else "full"
 
     @latency.setter
@@ -228,16 +230,6 @@ class Stream:
         self._path.prompt = latency == "low"
         if self._cutter is not None:
             self._cutter.low = self._path.prompt
-
-    @property
-    def hurried(self) -> bool:
-        """Whether blocks are generated at lower cost: one candidate, few steps, no guidance. Set it when generation
-        falls behind; a stream that was never hurried gives the frames of a file."""
-        return self._hurried
-
-    @hurried.setter
-    def hurried(self, on: bool) -> None:
-        self._hurried = on
 
     # ------------------------------------------------------------------------------------------------------- input
 
@@ -255,6 +247,7 @@ class Stream:
                 yield self._frames(first, part)
                 first = self._path.next
         finally:
+            # A caller may stop early: closing sets media time to the frames that were returned.
             parts.close()
 
     def feed(self, samples: NDArray[Any]) -> StreamFrames:
@@ -309,8 +302,7 @@ class Stream:
         replaced by the returned ones, from number `first` on. None replaces no frame. Sound that was fed for later
         times is forgotten. `InputError` for a time in the future or longer ago than `history`.
         """
-        parts = list(self.steps("interrupt", at))
-        return self._joined(parts[0].first, parts)
+        return self._at_once("interrupt", at)
 
     def finish(self) -> StreamFrames:
         """End the stream and return its last frames. `InputError` if nothing was ever fed."""
@@ -318,31 +310,21 @@ class Stream:
 
     # --------------------------------------------------------------------------------------------------- internals
 
-    def _meaning_track(self, options: InferenceOptions) -> MeaningTrack | None:
-        """The gestures that the words call for; None in a stream without words."""
-        if not self._text or representation_of(self._bundle.config).name != "rotations":
-            return None
-        from gesticulator.directing.meanings import track_of
-
-        return track_of(options)
-
     def _meant(self, until: float) -> list[TimedCue]:
         """The gestures of words and of marks that begin up to a time."""
         return [*(() if self._meanings is None else self._meanings.cues(until)),
                 *(() if self._marks is None else self._marks.cues())]
 
     def _at_once(self, call: StreamCall, *arguments: Any) -> StreamFrames:
+        """All steps of a call as one."""
         self._check_open()
-        first = self._path.next
-        return self._joined(first, list(self.steps(call, *arguments)))
-
-    def _joined(self, first: int, parts: Sequence[StreamFrames]) -> StreamFrames:
-        """All parts of a call as one."""
-        joints, faces = len(self.skeleton), [part.face for part in parts if part.face is not None]
+        first, joints = self._path.next, len(self.skeleton)
+        parts = list(self.steps(call, *arguments))
+        faces = [part.face for part in parts if part.face is not None]
         if faces:
             from gesticulator.face.motion import joined
         return StreamFrames(
-            first, self.fps, self.skeleton,
+            parts[0].first if parts else first, self.fps, self.skeleton,
             np.concatenate([np.zeros((0, joints, 4)), *(part.rotations for part in parts)]),
             np.concatenate([np.zeros((0, 3)), *(part.root_positions for part in parts)]),
             tuple(block for part in parts for block in part.blocks), joined(faces) if faces else None)
@@ -382,6 +364,7 @@ class Stream:
 
     def _feed(self, samples: NDArray[Any]) -> _Parts:
         sound = self._sound.take(samples)
+        # No samples are no speech: they only ask for frames that are due.
         if len(samples):
             self._speak()
             if self._face is not None:
@@ -452,6 +435,7 @@ class Stream:
 
     def _end_utterance(self) -> _Parts:
         """Generate the rest of the utterance, and set media time to its end."""
+        # Without sound there is no utterance to end.
         if self._sound.seconds == 0 or self._cutter is None:
             return
         cutter, sound = self._cutter, self._sound.finish()
@@ -488,6 +472,7 @@ class Stream:
 
     def _advance(self, until: float) -> _Parts:
         """Generate idle motion until all frames before `until` seconds are final."""
+        # A little less, because a whole number of frames must not become one more by rounding.
         count, frames = math.ceil(until * self.fps - 1e-6), self._bundle.frames
         none = np.zeros((0, self._shown[-1][1].shape[1]), np.float32)
         waiting = self._path.push(np.zeros(0), none, count)
@@ -512,7 +497,7 @@ class Stream:
             request = Request(speech, control) if self._director is None else self._director.request(
                 speech, times, control)
             generated, self._performance = loop.step(self._bundle, self._setup, self._performance,
-                                                     replace(request, fast=self._hurried))
+                                                     replace(request, fast=self.hurried))
             self._past_blocks += 1
             yield self._show(times, generated.motion), generated.block
 

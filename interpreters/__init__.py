@@ -14,9 +14,6 @@ from typing import Any
 
 from data_module.registry import Registry, RegistryEntry
 
-__part_of__ = "gesticulator"
-"""Lets `gesticulator.version` distinguish this package from another of the same name."""
-
 
 @dataclass(frozen=True)
 class InterpreterEntry(RegistryEntry):
@@ -32,7 +29,7 @@ class InterpreterEntry(RegistryEntry):
     module and class of the weights, if not the interpreter itself: it has `build(settings, sizes)`. file: names of the
     files of the part and the text part without suffix, by default the names of the parts. tied: the weights fit one
     codebook only. temperature: its default temperature, if it is not that of the bundle. doubt: the warning with which
-    it plays; empty for none.
+    it plays, if it is no better than another by our figures; empty for none.
     """
 
     part: str = ""

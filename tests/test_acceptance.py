@@ -594,9 +594,9 @@ def test_every_group_is_judged(standing: tuple[Path, Path], tmp_path: Path, monk
     assert by_name["interpreter cql runs"]["holds"] is False and "not in the bundle" in by_name[
         "interpreter cql runs"]["reason"]
     assert by_name["hand controls are accepted"]["holds"] is False
-    assert list(groups[0].columns) == ["value", "bound", "holds", "reason", "statistical", "speakers"]
+    assert list(groups[0].columns) == ["value", "bound", "holds", "reason", "statistical", "sound rolled", "speakers"]
     speeds = groups[0].rows["median hand speed, test split"]
-    assert len({speeds[column] for column in ("value", "statistical", "speakers")}) == 3
+    assert len({speeds[column] for column in ("value", "statistical", "sound rolled", "speakers")}) == 4
 
 
 @pytest.mark.parametrize(("more", "told"), [

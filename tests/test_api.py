@@ -50,7 +50,7 @@ def same(one: Performance, two: Performance) -> bool:
 def test_the_top_has_every_name_and_imports_nothing_for_it() -> None:
     code = ("import sys, gesticulator\n"
             "assert not {'torch', 'numpy', 'librosa'} & set(sys.modules)\n"
-            "for name in gesticulator.__all__: assert getattr(gesticulator, name) and name in dir(gesticulator)\n"
+            "for name in gesticulator.__all__: assert getattr(gesticulator, name)\n"
             "assert gesticulator.Speech.__name__ == 'Speech' and gesticulator.Motion.__name__ == 'Motion'\n"
             "try: gesticulator.nothing\nexcept AttributeError as error: assert 'nothing' in str(error)\n"
             "else: raise SystemExit('no error')")
@@ -89,7 +89,7 @@ def test_a_str_is_what_is_said_and_a_path_is_a_file(g: Gesticulator, tmp_path: P
     spoken = "тяжёлый хлеб медленно поднимается"  # the aligner knows English alone, so the times are guessed
     (tmp_path / "words.txt").write_text(spoken, encoding="utf-8")
     said, read = g(voice(), RATE, text=spoken), g(voice(), RATE, text=tmp_path / "words.txt")
-    assert same(said, read) and said.notes == read.notes and "4 words" in said.notes[0]
+    assert same(said, read) and said.decided.notes == read.decided.notes and "4 words" in said.decided.notes[0]
     assert [word.text for word in said.speech.words or () if word.text] == spoken.split()
     assert not same(said, g(voice(), RATE))
     for name in (str(tmp_path / "words.txt"), "nowhere.srt"):
@@ -103,14 +103,14 @@ def test_a_str_is_what_is_said_and_a_path_is_a_file(g: Gesticulator, tmp_path: P
 # ----------------------------------------------------------------------------------------------------- options
 
 @pytest.mark.parametrize(("options", "said"), [
-    ({"seed": -1}, "seed -1: is out of range"), ({"seed": 1.5}, "seed 1.5"), ({"seed": None}, "seed None"),
+    ({"seed": -1}, "seed -1: is not a whole number in range"), ({"seed": 1.5}, "seed 1.5"),
+    ({"seed": None}, "seed None"),
     ({"seed": True}, "seed True"), ({"temperature": float("nan")}, "temperature nan"),
-    ({"temperature": float("inf")}, "temperature inf"), ({"temperature": "warm"}, "temperature 'warm'"),
+    ({"temperature": float("inf")}, "temperature inf"), ({"temperature": "warm"}, "temperature warm"),
     ({"fps": float("nan")}, "fps nan"), ({"fps": 0}, "fps 0"), ({"fps": None}, "fps None"),
     ({"activity": 1.5}, "activity 1.5"), ({"gain": 100}, "gain 100"), ({"speaker": "nobody"}, "speaker nobody"),
-    ({"interpreter": "oracle"}, "interpreter oracle"), ({"hand_height": "sky"}, "hand_height 'sky'"),
-    ({"hand_speed": -1.0}, "hand_speed -1.0"), ({"hand_height": float("nan")}, "hand_height nan"),
-    ({"hand_radius": Path("nowhere.csv")}, "nowhere.csv"),
+    ({"interpreter": "oracle"}, "interpreter oracle"), ({"hand_height": "sky"}, "--hand-height 'sky'"),
+    ({"hand_speed": -1.0}, "--hand-speed -1.0"), ({"hand_height": float("nan")}, "--hand-height nan"),
     ({"hand_height": 0.1, "controls": Controls()}, "one or the other"),
 ])
 def test_options_out_of_range_are_input_errors(options: dict[str, Any], said: str, g: Gesticulator) -> None:
@@ -118,14 +118,12 @@ def test_options_out_of_range_are_input_errors(options: dict[str, Any], said: st
         g(voice(), RATE, **options)
 
 
-def test_hands_are_arguments_in_every_form(g: Gesticulator, tmp_path: Path) -> None:
+def test_hands_are_arguments_in_every_form(g: Gesticulator) -> None:
     levels = g.bundle.levels
     assert levels is not None
     high = levels.value("height", "high")
-    (tmp_path / "curve.csv").write_text(f"time,value\n0,{high}\n1,{high}\n")
     base = g(voice(), RATE, controls=Controls(height=high))
-    for asked in ("high", high, repr(high), Curve((0.0, 1.0), (high, high)), tmp_path / "curve.csv",
-                  np.float64(high)):
+    for asked in ("high", high, repr(high), Curve((0.0, 1.0), (high, high)), np.float64(high)):
         assert same(g(voice(), RATE, hand_height=asked), base), asked
     assert not same(g(voice(), RATE), base)
     two = g(voice(), RATE, hand_height="high", hand_speed=0.8)
@@ -140,13 +138,6 @@ def test_gain_is_decibels() -> None:
 
 
 # ----------------------------------------------------------------------------------------------------- devices
-
-@pytest.mark.parametrize("device", ["nonsense", "cuda:99", *([] if torch.cuda.is_available() else ["cuda"])])
-def test_a_device_that_is_not_there_is_one_line(device: str) -> None:
-    with pytest.raises(InputError, match=f"device {device}") as refused:
-        Gesticulator.from_pretrained(device=device)
-    assert "\n" not in str(refused.value)
-
 
 @pytest.mark.parametrize("interpreter", ["lstm", "cql", "statistical"])
 def test_every_tensor_is_made_on_the_models_device(g: Gesticulator, interpreter: str) -> None:
@@ -174,7 +165,7 @@ def test_the_explanation_says_what_was_done(g: Gesticulator) -> None:
              interpreter="cql", text="тяжёлый хлеб")
     told = json.loads(json.dumps(made.explain()))
     levels = g.bundle.levels
-    assert levels is not None and told["score_is"] == "Q value" and told["notes"] == list(made.notes)
+    assert levels is not None and told["score_is"] == "Q value" and told["notes"] == list(made.decided.notes)
     assert told["made_by"]["gesticulator"] == gesticulator.__version__
     assert told["made_by"]["settings"] == {
         "words": True, "fps": 25.0, "gain": 0.0,

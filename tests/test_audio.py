@@ -175,7 +175,7 @@ def hours_of_flac(folder: Path, hours: float, told: bool) -> Path:
 @pytest.mark.parametrize("told", [True, False])
 def test_more_than_an_hour_is_refused_by_its_header_or_while_it_is_read(tmp_path: Path, told: bool) -> None:
     path = hours_of_flac(tmp_path, 4.0, told)
-    refused(path, "longer than 1 hour", "--any-length", *(["4 hours"] if told else []))
+    refused(path, "longer than 1 hour", "any_length", *(["4 hours"] if told else []))
     if told:
         with pytest.raises(InputError, match="4 hours"):
             check_file(path)

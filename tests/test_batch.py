@@ -31,25 +31,14 @@ def test_a_folder_is_its_sound_files_sorted_and_not_those_below(folder: Path) ->
     assert sources("talks") == sources("talks/") == ["talks/A.flac", "talks/b.wav", "talks/c.MP3"]
 
 
-def test_patterns_are_expanded_where_the_shell_did_not(folder: Path) -> None:
-    assert sources("talks/*.wav") == ["talks/b.wav"]
-    assert sources("talks/[Ab].*") == ["talks/A.flac", "talks/b.wav"]
-    assert sources("talks/**/d.wav") == ["talks/more/d.wav"]
-    # A file may be called like a pattern.
-    (folder / "x[1].wav").write_bytes(b"sound")
-    assert sources("talks/x[1].wav") == ["talks/x[1].wav"]
-
-
 def test_a_recording_that_is_named_twice_is_done_once(folder: Path) -> None:
     assert sources("talks/b.wav", "talks", str(folder / "b.wav")) == ["talks/b.wav", "talks/A.flac", "talks/c.MP3"]
 
 
-@pytest.mark.parametrize(("names", "said"), [(["talks/more/none*.wav"], "matches no file"),
-                                             (["empty"], "without sound files")])
-def test_nothing_found_is_told(names: list[str], said: str, folder: Path) -> None:
+def test_an_empty_folder_is_refused(folder: Path) -> None:
     (folder.parent / "empty").mkdir()
-    with pytest.raises(InputError, match=said):
-        jobs_for(names, {".bvh": "out/"})
+    with pytest.raises(InputError, match="without sound files"):
+        jobs_for(["empty"], {".bvh": "out/"})
 
 
 def targets(output: str, *names: str) -> list[str]:
@@ -61,17 +50,15 @@ def test_a_slash_or_a_folder_means_a_folder_and_anything_else_a_file(folder: Pat
     assert targets("talks") == [str(Path("talks", "b.bvh"))]
     assert targets("new/deep/x.bvh") == [str(Path("new", "deep", "x.bvh"))]
     assert targets("x.BVH") == ["x.BVH"]
-    for wrong, advice in (("new", "new.bvh, or new/"), ("x.fbx", "x.bvh"), ("a.b/x", "a.b/x.bvh")):
-        with pytest.raises(InputError, match=r"does not end in \.bvh") as refused:
+    for wrong in ("new", "x.fbx", "a.b/x"):
+        with pytest.raises(InputError, match=r"does not end in \.bvh.*/ for a folder"):
             targets(wrong)
-        assert advice in str(refused.value)
     assert not (folder.parent / "new").exists(), "folders are made when there is something to write"
 
 
 def test_one_file_for_several_recordings_is_refused(folder: Path) -> None:
-    with pytest.raises(InputError, match="one file for 3 recordings") as refused:
+    with pytest.raises(InputError, match="one file for 3 recordings"):
         targets("x.bvh", "talks")
-    assert "x/" in str(refused.value)
 
 
 def test_two_recordings_of_one_name_are_refused(folder: Path) -> None:

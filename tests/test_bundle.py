@@ -21,7 +21,6 @@ from data_module.errors import InputError
 from data_module.types import Speech
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import models
-from gesticulator.bundle.command import BUNDLE, FOUND, lexemes
 from gesticulator.bundle.features import Sizes
 from gesticulator.bundle.files import CARD, read_index
 from gesticulator.bundle.models import part_table
@@ -67,8 +66,8 @@ def same_weights(one: torch.nn.Module, two: torch.nn.Module) -> bool:
 def test_every_part_survives_a_round_trip(whole: Path) -> None:
     made, read = untrained(), bundles.load(whole)
     for name in PARTS:
-        assert same_weights(getattr(made, name), getattr(read, name)), name
-        assert not getattr(read, name).training, name
+        assert same_weights(made.parts[name], read.parts[name]), name
+        assert not read.parts[name].training, name
     assert (read.text, read.config, read.speakers) == (made.text, made.config, made.speakers)
     assert read.silent.tolist() == list(SILENT)
     assert read.levels is not None and made.levels is not None
@@ -89,8 +88,9 @@ def test_what_a_bundle_has_not_is_not_there_after_reading(lacking: tuple[str, ..
         less = dataclasses.replace(less, text=None)
     bundles.save(less, tmp_path / "less", "a card")
     read = bundles.load(tmp_path / "less")
-    for name in (*PARTS, "text"):
-        assert (getattr(read, name) is None) == (name in lacking), name
+    assert (read.text is None) == ("text" in lacking)
+    for name in PARTS:
+        assert (name not in read.parts) == (name in lacking), name
 
 
 def test_a_bundle_replaces_an_older_one_whole(whole: Path, tmp_path: Path) -> None:
@@ -263,43 +263,3 @@ def test_who_judges_a_policy_is_not_shipped_with_it(tmp_path: Path) -> None:
     read = bundles.load(tmp_path / "b")
     assert read.reward is None and read.reward_judge is None and "advantage" in read.parts
     assert not [file for file in read_index(tmp_path / "b")["files"] if "reward" in file]
-
-
-# ---- the silent lexemes
-
-def silent(*arguments: str) -> int:
-    return BUNDLE.main("gesticulator bundle", ["silent", *arguments])
-
-
-def test_silent_lexemes_are_edited_and_nothing_else_changes(whole: Path, tmp_path: Path,
-                                                            capsys: pytest.CaptureFixture[str]) -> None:
-    copy = copy_of(whole, tmp_path)
-    before = json.loads((copy / "bundle.json").read_text())
-    assert silent(str(copy)) == 0 and f"silent: {','.join(map(str, SILENT))} (" in capsys.readouterr().out
-    assert silent(str(copy), "--set", "9, 3,0,3") == 0 and "silent: 0,3,9 (3 of" in capsys.readouterr().out
-    after = json.loads((copy / "bundle.json").read_text())
-    assert (after.pop("silent_lexemes"), after["provenance"].pop(FOUND)) == ([0, 3, 9], before.pop("silent_lexemes"))
-    assert after == before
-    loaded = bundles.load(copy)
-    assert loaded.silent.tolist() == [0, 3, 9]
-    assert all(loaded.rest_lexeme(speaker) in (0, 3, 9) for speaker in range(len(loaded.speakers)))
-
-
-def test_a_shipped_bundle_is_edited_as_a_copy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out, listed = tmp_path / "deep" / "mine", (bundles.SHIPPED / "bundle.json").read_bytes()
-    (tmp_path / "link").symlink_to(bundles.SHIPPED)
-    for folder in ("default", str(tmp_path / "link")):
-        with pytest.raises(SystemExit):
-            silent(folder, "--set", "1")
-        assert "is shipped with the package" in capsys.readouterr().err
-    assert silent("--set", "1,2", "--out", str(out)) == 0
-    assert bundles.load(out).silent.tolist() == [1, 2] and (bundles.SHIPPED / "bundle.json").read_bytes() == listed
-    with pytest.raises(SystemExit):
-        silent("--set", "1", "--out", str(out))
-    assert bundles.load(out).silent.tolist() == [1, 2] and [file.name for file in out.parent.iterdir()] == ["mine"]
-
-
-@pytest.mark.parametrize("text", ["", "one", "-1", "24", "1,24", ",".join(map(str, range(24)))])
-def test_another_list_of_silent_lexemes_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="is not a list of silent lexemes"):
-        lexemes(text, 24)

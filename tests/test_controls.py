@@ -11,13 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data_module.controls import (
-    FEATURES,
     Controls,
     ControlWarning,
     Curve,
     Levels,
     at_knots,
-    controls_from,
     measure,
     parse,
     per_frame,
@@ -186,11 +184,3 @@ def test_what_training_never_saw_is_said_and_used() -> None:
         assert parse("--hand-height", "0.5", "height", levels()) == 0.5
 
 
-def test_every_option_reaches_its_own_feature() -> None:
-    assert controls_from("low", "0.5", "0.25", levels()) == Controls(-0.1, 0.5, 0.25)
-    assert controls_from(None, None, None, levels()) == Controls.free()
-    for index, name in enumerate(FEATURES):
-        texts: list[str | None] = [None, None, None]
-        texts[index] = "rubbish"
-        with pytest.raises(InputError, match=f"--hand-{name}"):
-            controls_from(texts[0], texts[1], texts[2], levels())

@@ -30,20 +30,16 @@ def test_a_normaliser_by_hand() -> None:
     values = np.array([[1.0, 10.0, 7.0], [3.0, 30.0, 7.0]])
     normaliser = Normaliser.fit(values)
     np.testing.assert_allclose(normaliser.apply(values), [[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]])
-    np.testing.assert_allclose(normaliser.invert(np.array([[0.0, 2.0, 0.0]])), [[2.0, 40.0, 7.0]])
 
 
 @given(st.integers(0, 99), st.floats(0.01, 50), st.floats(-100, 100))
-def test_a_normaliser_gives_zero_mean_unit_spread_and_comes_back(seed: int, scale: float, shift: float) -> None:
+def test_a_normaliser_gives_zero_mean_unit_spread(seed: int, scale: float, shift: float) -> None:
     values = np.random.default_rng(seed).standard_normal((40, 5, 3)) * scale + shift
     values[..., 1] = shift
     normaliser = Normaliser.fit(values)
     out = normaliser.apply(values)
     assert np.allclose(out.mean(axis=(0, 1)), 0, atol=1e-6)
     assert np.allclose(out.std(axis=(0, 1)), [1, 0, 1], atol=1e-6)
-    assert np.allclose(normaliser.invert(out), values)
-    again = Normaliser.from_dict(normaliser.to_dict())
-    assert np.array_equal(again.apply(values), out)
 
 
 @pytest.mark.parametrize("rms", [0.3, 0.01, 0.001])

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import warnings
 from pathlib import Path
 
@@ -56,17 +53,10 @@ def test_a_misspelt_option_suggests_the_right_one_and_names_the_help_of_the_verb
     assert "gesticulator infer --help" in capsys.readouterr().err
 
 
-def test_choices_are_checked_before_models_load(capsys: pytest.CaptureFixture[str], tmp_path: Path,
-                                                monkeypatch: pytest.MonkeyPatch) -> None:
+def test_choices_are_checked_before_any_recording_is_done(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     out = str(tmp_path / "x.bvh")
     assert "did you mean connor?" in refused(capsys, "--speaker", "connr", "-o", out)
-
-    def loaded(*_: object, **__: object) -> None:
-        raise AssertionError("models were loaded")
-
-    monkeypatch.setattr(Gesticulator, "from_pretrained", loaded)
-    assert "--interpreter advantage" in refused(capsys, "--beta", "2", "-o", out)
-    assert "--interpreter advantage" in refused(capsys, "--beta", "2", "--interpreter", "cql", "-o", out)
+    assert "the interpreter advantage only" in refused(capsys, "--beta", "2", "--interpreter", "cql", "-o", out)
     (tmp_path / "file").write_text("no folder")
     assert "file" in refused(capsys, "-o", str(tmp_path / "file" / "x.bvh"))
 
@@ -95,15 +85,3 @@ def test_a_cue_at_a_word_without_words_is_refused(g: Gesticulator) -> None:
         g(voice(), RATE, cues=(GestureCue("wave", "bread"),))
 
 
-def python(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False, cwd=ROOT,
-                          env={**os.environ, **environment})
-
-
-def test_log_levels_and_colours(tmp_path: Path) -> None:
-    missing = ["-m", "gesticulator", "infer", str(tmp_path / "no.wav"), "-o", str(tmp_path / "o.bvh")]
-    plain, debug = python(*missing, NO_COLOR="1"), python(*missing, "--log-level", "debug")
-    assert plain.returncode == debug.returncode == 2
-    assert plain.stderr.count("\n") == 1 and "\x1b" not in plain.stderr
-    assert "Traceback" in debug.stderr and debug.stderr.splitlines()[-1] == plain.stderr.strip()
-    assert "\x1b" not in python("-m", "gesticulator", "infer", "--help", NO_COLOR="1").stdout

@@ -15,7 +15,6 @@ import soundfile
 
 from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import JOINTS
-from data_module.speech import audio
 from gesticulator import infer
 from gesticulator.gesticulator import Gesticulator
 
@@ -112,7 +111,7 @@ def test_bad_recordings(name: str, tiny_bundle: Path, tmp_path: Path, capfd: pyt
     (["--speaker", "nobody"], "nobody"), (["--bundle", "nowhere"], "nowhere"), (["--fps", "0"], "fps"),
     (["--temperature", "-1"], "temperature"), (["-o", "o.max"], ".bvh"),
     (["--explain", "o.txt"], ".json"), (["--activity", "2"], "--activity 2"), (["--activity", "nan"], "--activity"),
-    (["--hand-height", "sky"], "hand_height"), (["--hand-speed", "-1"], "hand_speed"),
+    (["--hand-height", "sky"], "--hand-height"), (["--hand-speed", "-1"], "--hand-speed"),
     (["--hand-radius", "nowhere.csv"], "nowhere.csv"), (["--text", "nowhere.txt"], "nowhere.txt"),
 ])
 def test_bad_arguments(arguments: list[str], said: str, recording: Path, tiny_bundle: Path, tmp_path: Path,
@@ -170,16 +169,6 @@ def test_a_recording_from_standard_input(recording: Path, tiny_bundle: Path, tmp
     assert done.stdout.startswith(b"standard input: 8.0 s")
     infer.main([str(recording), "-o", str(tmp_path / "file.bvh"), *asked, "--quiet"])
     assert (tmp_path / "stdin.bvh").read_bytes() == (tmp_path / "file.bvh").read_bytes()
-
-
-def test_a_long_recording_is_asked_for_by_name(recording: Path, tiny_bundle: Path, tmp_path: Path,
-                                               capfd: pytest.CaptureFixture[str],
-                                               monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(audio, "LONGEST", 5.0)
-    with pytest.raises(SystemExit) as stop:
-        run([str(recording), "-o", str(tmp_path / "o.bvh")], tiny_bundle)
-    assert stop.value.code == 2 and "--any-length" in capfd.readouterr().err
-    assert run([str(recording), "-o", str(tmp_path / "o.bvh"), "--any-length", "--quiet"], tiny_bundle) == 0
 
 
 def test_a_nearly_silent_recording_is_told_with_the_gain_that_helps(

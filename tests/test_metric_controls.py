@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +13,13 @@ from hypothesis import strategies as st
 from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, facing
+from data_module.speech.audio import load_speech
 from data_module.types import Motion
 from eval.baselines import controls
 from eval.baselines.controls import CONTROLS, donors, jittered, reversed_in_time, shuffled, split_halves
+from gesticulator.gesticulator import Gesticulator
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
 
 
 def clip(frames: int, seed: int, fps: float = 20.0) -> Motion:
@@ -121,3 +126,15 @@ def test_jitter_keeps_the_bones_and_what_is_absent() -> None:
                                        np.linalg.norm(CHARACTER.offsets[joint]), atol=1e-9)
 
 
+def test_rolled_speech_is_that_of_other_blocks_on_the_same_grid(system: Gesticulator) -> None:
+    encoded = system.encode_speech(load_speech(EXAMPLE))
+    rolled, source = controls.rolled(encoded, 10), np.roll(np.arange(len(encoded)), 10)
+    np.testing.assert_array_equal(rolled.blocks.edges, encoded.blocks.edges)
+    np.testing.assert_array_equal(rolled.low[..., :-1], encoded.low[source][..., :-1])
+    np.testing.assert_array_equal(rolled.low[..., -1], encoded.low[..., -1], "the tempo belongs to the grid")
+    np.testing.assert_array_equal(rolled.blocks.silent, encoded.blocks.silent[source])
+    assert encoded.onsets is not None and rolled.onsets is not None
+    for block, k in enumerate(source):
+        start, end = encoded.blocks.edges[[block, block + 1]]
+        assert len(rolled.onsets[block]) == len(encoded.onsets[k])
+        assert ((rolled.onsets[block] >= start - 1e-9) & (rolled.onsets[block] <= end + 1e-9)).all()

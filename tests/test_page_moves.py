@@ -27,7 +27,7 @@ def served(system: Gesticulator) -> Iterator[tuple[PageServer, EditSession]]:
     performance = system(example(6.0), seed=1)
     server, session = PageServer(), EditSession(system, performance)
     live = {"token": server.token, "renderings": [session.opened(performance)],
-            "levels": levels_of(system.bundle), "speakers": list(system.speakers)}
+            "levels": levels_of(system.bundle), "speakers": list(system.bundle.speakers)}
     server.page = html.page({"lstm": performance.scene()}, "talk", more={"live": live}).encode()
     server.render = session.answer
     server.figures = lambda: json.dumps(moving_figures(system.bundle, 0)).encode()

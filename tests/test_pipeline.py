@@ -81,7 +81,7 @@ def test_without_words_the_ear_alone_decides(system: Gesticulator) -> None:
     assert not np.array_equal(read.scores, heard.scores) and not np.array_equal(read.codes, heard.codes)
     half_deaf = Gesticulator(without(bundle, "style_text"))(dataclasses.replace(SPEECH, words=WORDS))
     assert np.array_equal(read.scores[0], half_deaf.scores[0]) and not np.array_equal(read.codes[0], half_deaf.codes[0])
-    assert heard.notes == () and read.notes == ()
+    assert heard.decided.notes == () and read.decided.notes == ()
 
 
 def test_the_words_themselves_matter_and_when_they_are_said(system: Gesticulator) -> None:
@@ -113,14 +113,13 @@ def test_another_word_encoder_than_the_one_of_training_is_refused(system: Gestic
 
 
 def test_activity_is_the_gates_threshold_and_the_gate_hears_no_lexemes(system: Gesticulator) -> None:
-    always = system(SPEECH)
-    assert always.gate is not None and np.isnan(always.gate).all(), "nobody asked it"
-    first = system(SPEECH, activity=0.4)
-    assert first.gate is not None and ((first.gate >= 0) & (first.gate <= 1)).all()
-    middle = float(np.median(first.gate))
+    assert all(block.gate is None for block in system(SPEECH).decided.blocks), "nobody asked it"
+    gate = np.array([block.gate for block in system(SPEECH, activity=0.4).decided.blocks])
+    assert ((gate >= 0) & (gate <= 1)).all()
+    middle = float(np.median(gate))
     second = system(SPEECH, activity=1 - middle, temperature=2.0, seed=3)
-    np.testing.assert_array_equal(first.gate, second.gate)
-    closed = first.gate < middle
+    assert [block.gate for block in second.decided.blocks] == gate.tolist()
+    closed = gate < middle
     assert closed.any() and not closed.all()
     assert set(second.lexemes[closed].tolist()) <= set(SILENT)
     # The open blocks choose freely: drawn hot from all twelve, some are not silent.

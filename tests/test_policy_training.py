@@ -18,7 +18,7 @@ from eval.ablate.racer import RacerRows
 from eval.ablate.rows import ROWS
 from eval.ablate.run import RgRows
 from eval.context import EvalContext
-from interpreters.cql import ConservativeQ, QNetwork
+from interpreters.cql import ConservativeQ
 from interpreters.episodes import BEHAVIOURS, Episode, Episodes
 
 PRESET = ("cql.width=8", "cql.layers=3", "cql.heads=2", "cql.decisions=6", "cql.copy_every=2",
@@ -53,7 +53,6 @@ def weights(module: torch.nn.Module) -> Tensor:
 
 def test_what_acts_keeps_to_the_silent_mask(context: RacerRows) -> None:
     network = context.untrained("racer-cql", 1).eval()
-    actor = ActorCritic(context.untrained("racer-cql", 1))
     blocks = torch.as_tensor(np.flatnonzero(~context.corpus.silent)[:64])[:, None]
     for quiet in (False, True):
         seen = {"block": blocks, "previous": torch.zeros(len(blocks), 1, dtype=torch.int64),
@@ -63,7 +62,7 @@ def test_what_acts_keeps_to_the_silent_mask(context: RacerRows) -> None:
             anything, best, drawn = (choose(seen) for choose in (
                 training.epsilon_greedy(network, context.corpus, 1.0, rng),
                 training.epsilon_greedy(network, context.corpus, 0.0, rng),
-                training.sampled(actor, context.corpus, rng)))
+                training.sampled(network, context.corpus, rng)))
             values = training.latest(network, context.corpus, seen)
         for chosen in (anything, best, drawn):
             assert chosen.shape == (len(blocks),)
@@ -98,7 +97,7 @@ def test_the_actor_begins_as_the_supervised_network(context: RacerRows) -> None:
     supervised = training.trained(context, "racer-supervised", 1)
     model, _ = training.actor_critic(context, context.config("racer-actor-critic"),
                                      context.untrained("racer-cql", 1), 1)
-    assert isinstance(model, ActorCritic) and isinstance(supervised, QNetwork)
+    assert isinstance(model, ActorCritic)
     assert torch.equal(weights(model.actor), weights(supervised))
 
 

@@ -21,13 +21,17 @@ def recording(poses: np.ndarray, silent: np.ndarray | None = None, mask: np.ndar
     blocks, _, width = poses.shape
     return {"motion": poses.astype(np.float32), "silent": np.zeros(blocks, bool) if silent is None else silent,
             "mask": np.ones(width, bool) if mask is None else mask,
-            "control": np.tile(np.linspace(0, 1, blocks)[:, None, None], (1, FRAMES, 3)).astype(np.float32),
-            "low": np.random.default_rng(0).normal(size=(blocks, 3 * FRAMES, 4)).astype(np.float16)}
+            "control": np.tile(np.linspace(0, 1, blocks)[:, None, None], (1, FRAMES, 3)).astype(np.float32)}
+
+
+def heard(blocks: int) -> dict[str, Any]:
+    return {"low": np.random.default_rng(0).normal(size=(blocks, 3 * FRAMES, 4)).astype(np.float16)}
 
 
 def known(poses: list[np.ndarray], speaker_of: list[int], **more: Any) -> Statistics:
     names = tuple(f"speaker {k}" for k in range(max(speaker_of) + 1))
-    return measured(preset("tiny"), names, np.array(speaker_of), [recording(own, **more) for own in poses])
+    return measured(preset("tiny"), names, np.array(speaker_of), [recording(own, **more) for own in poses],
+                    [heard(len(own)) for own in poses])
 
 
 def test_bounds_leave_out_one_frame_in_a_thousand_at_either_end() -> None:

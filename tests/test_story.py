@@ -53,7 +53,7 @@ def _viewing(sound: Path, *words: str) -> Iterator[tuple[PageServer, EditSession
     """What `gesticulator view SOUND` does from the command to Ctrl C, without a window of its own."""
     args = COMMAND.parser("gesticulator view").parse_args([str(sound), "--no-browser", *words])
     with PageServer() as server:
-        _prepare(server, _job(args), run_settings_of(args), anew=False)
+        _prepare(server, _job(args), run_settings_of(args))
         gc.unfreeze()  # more is done in this process after it
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()

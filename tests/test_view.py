@@ -18,8 +18,7 @@ from small_characters import write_character
 
 from gesticulator import Gesticulator
 from gesticulator.options import InferenceOptions
-from gesticulator.page.command import COMMAND, _job, _way_in, _with_saved_edits
-from gesticulator.page.saved_edits import place_of, save
+from gesticulator.page.command import COMMAND, _job, _way_in, _with_saved_edits, place_of, save
 from gesticulator.page.server import TOKEN_HEADER
 from gesticulator.plan.plan_file import read_plan
 
@@ -68,7 +67,7 @@ def test_saved_edits_are_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixt
                     subtype="FLOAT")
     assert gone_on().retime and "moved onto the new sound" in capsys.readouterr().out
     # What does not fit is put aside, and stays.
-    assert gone_on("--speaker", system.speakers[0]).plan is None
+    assert gone_on("--speaker", system.bundle.speakers[0]).plan is None
     assert not place.exists() and read_plan(place.with_name(place.name + ".old")) == plan
     assert "determined by the plan" in capsys.readouterr().err
     place.write_text("{")

@@ -318,7 +318,7 @@ def _averaged(piece: np.ndarray, name: object) -> Samples:
 
 def _too_long(name: object, why: str) -> InputError:
     return InputError(name, f"lasts longer than {_hours(LONGEST)} ({why})",
-                      "cut it, or say --any-length (any_length=True)")
+                      "cut it, or say any_length=True")
 
 
 def _hours(seconds: float) -> str:

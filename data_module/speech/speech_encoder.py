@@ -138,13 +138,6 @@ class PredictiveCoding(nn.Module):
         chosen = scores[:, there].flatten(0, 1)
         return {"predictive": F.cross_entropy(chosen, chosen.new_zeros(len(chosen), dtype=torch.long))}
 
-    @torch.no_grad()
-    def accuracy(self, batch: Mapping[str, Tensor]) -> Tensor:
-        """[steps] share of rows classified correctly; chance is 1 / (1 + negatives)."""
-        scores, there = self.scores(batch["samples"])
-        right = (scores.argmax(-1) == 0) & there
-        return right.float().sum(dim=(0, 1)) / (there.sum(0) * len(scores)).clamp_min(1)
-
 
 class TextContrast(nn.Module):
     """Eq. 1 and 2: the text of a frame retrieves level 8 of its frame among all levels of all frames of the block.

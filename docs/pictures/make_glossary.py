@@ -20,7 +20,6 @@ from matplotlib.figure import Figure
 from sklearn.manifold import TSNE
 
 from data_module.blocks import stretch_speech
-from data_module.controls import controls_from
 from data_module.files import write_bytes
 from data_module.motion import kinematics
 from data_module.motion.motion_beats import acting_positions, acting_speed, motion_beats
@@ -285,10 +284,8 @@ def silent_lexeme(s: Scene) -> Figure:
 def control(s: Scene) -> Figure:
     """The height of the right hand when the same speech is asked for low, mid and high hands."""
     figure, (axis,) = canvas((1.5,))
-    assert s.system.bundle.levels is not None
     for level, colour in (("low", BLUE), ("mid", SOFT), ("high", RED)):
-        asked = controls_from(level, None, None, s.system.bundle.levels)
-        motion = s.system(s.sound, controls=asked).motion
+        motion = s.system(s.sound, hand_height=level).motion
         axis.plot(*hand_height(motion, "Right"), color=colour, linewidth=1.6, label=level)
     plain(axis)
     axis.set_xlim(START, 3 * STOP)
@@ -306,7 +303,8 @@ def interpreter(s: Scene) -> Figure:
     upper.tick_params(labelbottom=False)
     for i, start, end in shown(s):
         stop = min(end, STOP)
-        cells = [*zip(s.made.best[i], np.exp(s.made.scores[i]), strict=True), (s.made.lexemes[i], None)]
+        choices = s.made.decided.blocks[i].alternatives
+        cells = [*((choice.lexeme, np.exp(choice.score)) for choice in choices), (s.made.lexemes[i], None)]
         for row, (number, share) in enumerate(cells):
             low = -row - (1.3 if share is None else 1.0)
             tint, depth = (RED, 0.45) if share is None else (TEAL, 0.1 + 0.9 * float(share))

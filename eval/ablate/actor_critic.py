@@ -10,8 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from data_module.layers import freeze, masked_mean
-from interpreters.base import BlockFeatures, InterpreterDefaults, Need, Scores
-from interpreters.cql import DROPOUT, QNetwork, QState, backed_up, data_nll, next_known
+from interpreters.cql import DROPOUT, QNetwork, backed_up, data_nll, next_known
 from interpreters.transformer import Head, Layer, begin_small, sliding
 
 BRANCH = 3
@@ -20,10 +19,8 @@ TURN = 5
 """Steps for which one of them learns, before it is the other's turn."""
 
 
-class ActorCritic(nn.Module, InterpreterDefaults):
+class ActorCritic(nn.Module):
     """pi(a | s) and V(s) on a shared trunk, which stays as supervised learning left it. Dropout is off throughout."""
-
-    name = "actor-critic"
 
     def __init__(self, actor: QNetwork, gamma: float = 0.99) -> None:
         """actor: the network that becomes the policy; a small one may have fewer layers than `BRANCH`. gamma: the
@@ -43,10 +40,6 @@ class ActorCritic(nn.Module, InterpreterDefaults):
         for part in (actor.layers[self.shared:], actor.head):
             part.requires_grad_(True)
         self.train()
-
-    @property
-    def needs(self) -> frozenset[Need]:
-        return self.actor.needs
 
     @property
     def weights(self) -> dict[str, float]:
@@ -84,10 +77,6 @@ class ActorCritic(nn.Module, InterpreterDefaults):
         both = sliding(tokens, self.actor.config.decisions, self._read)
         return both[..., :-1], both[..., -1]
 
-    def values(self, previous: Tensor, audio: Tensor, speaker: Tensor, silent: Tensor) -> Tensor:
-        """log pi(. | s) [B, M, S]; the arguments are those of `QNetwork.values`."""
-        return torch.log_softmax(self.actor.values(previous, audio, speaker, silent), dim=-1)
-
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
         """Cross-entropy x TD error for the actor, half the squared TD error for the critic (batch: as for CQL). delta =
         r + gamma V(s') - V(s). Only the term of the current turn has a gradient, and there is none through the value of
@@ -101,10 +90,3 @@ class ActorCritic(nn.Module, InterpreterDefaults):
         terms = {"actor": masked_mean(nll * error.detach(), counted),
                  "critic": masked_mean(0.5 * error.square(), counted)}
         return {key: term if key == self.turn else term.detach() for key, term in terms.items()}
-
-    def start(self, speaker: int, first_lexeme: int) -> QState:
-        return self.actor.start(speaker, first_lexeme)
-
-    def step(self, state: QState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, QState]:
-        values, after = self.actor.step(state, features, previous_lexeme)
-        return torch.log_softmax(torch.from_numpy(values), dim=-1).numpy(), after

@@ -61,8 +61,6 @@ GREEDY_AT, LEAST_EPSILON = 0.5, 0.1
 """epsilon falls from 1 to the least one by this share of the steps."""
 MOTION = 60
 """Test recordings that are played at most, which is what claims of motion need."""
-Policy = QNetwork | ActorCritic
-"""A row's network, trained."""
 
 
 # ------------------------------------------------------------------------------------------- what all rows stand on
@@ -81,7 +79,7 @@ class RacerRows:
     tables: dict[str, EnsembleReward]
     rg: RgRows
     _episodes: dict[str, Episodes] = field(default_factory=dict, init=False)
-    _trained: dict[tuple[str, int], Policy] = field(default_factory=dict, init=False)
+    _trained: dict[tuple[str, int], QNetwork] = field(default_factory=dict, init=False)
 
     @classmethod
     def over(cls, rg: RgRows) -> RacerRows:
@@ -193,7 +191,7 @@ def rewarded(racer: RacerRows, config: Config) -> Episodes:
     if key not in racer._episodes:
         # Behaviour beside the recorded one: without it no other lexeme than the person's was ever tried.
         interpreters: dict[str, LexemeInterpreter] = {
-            "sampled": racer.bundle.interpreter, "statistical": racer.bundle.statistical()}
+            "sampled": racer.bundle.interpreter, "statistical": racer.bundle.interpreter_named("statistical")}
         racer._episodes[key] = build(racer.takes, plain, racer.taught(config).sequence, silent=racer.silent,
                                      vectors=racer.bundle.vectors.numpy(), seed=config.seed,
                                      policies=BehaviourPolicies(interpreters, features_of(racer.corpus)))
@@ -215,7 +213,7 @@ def simulator(racer: RacerRows, config: Config) -> Simulator:
     return Simulator(racer.takes, racer.taught(config).rewards, racer.tables[""].window)
 
 
-def latest(policy: Policy, corpus: Corpus, observed: dict[str, Tensor]) -> Tensor:
+def latest(policy: QNetwork, corpus: Corpus, observed: dict[str, Tensor]) -> Tensor:
     """Scores [B, S] of the lexeme to be chosen now, after what was seen (see `eval.ablate.simulator.Choose`)."""
     batch = q_batch(corpus, observed)
     return policy.values(batch["previous"], batch["audio"], batch["speaker"], batch["silent"])[:, -1]
@@ -232,13 +230,13 @@ def epsilon_greedy(network: QNetwork, corpus: Corpus, epsilon: float, rng: np.ra
     return choose
 
 
-def sampled(policy: ActorCritic, corpus: Corpus, rng: np.random.Generator) -> Choose:
-    """A lexeme sampled from pi(. | s) over those allowed: the best after Gumbel noise on the log-probabilities."""
+def sampled(policy: QNetwork, corpus: Corpus, rng: np.random.Generator) -> Choose:
+    """A lexeme sampled from pi(. | s) over those allowed: the best after Gumbel noise on the logits."""
     def choose(observed: dict[str, Tensor]) -> Tensor:
         values = latest(policy, corpus, observed)
-        # The greatest of log-probabilities with Gumbel noise is a draw from the softmax.
+        # The greatest of logits with Gumbel noise is a draw from their softmax.
         noise = torch.as_tensor(rng.gumbel(size=values.shape))
-        return policy.actor.choose(values + noise, observed["silent"][:, -1])
+        return policy.choose(values + noise, observed["silent"][:, -1])
 
     return choose
 
@@ -284,20 +282,20 @@ def online(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Le
 
 def actor_critic(racer: RacerRows, config: Config, network: QNetwork, seed: int) -> Learner:
     """Policy gradients on what the policy has just done, beginning as the supervised network of the seed."""
+    # First its own weights, which are drawn: a supervised network that is trained now would move the numbers.
+    model = ActorCritic(network, config.cql.gamma)
     # Of the same seed: the pair differs by what came after, as the paper's rows do.
-    supervised, model = trained(racer, RACER_SUPERVISED, seed), ActorCritic(network, config.cql.gamma)
-    assert isinstance(supervised, QNetwork)
-    model.begin_as(supervised)
+    model.begin_as(trained(racer, RACER_SUPERVISED, seed))
     speech = simulator(racer, config)
     return model, lambda rng, size: q_batch(racer.corpus, speech.collect(
-        sampled(model, racer.corpus, rng), rng, size, config.cql.decisions))
+        sampled(model.actor, racer.corpus, rng), rng, size, config.cql.decisions))
 
 
 TRAININGS = {"offline": offline, "online": online, "actor-critic": actor_critic}
 
 
-def trained(racer: RacerRows, name: str, seed: int) -> Policy:
-    """The network of a row, trained at its first use."""
+def trained(racer: RacerRows, name: str, seed: int) -> QNetwork:
+    """The network of a row, trained at its first use; of the actor-critic the actor."""
     if (name, seed) not in racer._trained:
         # Kept for the actor-critic, which begins as the supervised network of its seed.
         config = racer.config(name)
@@ -307,7 +305,7 @@ def trained(racer: RacerRows, name: str, seed: int) -> Policy:
             fitting.fit(f"{name}, seed {seed}", model, fitting.Task(
                 make_batch, before_step=model.before_step), config.schedules.cql, Path(scratch),
                 fitting.FitOptions(seed=seed, checkpoint_seconds=float("inf"), progress=racer.context.progress))
-        policy: Policy = model.online if isinstance(model, ConservativeQ) else model
+        policy = model.online if isinstance(model, ConservativeQ) else model.actor
         freeze(policy)
         racer._trained[name, seed] = policy
     return racer._trained[name, seed]

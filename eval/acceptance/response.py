@@ -126,7 +126,7 @@ def controls(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Results
     """The group `controls`: style controls, words, interpreters, size."""
     short = [derived(voice, "short", middle_of(voice, SECONDS)) for voice in spread_out(voices, CLIPS)]
     results = _style_controls(system, short) | _words(system, voices)
-    for name in sorted({*NEEDED, *system.gesticulator.interpreters}):
+    for name in sorted({*NEEDED, *system.gesticulator.bundle.interpreters}):
         results["interpreter", name] = _interpreter(system, short[0], name)
     results["megabytes", ""] = Measured(Interval.exact(system.megabytes, 1))
     return results

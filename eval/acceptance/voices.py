@@ -31,8 +31,9 @@ from eval.metrics.eye.units import Leads, leads
 from eval.renderings import TEST, AcceptanceVoice, BundleSystem
 from eval.stats import Interval
 
-OURS, SPEAKERS, WITHOUT_SOUND = "ours", "speakers", "statistical"
-"""`WITHOUT_SOUND`: the bundle with an interpreter that ignores the sound."""
+OURS, SPEAKERS, WITHOUT_SOUND, ROLLED_SOUND = "ours", "speakers", "statistical", "sound rolled"
+"""`WITHOUT_SOUND`: the bundle with an interpreter that ignores the sound; `ROLLED_SOUND`: the bundle with the sound
+`eval.baselines.controls.ROLLED` blocks late, on the same blocks."""
 ON_TAKE, ON_TEST = "BEAT voice", "test split"
 """Sets of stimuli: the voice of the real take, and those of the store's test split."""
 
@@ -114,18 +115,19 @@ def rendered(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings
 
 def measure(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings: int, space: ReferenceSpace | None
             ) -> dict[str, Results]:
-    """The figures of the bundle, of the bundle without the sound, and of the speakers themselves."""
+    """The figures of the bundle, of the bundle without the sound and with it rolled, and of the speakers themselves."""
     takes, tests = ([voice for voice in voices if (voice.place == TEST) == test] for test in (False, True))
     corpus = own_motion(tests, space) if tests else None
     figures = {} if corpus is None else corpus.figures(space)
     beside = {(figure, CORPUS): Measured(value) for figure, value in figures.items()}
     known = [name for name in (WITHOUT_SOUND,) if name in system.gesticulator.interpreters]
-    results: dict[str, Results] = {name: dict(beside) for name in (OURS, *known, SPEAKERS)}
+    results: dict[str, Results] = {name: dict(beside) for name in (OURS, *known, ROLLED_SOUND, SPEAKERS)}
     for on, chosen in ((ON_TAKE, takes), (ON_TEST, tests)):
         if not chosen:
             continue
         samples = {OURS: rendered(system, chosen, renderings, space),
                    **{name: rendered(system, chosen, renderings, space, interpreter=name) for name in known},
+                   ROLLED_SOUND: rendered(system, chosen, renderings, space, rolled=True),
                    SPEAKERS: (own_motion(chosen, space),
                               [Timed.of(voice.own, voice) for voice in chosen if voice.own is not None])}
         for name, (sample, timed) in samples.items():

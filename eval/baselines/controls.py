@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from data_module.motion import kinematics, rotation
 from data_module.types import Array, Motion, Skeleton
+from gesticulator.bundle.features import SpeechFeatures
 
 JITTER = 0.02
 """Metres: the standard deviation along each axis."""
@@ -198,3 +199,39 @@ def _shortest(begin: Array, end: Array) -> Array:
     real = lengths + np.sum(begin * end, axis=-1)
     turn = np.concatenate([real[:, None], np.cross(begin, end)], axis=-1)
     return rotation.normalise(np.where(real[:, None] > _EPS ** 2, turn, np.array([1.0, 0.0, 0.0, 0.0])))
+
+
+ROLLED = 60
+"""Blocks, some 20 s: by then no word, phrase or loudness is what it was."""
+
+
+def rolled(encoded: SpeechFeatures, by: int = ROLLED) -> SpeechFeatures:
+    """Shift the speech features `by` blocks (at most half the recording), wrapped around; the grid stays.
+
+    A system that follows the voice loses its timing by that; one that only moves on its grid keeps it. Durations
+    belong to the grid, so the tempo in the last column of the features stays, too.
+    """
+    # Half of a short recording is as far as a wrapped shift can go.
+    by = min(by, len(encoded.blocks) // 2)
+    blocks = replace(encoded.blocks, silent=np.roll(encoded.blocks.silent, by))
+
+    def late(features: NDArray[np.float32]) -> NDArray[np.float32]:
+        moved = np.roll(features, by, axis=0)
+        # The last column is the tempo of the grid, which stays.
+        moved[..., -1] = features[..., -1]
+        return moved
+
+    text = None if encoded.text is None else np.roll(encoded.text, by, axis=0)
+    return replace(encoded, blocks=blocks, low=late(encoded.low), high=late(encoded.high), text=text,
+                   onsets=_onsets_late(encoded, by))
+
+
+def _onsets_late(encoded: SpeechFeatures, by: int) -> tuple[Array, ...] | None:
+    """The onsets within the blocks that stood `by` blocks before, where they lie on the grid of the blocks' own."""
+    if encoded.onsets is None:
+        return None
+    edges, lengths = encoded.blocks.edges, np.diff(encoded.blocks.edges)
+    source = np.roll(np.arange(len(encoded)), by)
+    # An onset keeps its share of the block, however long the block is that it moves to.
+    return tuple(edges[block] + (encoded.onsets[k] - edges[k]) / lengths[k] * lengths[block]
+                 for block, k in enumerate(source))

@@ -1,9 +1,8 @@
 """A contact sheet of a lexicon (RG Fig. 6): `gesticulator plot lexicon --data STORE --out lexemes.png`.
 
 The lexemes that a store uses most, as the decoder makes them, each at its start, middle and end, with its number, how
-often it occurs, and whether it is silent (`gesticulator bundle silent` changes that). A movement begins where the
-training block nearest to it began. What fools it: the decoder alone has never been made to move smoothly, so a decoded
-lexeme may tremble where the block did not.
+often it occurs, and whether it is silent. A movement begins where the training block nearest to it began. What fools
+it: the decoder alone has never been made to move smoothly, so a decoded lexeme may tremble where the block did not.
 """
 
 from __future__ import annotations

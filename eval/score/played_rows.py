@@ -41,7 +41,7 @@ class PlayedBundle:
         for name, clip in truth.items():
             if clip.speech is None:
                 raise InputError(name, "has no sound to gesture to", "give --speech, or motion files for --system")
-            speaker = clip.speech.speaker if clip.speech.speaker in system.speakers else None
+            speaker = clip.speech.speaker if clip.speech.speaker in system.bundle.speakers else None
             performance = system(clip.speech, speaker=speaker, interpreter=self.interpreter, seed=seed)
             out[name] = replace(clip, motion=to_character(performance.motion))
         return out

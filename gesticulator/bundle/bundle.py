@@ -1,17 +1,17 @@
 """A bundle: one folder with everything that inference needs.
 
 `bundle.json` (format, versions, settings, skeleton, data fingerprint and licence, figures, SHA-256 of every file),
-`MODEL_CARD.md` and `*.safetensors` in half precision. It is written to a temporary folder, synced and renamed. An
-unknown format, a different skeleton, a file with a wrong hash and an unlisted file of weights are rejected with the
-name of the file. Each model is loaded when it is first used, so generating one gesture reads no reward model; its
-tensor shapes are compared with the settings before memory is allocated.
+`MODEL_CARD.md` and `*.safetensors` in half precision. An unknown format, a different skeleton, a file with a wrong
+hash and an unlisted file of weights are rejected with the name of the file. Each model is loaded when it is first used,
+so generating one gesture reads no reward model; its tensor shapes are compared with the settings before memory is
+allocated.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, cast
 
@@ -23,6 +23,7 @@ from torch import Tensor, nn
 
 from data_module.controls import Levels
 from data_module.errors import InputError
+from data_module.motion.skeletons import CHARACTERS
 from gesticulator.bundle.config import Config, from_dict, to_dict
 from gesticulator.bundle.features import Normaliser, Sizes, Statistics, representation_of
 from gesticulator.bundle.files import (
@@ -37,7 +38,7 @@ from gesticulator.bundle.files import (
     replace_folder,
     write_index,
 )
-from gesticulator.bundle.models import JUDGES, changed_parts, part_table, stored_parts
+from gesticulator.bundle.models import JUDGES, LazyParts, part_table, stored_parts
 from gesticulator.systems import System, system_of
 from interpreters import INTERPRETERS, entries
 from interpreters.base import InterpreterParts, opened
@@ -47,14 +48,12 @@ if TYPE_CHECKING:
     from data_module.text.word_vectors import WordEncoder
     from generator.flow import FlowGenerator
     from generator.model import Generator
-    from interpreters.advantage import Critics
     from interpreters.base import Interpreter
     from interpreters.cql import QNetwork
     from interpreters.gate import ActivityGate
     from interpreters.lstm import LstmInterpreter, StyleInterpreter
     from interpreters.planner import UnitPlanner, UnitStyleInterpreter
     from interpreters.reward import RewardEnsemble
-    from interpreters.statistical import StatisticalInterpreter
     from lexicon.autoencoder import Lexicon
     from lexicon.movement import MovementLexicon
     from lexicon.racer import RacerCodec
@@ -156,8 +155,6 @@ class Bundle:
     """Decides the phase of each block's gesture unit; None if lexemes are chosen without phases."""
     q_network: ClassVar[_Part[QNetwork]] = _Part()
     """RACER's Q-network."""
-    advantage: ClassVar[_Part[Critics]] = _Part()
-    """The value of lexemes relative to the behaviour policy."""
     reward: ClassVar[_Part[RewardEnsemble]] = _Part()
     """The reward that trained the policies; None unless it was added (`JUDGES`)."""
     reward_judge: ClassVar[_Part[RewardEnsemble]] = _Part()
@@ -165,7 +162,9 @@ class Bundle:
 
     def with_parts(self, **changes: nn.Module | None) -> Bundle:
         """A copy with other parts; None removes one. Parts that are not loaded yet stay so."""
-        return replace(self, parts=changed_parts(self.parts, changes))
+        others = {name: partial(self.parts.__getitem__, name) for name in self.parts if name not in changes}
+        given = {name: module for name, module in changes.items() if module is not None}
+        return replace(self, parts=LazyParts({**others, **given}))
 
     @property
     def block_lexicon(self) -> BlockLexicon:
@@ -179,12 +178,6 @@ class Bundle:
     def system(self) -> System:
         """Its system, a module of `gesticulator.systems`."""
         return system_of(self.config)
-
-    @property
-    def rests_by_phrase(self) -> bool:
-        """Whether rest is decided phrase by phrase, with idle motion; such a bundle can rest without speech, so that a
-        stream can go on for ever."""
-        return self.config.rests_by_phrase
 
     @property
     def frames(self) -> int:
@@ -221,12 +214,6 @@ class Bundle:
         """Names of the performers."""
         return self.statistics.speakers
 
-    def statistical(self) -> StatisticalInterpreter:
-        """The speech-independent interpreter over the same lexicon."""
-        from interpreters.statistical import StatisticalInterpreter
-
-        return StatisticalInterpreter(self.frequencies, self.transitions)
-
     def rest_feature(self, speaker: int) -> Tensor:
         """[D_m] the speaker's resting pose, normalised."""
         return rest_feature(self.statistics, speaker, self.vectors.device)
@@ -261,8 +248,8 @@ def statistics_tensors(bundle: Bundle) -> dict[str, Tensor]:
     arrays = {"mean_pose": s.mean_pose, "rest_pose": s.rest_pose, "deviation": s.deviation, "bounds": s.bounds,
               "frequencies": bundle.frequencies, "transitions": bundle.transitions,
               "rest_distances": bundle.rest_distances}
-    for name, normaliser in (("low", s.low), ("high", s.high)):
-        arrays.update({f"{name}_{key}": value for key, value in normaliser.to_dict().items()})
+    arrays |= {"low_mean": s.low.mean, "low_spread": s.low.spread, "high_mean": s.high.mean,
+               "high_spread": s.high.spread}
     if s.quiet_low is not None and s.quiet_high is not None:
         arrays.update({"quiet_low": s.quiet_low, "quiet_high": s.quiet_high})
     if s.levels is not None:
@@ -280,6 +267,7 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
     """Write a bundle atomically; an existing bundle is replaced, any other folder is left alone."""
     def write(folder: Path) -> None:
         for name, module in bundle.parts.items():
+            # Policies are played without the models that judge them.
             if name in JUDGES:
                 continue
             # A tied part names its codebook, because lexeme 7 of another one is another gesture.
@@ -288,7 +276,7 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
             save_file(_half(module), folder / f"{part.file}{ENDING}", tied)
         save_file(statistics_tensors(bundle), folder / f"{_STATISTICS}{ENDING}")
         (folder / CARD).write_text(card, encoding="utf-8")
-        write_index(folder, {
+        write_index(folder, CHARACTERS[bundle.config.motion.joints], {
             "config": to_dict(bundle.config), "speakers": list(bundle.speakers),
             "silent_lexemes": bundle.silent.tolist(), "lexicon_hash": lexicon_hash(bundle.vectors),
             "text": {"encoder": bundle.text.encoder, "width": bundle.text.width} if bundle.text else None,
@@ -298,34 +286,34 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
     replace_folder(Path(path), write)
 
 
-def required(config: Config) -> tuple[str, ...]:
-    """Parts that a bundle of these settings requires."""
-    system = system_of(config)
-    return "lexicon", *system.PARTS, *(("style",) if system.BLOCKS and config.generator.styled else ())
-
-
 def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
     """Open a bundle; InputError if it is broken, of another format, or does not match its hashes.
 
     The settings, the statistics and the codebook are read at once; each model when it is first used, which may raise
     InputError as well. device: where the models are put, such as "cuda".
     """
-    folder, device = Path(path), _usable(device)
+    folder, device = Path(path), torch.device(device)
     index = read_index(folder)
     config = from_dict(Config, index["config"])
+    # Joints in another order would move the wrong limbs.
+    if index["skeleton"].get("names") != list(CHARACTERS[config.motion.joints].names):
+        raise InputError(folder / INDEX, "was trained on another skeleton", "train it again")
     weights = Weights(folder, index["files"])
-    table = part_table()
     # Which parts are optional depends on the settings; the others must be there.
-    lacking = [name for name in required(config) if table[name].file not in weights]
+    system = system_of(config)
+    required = ("lexicon", *system.PARTS, *(("style",) if system.BLOCKS and config.generator.styled else ()))
+    lacking = [name for name in required if part_table()[name].file not in weights]
     if lacking:
         raise InputError(folder, f"lacks {', '.join(lacking)}", "copy the bundle again")
     # Before any weights: the width of word vectors decides shapes of the interpreters.
-    text = _text_source(folder, index["text"])
+    text = None if index["text"] is None else TextSource(**index["text"])
     speakers, silent = tuple(index["speakers"]), np.array(index["silent_lexemes"], dtype=np.int64)
+    # Frequencies and distances lie in the file of the statistics, but belong to the lexicon.
     statistics, tensors = _statistics(folder, weights, config, speakers)
     sizes = Sizes(config, representation_of(config).width, len(statistics.low.mean), len(statistics.high.mean),
                   index["audio_levels"] == 2, len(speakers), text.width if text else 0, statistics.present,
                   silent=tuple(silent.tolist()))
+    # The shapes of some models depend on the codebook.
     vectors = _codebook(folder, weights, config)
     if len(silent) and silent.max() >= len(vectors):
         raise InputError(folder / INDEX, f"names silent lexemes beyond the {len(vectors)} of the lexicon",
@@ -336,60 +324,34 @@ def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
                   text)
 
 
-def _usable(device: str | torch.device) -> torch.device:
-    """The torch device; `InputError` if torch does not know it or cannot use it here."""
-    try:
-        # A tensor is made, because torch accepts names of devices that are not there.
-        usable = torch.device(device)
-        torch.empty(1, device=usable)
-    except (RuntimeError, AssertionError) as error:
-        raise InputError(f"device {device}", f"cannot be used ({str(error).splitlines()[0]})",
-                         'choose "cpu", or "cuda" where torch finds a GPU') from None
-    return usable
-
-
 def _codebook(folder: Path, weights: Weights, config: Config) -> Tensor:
     """[S, D_s] the vectors of the lexemes, from the file of the lexicon."""
     system, name = system_of(config), part_table()["lexicon"].file
     vectors = weights.read(name, None).get(system.CODEBOOK)
     if vectors is None or tuple(vectors.shape) != system.codebook_shape(config):
-        raise InputError(folder / f"{name}{ENDING}", f"does not fit the settings ({system.CODEBOOK}: "
-                         f"{None if vectors is None else tuple(vectors.shape)} instead of "
-                         f"{system.codebook_shape(config)})", "train it again")
+        raise InputError(folder / f"{name}{ENDING}", f"does not fit the settings ({system.CODEBOOK})", "train it again")
     return vectors
-
-
-def _text_source(folder: Path, entry: dict[str, Any] | None) -> TextSource | None:
-    if entry is None:
-        return None
-    encoder, width = entry.get("encoder"), entry.get("width")
-    if set(entry) != {"encoder", "width"} or not isinstance(encoder, str) or type(width) is not int \
-            or not 0 < width <= 2**16:
-        raise InputError(folder / INDEX, "holds something else than it should under text", "copy the bundle again")
-    return TextSource(encoder, width)
 
 
 def _statistics(folder: Path, weights: Weights, config: Config, speakers: tuple[str, ...]
                 ) -> tuple[Statistics, dict[str, NDArray[np.float64]]]:
     """The statistics, and all arrays of their file."""
+    # Stored in single precision; in double, normalising and its inverse do not drift apart.
     tensors = {key: value.double().numpy() for key, value in weights.read(_STATISTICS, None).items()}
+    levels = {key.removeprefix("levels_"): value for key, value in tensors.items() if key.startswith("levels_")}
     motion, count, size = representation_of(config).width, len(speakers), system_of(config).codebook_shape(config)[0]
-    wanted = {"mean_pose": (count, motion), "rest_pose": (count, motion), "deviation": (motion,),
+    shapes = {"mean_pose": (count, motion), "rest_pose": (count, motion), "deviation": (motion,),
               "bounds": (2, motion), "frequencies": (count, size), "transitions": (size, size),
               "rest_distances": (count, size)}
-    for name, shape in wanted.items():
-        if name not in tensors or tensors[name].shape != shape:
-            raise InputError(folder / f"{_STATISTICS}{ENDING}", f"does not fit the settings ({name})", "train it again")
-    # Normalisers are stored flat, as low_mean, low_spread and so on.
-    groups = {name: {key.partition("_")[2]: value for key, value in tensors.items() if key.startswith(f"{name}_")}
-              for name in ("low", "high", "levels")}
+    wrong = [name for name, shape in shapes.items() if name not in tensors or tensors[name].shape != shape]
     try:
-        low, high = Normaliser.from_dict(groups["low"]), Normaliser.from_dict(groups["high"])
-        levels = Levels.from_dict(groups["levels"]) if groups["levels"] else None
-        statistics = Statistics(speakers, tensors["mean_pose"], tensors["rest_pose"], tensors["deviation"],
-                                tensors["bounds"], low, high, tensors.get("quiet_low"), tensors.get("quiet_high"),
-                                levels)
+        if wrong:
+            raise ValueError(wrong[0])
+        return Statistics(
+            speakers, tensors["mean_pose"], tensors["rest_pose"], tensors["deviation"], tensors["bounds"],
+            Normaliser(tensors["low_mean"], tensors["low_spread"]),
+            Normaliser(tensors["high_mean"], tensors["high_spread"]), tensors.get("quiet_low"),
+            tensors.get("quiet_high"), Levels.from_dict(levels) if levels else None), tensors
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(folder / f"{_STATISTICS}{ENDING}", f"does not fit together ({str(error)[:100]})",
-                         "train it again") from None
-    return statistics, tensors
+        raise InputError(folder / f"{_STATISTICS}{ENDING}", f"does not fit the settings ({error})", "train it again"
+                         ) from None

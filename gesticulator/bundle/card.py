@@ -8,18 +8,11 @@ if TYPE_CHECKING:
     from gesticulator.bundle.bundle import Bundle
 
 
-def _words(bundle: Bundle) -> str:
-    if bundle.text is None:
-        return ("It uses the voice only and does not understand words: pointing and negation come at times the sound "
-                "suggests, not words.")
-    return (f"Words matter only if a transcript is given; they are encoded by `{bundle.text.encoder}`, an "
-            "English model. Without a transcript, pointing and negation come at times the sound suggests.")
-
-
 def model_card(bundle: Bundle) -> str:
     """The model card as Markdown: training data, validation figures and limits."""
     p, c = bundle.provenance, bundle.config
-    hours = p["hours"]
+    hours, reads = p["hours"], bundle.text is not None
+    # One row for each figure: stages have different ones.
     figures = "\n".join(f"| {stage} | {name} | {value:.4g} |" for stage, values in bundle.figures.items()
                         for name, value in values.items())
     return f"""# Model card
@@ -41,7 +34,7 @@ Licence of the data: {p["licence"]}
 - When the store is the scripted performer, the motion is real motion-capture strokes arranged by rule on (mostly
   synthetic) speech. The model then learned a rule's idea of when people gesture, not people.
 - Upper body only: no {"fingers, " * (c.motion.joints == 16)}legs, face or walking. The root neither turns nor moves.
-- {_words(bundle)}
+- Without a transcript, pointing and negation come at times the sound suggests{", as it reads no words" * (not reads)}.
 - A speaker is a performer's habit of moving; it has nothing to do with whose voice is heard.
 - Speech over music or over other speakers was not trained on.
 """

@@ -6,7 +6,6 @@ bundle.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -17,8 +16,7 @@ from torch import Tensor
 
 from data_module import blocks as block_module
 from data_module import controls
-from data_module.errors import InputError
-from data_module.motion.representation import REPRESENTATIONS, Representation, representation
+from data_module.motion.representation import Representation, representation
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.speech.front_ends import FrontEnd, MelFrontEnd
 from data_module.types import Array, BeatFlag, Blocks, Samples
@@ -64,22 +62,6 @@ class Normaliser:
     def apply(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
         """(x - mean) / spread in the type of `values`, [..., D]."""
         return ((values - self.mean) / self.spread).astype(values.dtype)
-
-    def invert(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
-        """The inverse of `apply`."""
-        return (values * self.spread + self.mean).astype(values.dtype)
-
-    def to_dict(self) -> dict[str, Array]:
-        """The arrays to store."""
-        return {"mean": self.mean, "spread": self.spread}
-
-    @classmethod
-    def from_dict(cls, arrays: Mapping[str, Array]) -> Normaliser:
-        """The inverse of `to_dict`; KeyError or ValueError for invalid arrays."""
-        mean, spread = (np.asarray(arrays[name], dtype=np.float64) for name in ("mean", "spread"))
-        if mean.ndim != 1 or mean.shape != spread.shape or not (spread > 0).all():
-            raise ValueError("mean and spread must be [D], spread positive")
-        return cls(mean, spread)
 
 
 @dataclass(frozen=True)
@@ -132,11 +114,8 @@ def control_rows(levels: controls.Levels, values: Array, given: NDArray[np.bool_
 
 
 def representation_of(config: Config) -> Representation:
-    """The motion representation of these settings; InputError for an unknown name."""
-    name = config.motion.representation
-    if name not in REPRESENTATIONS:
-        raise InputError("motion.representation", f"is {name!r}", f"choose among {', '.join(REPRESENTATIONS)}")
-    return representation(name, config.motion.joints)
+    """The motion representation of these settings."""
+    return representation(config.motion.representation, config.motion.joints)
 
 
 def body_columns(config: Config) -> dict[str, tuple[int, ...]]:
@@ -294,6 +273,7 @@ def front_end_for(config: Config, encoder: SpeechEncoder | None = None) -> Front
                       SAMPLE_RATE, robust=settings.robust)
     if settings.name == "mel":
         return mel
+    # Imported late, because it needs transformers.
     from data_module.speech.learned_front_ends import front_end
 
     return front_end(settings.name, mel, encoder=encoder, layers=settings.layers or None)
@@ -303,6 +283,7 @@ def tempo_column(durations: Array, longest: float, frames: int) -> Features:
     """[N, 3K, 1]: log(duration / longest) of the block before, the block and the block after, on their rows."""
     # Stretching blocks to one length hides how long they were; this column tells the models.
     logs = np.log(durations / longest)
+    # The ends are repeated: beyond them there is no block whose length could be given.
     padded = np.concatenate([logs[:1], logs, logs[-1:]])
     three = np.stack([padded[:-2], padded[1:-1], padded[2:]], axis=1)
     return np.repeat(three, frames, axis=1)[..., None].astype(np.float32)

@@ -1,30 +1,28 @@
 """The folder of a bundle: its index (`bundle.json`), its weight files, and their hashes.
 
 Everything read is checked first: the format, the content of the index, and size, hash and shapes of each file. A
-folder is written to a temporary one, synced and renamed, so that it is complete or absent.
+bundle is written to a temporary folder, which is then renamed.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import platform
 import shutil
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import msgspec
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load as load_tensors
 from torch import Tensor
 
 from data_module.errors import InputError
-from data_module.files import is_free, read_object
-from data_module.motion.skeletons import CHARACTER, CHARACTERS
+from data_module.files import is_free, new_folder, read_object, rename
 from data_module.types import Skeleton
 from gesticulator.version import __version__
 
@@ -38,13 +36,6 @@ ENDING = ".safetensors"
 _ASSETS = Path(__file__).parents[1] / "assets"
 NAMED = {"default": _ASSETS / "bundle", "paper": _ASSETS / "paper"}
 """Name -> folder of the shipped bundles; `paper` is both papers in their own form."""
-_LARGEST_INDEX = 16 * 2**20
-"""Largest index, bytes: real ones are a thousand times smaller."""
-_HEADER = 2**20
-"""Largest header of a weight file, bytes."""
-_LARGEST_STATISTICS = 256 * 2**20
-"""Largest statistics file, bytes: the transition matrix of 8,192 lexemes."""
-_MOST_SPEAKERS = 10_000
 
 
 def bundle_folder(given: str | os.PathLike[str] | None) -> Path:
@@ -55,6 +46,7 @@ def bundle_folder(given: str | os.PathLike[str] | None) -> Path:
     """
     if given is None:
         return NAMED["default"]
+    # A `Path` is a folder, whatever its name.
     return NAMED[given] if isinstance(given, str) and given in NAMED else Path(given)
 
 
@@ -64,10 +56,8 @@ def lexicon_hash(vectors: Tensor) -> str:
     return hashlib.sha256(vectors.detach().half().cpu().numpy().tobytes()).hexdigest()
 
 
-def write_index(folder: Path, index: dict[str, Any]) -> None:
-    """Write `bundle.json` with the hashes of all files in the folder."""
-    # Stored to be compared when the bundle is read: joints in another order would move the wrong limbs.
-    skeleton = _skeleton_of(index["config"])
+def write_index(folder: Path, skeleton: Skeleton, index: dict[str, Any]) -> None:
+    """Write `bundle.json` with the hashes of all files in the folder. skeleton: that the models animate."""
     index = {"format": FORMAT,
              "made_by": {"gesticulator": __version__, "torch": torch.__version__.split("+")[0],
                          "python": platform.python_version()},
@@ -79,48 +69,37 @@ def write_index(folder: Path, index: dict[str, Any]) -> None:
 
 
 def replace_folder(target: Path, write: Callable[[Path], Any]) -> None:
-    """Replace a bundle atomically by what `write(folder)` writes; InputError if anything but a bundle is there."""
+    """Replace a bundle by what `write(folder)` writes; InputError if anything but a bundle is there."""
     if not (target / INDEX).is_file() and not is_free(target):
         raise InputError(target, "exists and is not a bundle", "choose another path")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    # In the same folder: a rename between file systems is not atomic.
-    temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
-    try:
-        write(temporary)
-        temporary.chmod(0o755)  # mkdtemp and safetensors restrict access to the owner
-        for file in temporary.iterdir():
-            file.chmod(0o644)
-            # Flushed before the rename: after a power failure there is the old bundle or the new one.
-            _sync(file)
-        _sync(temporary)
-        if target.exists():
-            # A folder cannot be replaced in one step; the old one is moved away for an instant.
-            old = temporary.with_name(temporary.name + ".old")
-            target.rename(old)
-            temporary.rename(target)
-            shutil.rmtree(old)
-        else:
-            temporary.rename(target)
-    # Also for Ctrl C: a half-written folder would look like a bundle that lacks files.
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
+    # The old bundle stays until the new one is whole.
+    fresh = target.with_name(f".{target.name}.new")
+    shutil.rmtree(fresh, ignore_errors=True)
+    with new_folder(fresh) as folder:
+        write(folder)
+        for file in folder.iterdir():
+            file.chmod(0o644)  # safetensors restricts access to the owner
+    shutil.rmtree(target, ignore_errors=True)
+    rename(fresh, target)
 
 
-def _sync(path: Path) -> None:
-    """Flush a file, or the entries of a folder, to disk."""
-    if path.is_dir() and os.name == "nt":
-        return  # Windows cannot open folders
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+class _TextEntry(msgspec.Struct, forbid_unknown_fields=True):
+    encoder: str
+    width: Annotated[int, msgspec.Meta(gt=0, le=2**16)]
 
 
-_KINDS: dict[str, Any] = {"config": dict, "skeleton": dict, "speakers": list, "silent_lexemes": list, "files": dict,
-                          "provenance": dict, "figures": dict, "audio_levels": int, "text": (dict, type(None))}
-"""Required entries of `bundle.json` and their types."""
+class _IndexEntries(msgspec.Struct):
+    """The required entries of `bundle.json` and their types."""
+
+    config: dict[str, Any]
+    skeleton: dict[str, Any]
+    speakers: Annotated[list[str], msgspec.Meta(min_length=1, max_length=10_000)]
+    silent_lexemes: list[Annotated[int, msgspec.Meta(ge=0, lt=2**31)]]
+    files: dict[str, str]
+    provenance: dict[str, Any]
+    figures: dict[str, dict[str, Any]]
+    audio_levels: Literal[1, 2]
+    text: _TextEntry | None
 
 
 def read_index(path: str | Path) -> dict[str, Any]:
@@ -128,45 +107,20 @@ def read_index(path: str | Path) -> dict[str, Any]:
     format."""
     folder = Path(path)
     file = folder / INDEX
-    if not folder.exists():
-        raise InputError(folder, "does not exist", "give the folder of a bundle, default or paper")
     if not file.is_file():
-        raise InputError(folder, f"is not a bundle (no {INDEX})", "give a folder that gesticulator train made")
-    index = read_object(file, "copy the bundle again", _LARGEST_INDEX)
+        raise InputError(folder, f"is not a bundle (no {INDEX})", "give default, paper, or a folder that gesticulator "
+                         "train made")
+    index = read_object(file, "copy the bundle again")
     # Checked first: with another format all other messages would mislead.
     version = index.get("format")
     if version != FORMAT or isinstance(version, bool):
         raise InputError(file, f"has format {str(version)[:20]}, and this version reads format {FORMAT}",
                          "train it again or use the matching version")
-    # All names at once, because a file with one missing entry usually lacks several.
-    lacking = [key for key in _KINDS if key not in index]
-    if lacking:
-        raise InputError(file, f"lacks {', '.join(lacking)}", "copy the bundle again")
-    wrong = [key for key, kind in _KINDS.items() if not isinstance(index[key], kind)]
-    if not wrong:
-        wrong = [name for name, fine in (
-            ("speakers", _strings(index["speakers"]) and 0 < len(index["speakers"]) <= _MOST_SPEAKERS),
-            ("silent_lexemes", all(type(n) is int and 0 <= n < 2**31 for n in index["silent_lexemes"])),
-            ("audio_levels", index["audio_levels"] in (1, 2)),
-            ("files", _strings(index["files"].values())),
-            ("figures", all(isinstance(value, dict) for value in index["figures"].values()))) if not fine]
-    if wrong:
-        raise InputError(file, f"has invalid values under {', '.join(wrong)}", "copy the bundle again")
-    if index["skeleton"].get("names") != list(_skeleton_of(index["config"]).names):
-        raise InputError(file, "was trained on another skeleton", "train it again")
+    try:
+        msgspec.convert(index, _IndexEntries)
+    except msgspec.ValidationError as error:
+        raise InputError(file, f"has invalid values ({error})", "copy the bundle again") from None
     return index
-
-
-def _skeleton_of(config: Mapping[str, Any]) -> Skeleton:
-    """The skeleton of stored settings; older ones do not name it and mean the papers' 16 joints."""
-    # Read from plain values: the settings themselves may not be valid yet.
-    motion = config.get("motion")
-    joints = motion.get("joints") if isinstance(motion, Mapping) else None
-    return CHARACTERS[joints] if type(joints) is int and joints in CHARACTERS else CHARACTER
-
-
-def _strings(values: Any) -> bool:
-    return all(isinstance(value, str) for value in values)
 
 
 class Weights:
@@ -197,15 +151,12 @@ class Weights:
         file = self.folder / f"{name}{ENDING}"
         if file.name not in self.listed:
             raise InputError(file, "is missing from the bundle", "copy the bundle again")
-        # The size bounds the memory, whatever a header claims.
-        largest = _LARGEST_STATISTICS if shapes is None else _HEADER + sum(8 * math.prod(s) for s in shapes.values())
-        if file.stat().st_size > largest:
-            raise InputError(file, "is larger than the settings say", "train it again")
         data = file.read_bytes()
         if hashlib.sha256(data).hexdigest() != self.listed[file.name]:
             raise InputError(file, "is not the file that the bundle was made with (wrong SHA-256)",
                              "copy the bundle again")
         try:
+            # `load` gives no metadata, so the header is read a second time for them.
             with safe_open(file, framework="pt") as opened:
                 made_with = opened.metadata() or {}
             tensors = load_tensors(data)

@@ -8,9 +8,10 @@ so that loading one part imports only that part. The parts of a bundle on disk a
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections import UserDict
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -132,23 +133,15 @@ JUDGES = ("reward", "reward_judge")
 evaluation adds them to an opened bundle (`with_parts`). Saving a bundle omits them."""
 
 
-class LazyParts(Mapping[str, nn.Module]):
-    """Models by name, each loaded when it is first used."""
-
-    def __init__(self, loaders: Mapping[str, Callable[[], nn.Module]]) -> None:
-        self._loaders = {name: cache(loader) for name, loader in loaders.items()}
+class LazyParts(UserDict[str, Any]):
+    """Models by name; those that are given by a function are loaded when they are first used."""
 
     def __getitem__(self, name: str) -> nn.Module:
-        return self._loaders[name]()
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._loaders  # `Mapping` would load it
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._loaders)
-
-    def __len__(self) -> int:
-        return len(self._loaders)
+        part = self.data[name]
+        if not isinstance(part, nn.Module):
+            # Kept, because loading reads and checks a file.
+            part = self.data[name] = part()
+        return part
 
 
 def stored_parts(weights: Weights, sizes: Sizes, device: torch.device) -> LazyParts:
@@ -159,21 +152,8 @@ def stored_parts(weights: Weights, sizes: Sizes, device: torch.device) -> LazyPa
 
 def _opened(part: BundlePart, name: str, weights: Weights, sizes: Sizes, device: torch.device) -> nn.Module:
     tied = lexicon_hash(sizes.lexemes) if part.tied else None
+    # Before the model is built: a width in a broken index could take all memory.
     tensors = weights.read(part.file, shapes(name, sizes), tied)
     model = part.build(sizes)
     model.load_state_dict(tensors)
     return freeze(model.to(device))
-
-
-def changed_parts(parts: Mapping[str, nn.Module], changes: Mapping[str, nn.Module | None]) -> LazyParts:
-    """Parts with some replaced, or removed where the change is None; the others are still loaded when used."""
-    unknown = sorted(set(changes) - {*part_table(), *JUDGES})
-    if unknown:
-        raise ValueError(f"no parts of a bundle: {', '.join(unknown)}")
-    # The old mapping goes on loading, so a part is never in memory twice.
-    loaders = {name: partial(parts.__getitem__, name) for name in parts if name not in changes}
-    return LazyParts({**loaders, **{name: partial(_same, module) for name, module in changes.items() if module}})
-
-
-def _same(module: nn.Module) -> nn.Module:
-    return module

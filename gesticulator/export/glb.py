@@ -37,7 +37,7 @@ def write_glb(path: Path, scene: Scene) -> Path:
     too, and a warning says so if it has no mouth. Other scenes are a skeleton with a figure of spindles. `InputError`
     for a character from FBX.
     """
-    character, motion = scene.character, scene.nodes
+    character = scene.character
     if character is not None and character.character.kind == "fbx":
         raise InputError(path, "cannot hold a character from FBX", "write .fbx, or convert the character to GLB")
     if character is not None and character.character.kind == "glb":
@@ -49,6 +49,7 @@ def write_glb(path: Path, scene: Scene) -> Path:
 
             warnings.warn(FaceWarning("a skeleton without a mesh shows no face; give a --character that has one"),
                           stacklevel=2)
+        motion = scene.nodes
         gltf = skeleton_document(motion)
         steady = frozenset(node for node, name in enumerate(motion.names) if name in STEADY)
         gltf.animate(scene.clip, motion, {node: node for node in range(len(motion.names))
@@ -67,7 +68,7 @@ def _add_character_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLa
             entry |= transform(character.translations[node], character.rotations[node], character.scales[node])
     shifts = {} if moved.translations is None else {moved.hips: moved.translations}
     motion = NodeMotion(character.names, character.parents, character.translations, character.rotations,
-                        character.scales, moved.rotations, shifts, {}, moved.fps)
+                        moved.rotations, shifts, {}, moved.fps)
     more: list[FrameTrack] = []
     if face is not None:
         from gesticulator.export.face import tracks_of
@@ -140,8 +141,8 @@ def figure(motion: NodeMotion) -> tuple[Array, Array, NDArray[np.int64]]:
     corners, joints = [], []
     for joint, end in bones:
         start = world[joint, :3, 3]
-        if np.linalg.norm(end - start) * motion.unit > _LEAST_BONE:
-            corners.append(_spindle(start, end, _MOST_HALF_WIDTH / motion.unit)[_SPINDLE_FACES])
+        if np.linalg.norm(end - start) > _LEAST_BONE:
+            corners.append(_spindle(start, end)[_SPINDLE_FACES])
             joints.append(joint)
     triangles = np.concatenate(corners) if corners else np.zeros((0, 3, 3))
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
@@ -150,7 +151,7 @@ def figure(motion: NodeMotion) -> tuple[Array, Array, NDArray[np.int64]]:
             np.repeat(np.array(joints, np.int64), 3 * len(_SPINDLE_FACES)))
 
 
-def _spindle(start: Array, end: Array, most: float) -> Array:
+def _spindle(start: Array, end: Array) -> Array:
     """[6, 3] the first point, four around the widest place, and the last."""
     way = end - start
     length = float(np.linalg.norm(way))
@@ -160,5 +161,5 @@ def _spindle(start: Array, end: Array, most: float) -> Array:
     across /= np.linalg.norm(across)
     up = np.cross(along, across)
     belly = start + way * _WIDEST_AT
-    around = min(_WIDEST * length, most) * np.array([across, up, -across, -up])
+    around = min(_WIDEST * length, _MOST_HALF_WIDTH) * np.array([across, up, -across, -up])
     return np.concatenate([start[None], belly + around, end[None]])

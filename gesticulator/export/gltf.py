@@ -186,7 +186,7 @@ def node_tree(motion: NodeMotion) -> list[dict[str, Any]]:
     nodes: list[dict[str, Any]] = []
     for index, name in enumerate(motion.names):
         node: dict[str, Any] = {"name": name}
-        node |= transform(motion.translations[index], motion.rotations[index], motion.scales[index])
+        node |= transform(motion.translations[index], motion.rotations[index], np.ones(3))
         children = [child for child, parent in enumerate(motion.parents) if parent == index]
         if children:
             node["children"] = children

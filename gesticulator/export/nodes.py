@@ -29,24 +29,21 @@ class NodeMotion:
     """N nodes, parents before children, over T frames; frame t is the pose at t / fps seconds.
 
     names: N unique, non-empty names. parents: N indices, -1 for a root.
-    translations: [N, 3], rotations: [N, 4] (unit quaternions, w first), scales: [N, 3]: the local transforms at rest,
-        x_parent = translation + rotation * (scale * x), Y up.
+    translations: [N, 3] metres, rotations: [N, 4] (unit quaternions, w first): the local transforms at rest,
+        x_parent = translation + rotation * x, Y up.
     turns: [T, N, 4] local rotations over time, replacing those at rest.
     shifts: node -> [T, 3] local translations over time, for nodes that translate.
     tips: node -> [3] the end of its bone in its frame, for nodes without a child.
-    unit: metres per unit of length.
     """
 
     names: tuple[str, ...]
     parents: tuple[int, ...]
     translations: Array
     rotations: Array
-    scales: Array
     turns: Array
     shifts: Mapping[int, Array]
     tips: Mapping[int, Array]
     fps: float
-    unit: float = 1.0
 
     def __len__(self) -> int:
         return len(self.turns)
@@ -64,12 +61,12 @@ class NodeMotion:
         """[T, N, 3] world positions of the nodes, metres."""
         return np.concatenate([self._worlds(self.turns[start:start + _CHUNK], {
             node: places[start:start + _CHUNK] for node, places in self.shifts.items()})[..., :3, 3]
-            for start in range(0, len(self), _CHUNK)]) * self.unit
+            for start in range(0, len(self), _CHUNK)])
 
     def _worlds(self, turns: Array, shifts: Mapping[int, Array]) -> Array:
         local = np.zeros((*turns.shape[:-1], 4, 4))
         for axis, unit in enumerate(np.eye(3)):
-            local[..., :3, axis] = rotation.rotate(turns, unit) * self.scales[:, axis, None]
+            local[..., :3, axis] = rotation.rotate(turns, unit)
         local[..., :3, 3] = self.translations
         local[..., 3, 3] = 1.0
         for node, places in shifts.items():
@@ -89,7 +86,7 @@ def of_motion(motion: Motion) -> NodeMotion:
     rest[0] = [0.0, skeletons.HIP_HEIGHT, 0.0]
     identity = np.zeros((len(skeleton), 4))
     identity[:, 0] = 1.0
-    return NodeMotion(skeleton.names, skeleton.parents, rest, identity, np.ones((len(skeleton), 3)),
+    return NodeMotion(skeleton.names, skeleton.parents, rest, identity,
                       rotation.continuous(rotation.normalise(motion.rotations)), {0: motion.root_positions},
                       dict(skeleton.end_sites), motion.fps)
 
@@ -122,7 +119,7 @@ def of_character(moved: CharacterMotion) -> NodeMotion:
                                               rest[node, :3, :3] @ tip) * moved.unit
             for node, tip in character.tips.items() if node in nodes}
     return NodeMotion(_unique([character.names[node] for node in nodes]), tuple(parents), offsets, local_rest,
-                      np.ones((count, 3)), rotation.continuous(rotation.normalise(local)),
+                      rotation.continuous(rotation.normalise(local)),
                       {0: world[:, moved.hips, :3, 3] * moved.unit}, tips, moved.fps)
 
 
@@ -166,9 +163,9 @@ def with_identity_rest(motion: NodeMotion) -> Motion:
         # Local rotations in the rest frame of the parent joint: with W = prod L, the product telescopes.
         turns[:, node] = rotation.multiply(rotation.multiply(above[node], motion.turns[:, node]),
                                            rotation.conjugate(origin[node]))
-    places = rest[:, :3, 3] * motion.unit
+    places = rest[:, :3, 3]
     offsets = np.array([place - places[parent] if parent >= 0 else np.zeros(3)
                         for place, parent in zip(places, motion.parents, strict=True)])
-    tips = {node: rest[node, :3, :3] @ tip * motion.unit for node, tip in motion.tips.items()}
-    root = motion.shifts.get(0, np.tile(motion.translations[0], (len(motion), 1))) * motion.unit
+    tips = {node: rest[node, :3, :3] @ tip for node, tip in motion.tips.items()}
+    root = motion.shifts.get(0, np.tile(motion.translations[0], (len(motion), 1)))
     return Motion(Skeleton(motion.names, motion.parents, offsets, tips), rotation.continuous(turns), root, motion.fps)

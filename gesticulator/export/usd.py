@@ -41,7 +41,7 @@ def _fill(stage: Any, motion: NodeMotion, clip: ClipLayout) -> None:
     from pxr import Gf, UsdGeom, UsdSkel
 
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
-    UsdGeom.SetStageMetersPerUnit(stage, motion.unit)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     stage.SetTimeCodesPerSecond(motion.fps)
     stage.SetFramesPerSecond(motion.fps)
     stage.SetStartTimeCode(0)
@@ -70,7 +70,7 @@ def _animate(animation: Any, motion: NodeMotion) -> None:
     from pxr import Gf, Usd, Vt
 
     # Scales are half floats in UsdSkel.
-    animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(*scale) for scale in motion.scales.tolist()]))
+    animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1.0, 1.0, 1.0)] * len(motion.names)))
     turns, places = animation.CreateRotationsAttr(), animation.CreateTranslationsAttr()
     # One array for all frames: only the nodes with a path change between them.
     moved = motion.translations.astype(np.float32)

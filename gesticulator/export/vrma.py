@@ -100,5 +100,5 @@ def humanoid(motion: Motion) -> NodeMotion:
                         for place, parent in zip(places, parents, strict=True)])
     identity = np.zeros((len(names), 4))
     identity[:, 0] = 1.0
-    return NodeMotion(names, parents, offsets, identity, np.ones((len(names), 3)),
-                      np.stack([local[name] for name in names], axis=1), nodes.shifts, {}, nodes.fps)
+    return NodeMotion(names, parents, offsets, identity, np.stack([local[name] for name in names], axis=1),
+                      nodes.shifts, {}, nodes.fps)

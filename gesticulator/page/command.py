@@ -9,21 +9,24 @@ import tempfile
 import webbrowser
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data_module.errors import InputError
+from data_module.errors import InputError, complain
+from data_module.files import write_text
 from gesticulator.arguments import performance_arguments, run_settings_of, settings_of
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
 from gesticulator.jobs import STDIN, Job, RunSettings, Worker, load
-from gesticulator.page.saved_edits import place_of, put_aside, read_saved, save
 
 if TYPE_CHECKING:
     from gesticulator.characters.rig import Character
     from gesticulator.gesticulator import Gesticulator
     from gesticulator.page.server import PageServer
+    from gesticulator.plan.plan import GesturePlan
 
+ENDING = ".edits.plan.json"
+"""Ending of the plan file beside `talk.wav` to which the edits are saved, `talk.edits.plan.json`."""
 SHOWN = (".glb", ".gltf", ".vrm")
 """Suffixes of characters that the page can show."""
 
@@ -34,7 +37,6 @@ def arguments(p: argparse.ArgumentParser) -> None:
     page = p.add_argument_group("page")
     page.add_argument("--port", type=int, default=0, metavar="N", help="port on 127.0.0.1 (default: any free one)")
     page.add_argument("--no-browser", action="store_true", help="print the address instead of opening a window")
-    page.add_argument("--anew", action="store_true", help="begin without the edits that were saved beside the sound")
     performance_arguments(p)
 
 
@@ -44,8 +46,9 @@ def run(args: argparse.Namespace) -> int:
 
     settings = run_settings_of(args)
     job = _job(args)
+    # The port comes first: one that is taken is found before the models load.
     with PageServer(args.port) as server, our_warnings(), limited_threads(settings.threads):
-        _prepare(server, job, settings, args.anew)
+        _prepare(server, job, settings)
         _serve(server, args.no_browser)
         server.rendering.acquire()  # a thread that is stopped within torch at the end of the process crashes it
     return 0
@@ -62,15 +65,15 @@ def _job(args: argparse.Namespace) -> Job:
         raise InputError("standard input", "cannot be viewed", "name a sound file")
     if args.character is not None and Path(args.character).suffix.lower() not in SHOWN:
         raise InputError(args.character, "cannot be shown by the page", f"give one of {', '.join(SHOWN)}")
-    check_file(Path(args.speech[0]), args.any_length)
+    check_file(Path(args.speech[0]), any_length=True)
     return replace(settings_of(args), source=Path(args.speech[0]), text=None if args.text is None else Path(args.text))
 
 
-def _prepare(server: PageServer, job: Job, settings: RunSettings, anew: bool) -> None:
-    """Generate the performance, and give the server its page and the renderer of edited plans. anew: begin without the
-    saved edits."""
+def _prepare(server: PageServer, job: Job, settings: RunSettings) -> None:
+    """Generate the performance, and give the server its page and the renderer of edited plans."""
     from gesticulator.export import html
     from gesticulator.gesticulator import Gesticulator
+    from gesticulator.page.palette import moving_figures
     from gesticulator.page.session import EditSession, levels_of
 
     source = job.source
@@ -80,14 +83,14 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings, anew: bool) ->
     gesticulator = Gesticulator.from_pretrained(settings.bundle)
     gesticulator.keeps_generations = True
     # A plan that was given by name comes before the saved one, which it will replace.
-    if not anew and job.options.plan is None:
+    if job.options.plan is None:
         job = _with_saved_edits(gesticulator, job)
     job = replace(job, options=replace(job.options, legs=job.options.legs or stands))
-    performance = Worker(gesticulator, quiet=settings.quiet).performed(job, load(job))
+    performance = Worker(gesticulator).performed(job, load(job))
     session = EditSession(gesticulator, performance)
     scene = performance.scene()
     live = {"token": server.token, "renderings": [session.opened(performance)],
-            "levels": levels_of(gesticulator.bundle), "speakers": list(gesticulator.speakers)}
+            "levels": levels_of(gesticulator.bundle), "speakers": list(gesticulator.bundle.speakers)}
     more = {"live": live, **({} if chosen is None else html.character_data(*chosen, scene.face))}
     if performance.retiming is not None:
         print(f"  {performance.retiming}", flush=True)
@@ -100,14 +103,9 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings, anew: bool) ->
     gc.collect()
     gc.freeze()
     server.render = session.answer
-    server.figures = cache(partial(_figures, gesticulator, performance.decided.speaker))
-
-
-def _figures(gesticulator: Gesticulator, speaker: str | None) -> bytes:
-    """The figures of the palette as JSON."""
-    from gesticulator.page.palette import moving_figures
-
-    return json.dumps(moving_figures(gesticulator.bundle, gesticulator.resolver.speaker(speaker))).encode()
+    # Decoding all lexemes takes a second: only when the palette is opened, and once.
+    speaker = gesticulator.resolver.speaker(performance.decided.speaker)
+    server.figures = cache(lambda: json.dumps(moving_figures(gesticulator.bundle, speaker)).encode())
 
 
 def _character(job: Job) -> tuple[tuple[Character, dict[str, int]] | None, bool]:
@@ -146,7 +144,7 @@ def _with_saved_edits(gesticulator: Gesticulator, job: Job) -> Job:
     speech = resample(amplified(load(job), float(plan.made_by.get("settings", {}).get("gain", 0.0))), SAMPLE_RATE)
     moved = sound_hash(speech) != plan.sound.sha256
     how = "moved onto the new sound" if moved else "opened"
-    print(f"{place_of(job.source)}: the saved edits are {how}; --anew begins without them", flush=True)
+    print(f"{place_of(job.source)}: the saved edits are {how}; without this file none are", flush=True)
     return replace(job, options=replace(options, retime=moved))
 
 
@@ -167,6 +165,45 @@ def _way_in(folder: Path, url: str) -> str:
     file = folder / "open.html"
     file.write_text(f'<!doctype html><meta http-equiv="refresh" content="0; url={url}"><title>gesticulator</title>')
     return file.as_uri()
+
+
+# -------------------------------------------------------------------------------------------------- saved edits
+
+def place_of(source: Path) -> Path:
+    """The file for the edits of a sound."""
+    return source.with_name(source.stem + ENDING)
+
+
+def read_saved(source: Path) -> GesturePlan | None:
+    """The plan saved beside a sound; None without one. A file that cannot be used is put aside, with a warning."""
+    from gesticulator.plan.plan_file import read_plan
+
+    place = place_of(source)
+    if not place.is_file():
+        return None
+    try:
+        return read_plan(place)
+    except (InputError, OSError) as error:
+        put_aside(source, str(error))
+        return None
+
+
+def put_aside(source: Path, why: str) -> None:
+    """Rename the saved plan of a sound, and say so."""
+    place = place_of(source)
+    # Never overwritten: it may be hours of work under another bundle.
+    aside = place.with_name(place.name + ".old")
+    place.replace(aside)
+    complain(f"{place}: is not opened, and is now {aside.name}: {why}")
+
+
+def save(source: Path, plan: GesturePlan) -> None:
+    """Save the edited plan of a sound beside it. A file that cannot be written is reported, and the page goes on."""
+    place = place_of(source)
+    try:
+        write_text(place, plan.to_json())
+    except OSError as error:
+        complain(f"{place}: the edits are not saved ({error.strerror or error})")
 
 
 COMMAND = Command(

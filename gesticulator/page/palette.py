@@ -6,6 +6,7 @@ import base64
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_module.motion.kinematics import positions_of
 from data_module.types import Array, Motion
@@ -42,18 +43,22 @@ def _lexemes(bundle: Bundle) -> list[dict[str, Any]]:
     silent = set(bundle.silent.tolist())
     out = []
     for lexeme in range(count):
-        # In the words by which the palette is searched; the bounds are those of the names of lexemes.
-        moves = ways.paths[lexeme] > MOVES
-        hand = "both" if moves.all() else "right" if moves[0] else "left" if moves[1] else "none"
-        far = float(np.linalg.norm(ways.ways[lexeme], axis=-1).max()) > FAR
-        high = float(ways.heights[lexeme].max()) > LIFTED
-        phase = "rest" if lexeme in silent else "hold" if hand == "none" else "stroke"
-        apart = ways.ways[lexeme][:, 0]
+        moves, way = ways.paths[lexeme] > MOVES, ways.ways[lexeme]
+        phase = "rest" if lexeme in silent else "stroke" if moves.any() else "hold"
+        apart = way[:, 0]
         words = "open" if (apart > MOVES).all() else "close" if (apart < -MOVES).all() else ""
-        out.append({"lexeme": lexeme, "hand": hand, "size": "far" if far else "near",
-                    "height": "up" if high else "down", "phase": phase, "words": words,
-                    "points": _text(points[lexeme])})
+        out.append({"lexeme": lexeme, **_described(moves, np.linalg.norm(way, axis=-1), ways.heights[lexeme]),
+                    "phase": phase, "words": words, "points": _text(points[lexeme])})
     return out
+
+
+def _described(moves: NDArray[np.bool_], ways: Array, heights: Array) -> dict[str, str]:
+    """The words by which the palette is searched: which hands move (left, right), how far and how high. ways, heights:
+    metres."""
+    hand = "both" if moves.all() else "right" if moves[0] else "left" if moves[1] else "none"
+    # The bounds are those of the names of lexemes.
+    return {"hand": hand, "size": "far" if ways.max() > FAR else "near",
+            "height": "up" if heights.max() > LIFTED else "down"}
 
 
 def _gestures(bundle: Bundle, speaker: int) -> list[dict[str, Any]]:
@@ -71,8 +76,8 @@ def _gestures(bundle: Bundle, speaker: int) -> list[dict[str, Any]]:
         poses = laid_over(np.repeat(rest[None], FRAMES, axis=0), times, [(GestureCue(name, time=0.0), 0.0)])
         motion = representation.motion(poses, FRAMES / (before + after))
         hands = REPERTOIRE[ALIASES.get(name, name)].hands
-        out.append({"name": name, "seconds": round(before + after, 2), **_ways(motion), "words": _HANDS[hands],
-                    "points": _text(_points(motion))})
+        out.append({"name": name, "seconds": round(before + after, 2), **_ways(motion), "phase": "stroke",
+                    "words": _HANDS[hands], "points": _text(_points(motion))})
     return out
 
 
@@ -82,9 +87,7 @@ def _ways(motion: Motion) -> dict[str, str]:
     hands = np.stack([places[:, names.index(side)] - places[:, names.index("Hips")] for side in JOINTS[8:4:-3]])
     away = np.linalg.norm(hands - hands[:, :1], axis=-1).max(axis=1)
     moves = np.linalg.norm(np.diff(hands, axis=1), axis=-1).sum(axis=1) > MOVES
-    hand = "both" if moves.all() else "right" if moves[0] else "left" if moves[1] else "none"
-    return {"hand": hand, "size": "far" if away.max() > FAR else "near",
-            "height": "up" if hands[..., 1].max() > LIFTED else "down", "phase": "stroke"}
+    return _described(moves, away, hands[..., 1])
 
 
 def _points(motion: Motion) -> Array:
@@ -97,4 +100,5 @@ def _points(motion: Motion) -> Array:
 
 
 def _text(points: Array) -> str:
+    # As bytes, because hundreds of figures are sent when the palette opens.
     return base64.b64encode(np.clip(np.round(points), -127, 127).astype(np.int8).tobytes()).decode("ascii")

@@ -29,8 +29,6 @@ MOST_BYTES = 16 << 20
 """Largest request, bytes: the plan of an hour is about 10 million."""
 PATIENCE = 30.0
 """Idle timeout of a connection, seconds."""
-MOST_PAGES = 16
-"""Pages whose latest request is known; a page that is loaded again is another one."""
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",  # cannot be set by the policy in the page
@@ -61,8 +59,6 @@ class PageServer(ThreadingHTTPServer):
 
     daemon_threads = True
     block_on_close = False
-    queue = 20.0
-    """Seconds that a plan waits for another rendering before it is refused."""
 
     def __init__(self, port: int = 0) -> None:
         """port: 0 for any free one. `InputError` if it is taken or not allowed."""
@@ -79,7 +75,6 @@ class PageServer(ThreadingHTTPServer):
         """Answers requests with a plan, one at a time."""
         self.token, self.secret = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
         self.rendering = threading.Lock()
-        self._changing = threading.Lock()
         self._latest: dict[str, int] = {}  # page -> its last request
 
     @property
@@ -94,13 +89,8 @@ class PageServer(ThreadingHTTPServer):
 
     def abandons(self, page: str, number: int) -> Callable[[], bool]:
         """Note the latest request of a page; returns whether a later one has come."""
-        with self._changing:
-            # Out and in again, so that the page that asked last is forgotten last.
-            latest = self._latest.pop(page, 0)
-            self._latest[page] = max(number, latest)
-            while len(self._latest) > MOST_PAGES:
-                del self._latest[next(iter(self._latest))]
-        return lambda: self._latest.get(page, number) > number
+        self._latest[page] = max(number, self._latest.get(page, 0))
+        return lambda: self._latest[page] > number
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore browsers that disconnect early."""
@@ -112,6 +102,7 @@ class _PageHandler(BaseHTTPRequestHandler):
     server: PageServer
     protocol_version = "HTTP/1.1"
     server_version = "gesticulator"
+    # The version of Python is not told to everyone who asks.
     sys_version = ""
     timeout = PATIENCE
     _begun = False
@@ -121,6 +112,7 @@ class _PageHandler(BaseHTTPRequestHandler):
         if not self._is_ours():
             return
         place = self._place()
+        # To read, the secret is enough: another origin cannot see the answer.
         if place == "figures":
             self._answer(HTTPStatus.OK, self.server.figures(), "application/json")
         elif place == "":
@@ -166,9 +158,6 @@ class _PageHandler(BaseHTTPRequestHandler):
         if self.headers.get("Origin") != f"http://{self.headers['Host']}" or not known:
             self._refuse(HTTPStatus.FORBIDDEN, "the request is not from this server's page: load the page again")
             return False
-        if self.headers.get_content_type() != "application/json":
-            self._refuse(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "a plan is application/json")
-            return False
         return True
 
     def _render(self, body: bytes, render: Render) -> None:
@@ -185,12 +174,10 @@ class _PageHandler(BaseHTTPRequestHandler):
         page, number = request.get("page"), request.get("number")
         abandoned = self.server.abandons(page if isinstance(page, str) else "",
                                          number if isinstance(number, int) else 0)
-        # One at a time: the models hold all cores, and the renderer remembers what it sampled.
-        if not self.server.rendering.acquire(timeout=self.server.queue):
-            self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "another plan is being rendered")
-            return
         try:
-            self._part(render(request, abandoned, self._part))
+            # One at a time: the models hold all cores, and the renderer remembers what it sampled.
+            with self.server.rendering:
+                self._part(render(request, abandoned, self._part))
         except AbandonedError:
             self._refuse(HTTPStatus.CONFLICT, "the page has asked for something else")
         except (InputError, OSError) as error:
@@ -199,8 +186,6 @@ class _PageHandler(BaseHTTPRequestHandler):
             traceback.print_exc()
             self._refuse(HTTPStatus.INTERNAL_SERVER_ERROR, f"rendering failed ({type(error).__name__}); the terminal "
                          "tells more")
-        finally:
-            self.server.rendering.release()
 
     def _part(self, part: bytes) -> None:
         """Send a part of an answer, which ends with the connection."""

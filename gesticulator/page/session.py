@@ -67,7 +67,7 @@ class EditSession:
     def __init__(self, gesticulator: Gesticulator, first: Performance) -> None:
         """first: whose sound and words are used, and its generation, if it has one (`Gesticulator.keeps_generations`).
         """
-        self._gesticulator, self._speech, self._name = gesticulator, first.speech, first.sound_name
+        self._gesticulator, self._speech, self._name = gesticulator, first.speech, first.decided.sound.name
         self._sound = sound_hash(first.speech)
         self._first = _identity(first.decided), first.generation
         self._renderers: OrderedDict[str, PlanRenderer] = OrderedDict()
@@ -76,11 +76,6 @@ class EditSession:
         self._count = 0
         self.on_edit: Callable[[Mapping[str, Any], GesturePlan], None] = lambda request, plan: None
         """Called with the request and the rendered plan before each answer."""
-
-    @property
-    def speakers(self) -> tuple[str, ...]:
-        """The names of the performers."""
-        return self._gesticulator.speakers
 
     def perform(self, plan: GesturePlan) -> Performance:
         """The performance of a plan; `InputError` with the line if it is invalid or of another recording."""
@@ -163,8 +158,7 @@ class EditSession:
     def _share(self, rendering: Rendering, options: InferenceOptions, frames: EditedFrames) -> None:
         """Let the next renderings share the frames of one."""
         self._frames[rendering.number] = self._framing(options), frames
-        while len(self._frames) > MOST_FRAMES:
-            self._frames.popitem(last=False)
+        _trim(self._frames, MOST_FRAMES)
 
     def _whole(self, performance: Performance, sent: GesturePlan) -> Rendering:
         """The rendering of a whole performance."""
@@ -180,8 +174,7 @@ class EditSession:
         rendering = Rendering(self._count, sent, plan, describe_shape(page, self._speech.duration),
                               np.round(page.rotations * QUATERNION_STEPS).astype("<i2"), root_path(page))
         self._renderings[self._count] = rendering
-        while len(self._renderings) > MOST_RENDERINGS:
-            self._renderings.popitem(last=False)
+        _trim(self._renderings, MOST_RENDERINGS)
         return rendering
 
     def _decided(self, options: InferenceOptions, generated: GeneratedMotion) -> GesturePlan:
@@ -203,9 +196,14 @@ class EditSession:
         else:
             generation = self._first[1] if key == self._first[0] else None
             self._renderers[key] = self._gesticulator.plan_renderer(self._speech, options, generation)
-            while len(self._renderers) > MOST_GENERATIONS:
-                self._renderers.popitem(last=False)
+            _trim(self._renderers, MOST_GENERATIONS)
         return self._renderers[key]
+
+
+def _trim(cache: OrderedDict[Any, Any], most: int) -> None:
+    """Forget the oldest entries."""
+    while len(cache) > most:
+        cache.popitem(last=False)
 
 
 def levels_of(bundle: Bundle) -> dict[str, list[float]] | None:

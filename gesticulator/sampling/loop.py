@@ -221,7 +221,7 @@ def at_rest(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
     # Reading `bundle.gate` opens its weights, which a run at full activity does not need.
     gate = bundle.gate.start(speaker) if setup.activity < 1 and bundle.gate is not None else None
     rest = Rest(bundle.statistics, representation_of(config), speaker, setup.activity,
-                setup.seed) if bundle.rests_by_phrase else None
+                setup.seed) if bundle.config.rests_by_phrase else None
     return State(keys, text, lexeme, past, past, interpreter, interpreter, gate=gate, rest=rest)
 
 

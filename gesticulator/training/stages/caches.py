@@ -6,6 +6,7 @@ import hashlib
 import zipfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,15 +30,35 @@ if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
 
 
-def cached_blocks(store: Store, config: Config, folder: Path, encoder: SpeechEncoder | None = None, *, workers: int = 1,
-                  progress: bool = True
-                  ) -> tuple[list[dict[str, NDArray[Any]]], Mapping[str, NDArray[np.float16]], tuple[Path, ...]]:
-    """Cut and encode a store, or use what is in `folder` under the same settings.
+@dataclass(frozen=True)
+class CachedBlocks:
+    """The blocks of a store on disk. names: [R] of the recordings; files: [R] of their blocks, each with the stretched
+    audio [N, L] beside it (.npy); features: [R] files of their audio features, None without a front end; words:
+    recording -> word vectors [W, d_t]; frames: K; name: a hash of everything here."""
 
-    Returns the blocks of each recording by name of the array; recording -> word vectors [W, d_t]; and the files of the
-    blocks, each with the stretched audio [N, L] beside it (.npy). Without the encoder that the front end needs the
-    audio features are one column of zeros.
-    """
+    names: tuple[str, ...]
+    files: tuple[Path, ...]
+    features: tuple[Path, ...] | None
+    words: Mapping[str, NDArray[np.float16]]
+    frames: int
+    name: str
+
+    def arrays(self, recording: int, only: tuple[str, ...] | None = None) -> dict[str, NDArray[Any]]:
+        """The blocks of a recording, by name of the array."""
+        return read_arrays(self.files[recording], only)
+
+    def features_of(self, recording: int) -> dict[str, NDArray[Any]]:
+        """Features of a recording, by level; one column of zeros without a front end."""
+        if self.features is None:
+            count = len(self.arrays(recording, only=("silent",))["silent"])
+            return {"low": np.zeros((count, 3 * self.frames, 1), np.float16)}
+        return read_arrays(self.features[recording])
+
+
+def cached_blocks(store: Store, config: Config, folder: Path, encoder: SpeechEncoder | None = None, *, workers: int = 1,
+                  progress: bool = True) -> CachedBlocks:
+    """Cut and encode a store, or use what is in `folder` under the same settings. Without the encoder that the front
+    end needs there are no features."""
     # Only what changes the blocks: other settings reuse the folder.
     key = digest(store.fingerprint, config.rhythm, config.motion.representation, config.motion.joints,
                  controls.WINDOW, BRIDGE)
@@ -45,17 +66,15 @@ def cached_blocks(store: Store, config: Config, folder: Path, encoder: SpeechEnc
     files = tuple(blocks / f"{name}.npz" for name in store.names)
     _all(_cut_one, [(str(store.path), name, config, file) for name, file in zip(store.names, files, strict=True)],
          workers, "blocks", progress)
-    rows = [read_arrays(file) for file in files]
+    features, encoded = None, ""
     if encoder is not None or config.front_end.name != "vqwav2vec":
         encoded = digest(blocks.name, config.front_end, weights_hash(encoder) if encoder else "")
-        features = [folder / f"features-{encoded}" / file.name for file in files]
+        features = tuple(folder / f"features-{encoded}" / file.name for file in files)
         _all(_encode_one, [(file, config, encoder, target) for file, target in zip(files, features, strict=True)],
              workers, "features", progress)
-        rows = [{**row, **read_arrays(levels)} for row, levels in zip(rows, features, strict=True)]
-    else:
-        rows = [{**row, "low": np.zeros((len(row["silent"]), 3 * config.rhythm.frames, 1), np.float16)} for row in rows]
     words = word_file(store, config, folder, progress=progress)
-    return rows, {} if words is None else read_arrays(words), files
+    return CachedBlocks(store.names, files, features, {} if words is None else read_arrays(words),
+                        config.rhythm.frames, digest(key, encoded, words.name if words else ""))
 
 
 def _cut_one(store_path: str, name: str, config: Config, target: Path) -> None:

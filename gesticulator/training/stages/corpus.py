@@ -1,9 +1,9 @@
-"""The corpus: blocks of motion, audio and words of a whole store, as arrays in memory."""
+"""The corpus: blocks of motion, audio and words of a whole store, as arrays on disk under the hash of their inputs."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,18 +14,24 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_module.errors import InputError
-from data_module.motion.movement import Pasts, joined, pasts_of
+from data_module.files import new_folder
+from data_module.motion.movement import Pasts, pasts_of
 from data_module.store import Store
 from data_module.types import Array
 from generator.flow import circumstances
-from gesticulator.bundle.config import Config
+from gesticulator.bundle.config import Config, digest
 from gesticulator.bundle.features import Sizes, Statistics, three_blocks
 from gesticulator.training.stages.base import Node, Run
-from gesticulator.training.stages.caches import cached_blocks
+from gesticulator.training.stages.caches import CachedBlocks, cached_blocks
 from gesticulator.training.stages.measured import measured
 
 if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
+
+MEASURED = 2**16
+"""Most blocks (about 7 hours) used for statistics, predictors and k-means, to bound their memory."""
+_STRETCH = 64
+"""Blocks of a stretch, where statistics leave some out: half a minute, so that silences stay whole."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +43,8 @@ class Corpus:
     recording: [N] index; first: [R, D_m] normalised pose at time 0; mask: [R, D_m] dimensions present in the source;
     control: [N, K, F] style features in their units; has_text: [R]; word_at: [N, 3K] rows of `words` [W + 1, d_t + 1]
     (None without a word encoder); files: cached blocks of each recording.
+
+    All arrays of rows are mapped from files, so a corpus may be larger than the memory.
     """
 
     names: tuple[str, ...]
@@ -72,6 +80,10 @@ class Corpus:
     def select(self, split: str) -> NDArray[np.int64]:
         """Block numbers of a split."""
         return np.flatnonzero(np.isin(self.recording, self.recordings(split)))
+
+    def some(self, split: str) -> NDArray[np.int64]:
+        """Block numbers of a split for statistics or fitting: all, or evenly sampled ones of a very large corpus."""
+        return evenly(self.select(split), MEASURED)
 
     def text(self, blocks: NDArray[np.int64] | Tensor) -> Tensor:
         """[..., 3K, d_t + 1] word vectors around blocks [...]."""
@@ -115,51 +127,107 @@ def prepare(store: Store, config: Config, folder: Path, encoder: SpeechEncoder |
     # Speakers that occur in no training recording use the statistics of the first.
     speaker_of = np.array([speakers.index(info.speaker) if info.speaker in speakers else 0
                            for info in store.recordings])
-    rows, words, files = cached_blocks(store, config, folder, encoder, workers=workers, progress=progress)
+    cached = cached_blocks(store, config, folder, encoder, workers=workers, progress=progress)
+    counts = np.array([len(cached.arrays(r, only=("silent",))["silent"]) for r in range(len(speaker_of))])
     splits = tuple(info.split for info in store.recordings)
-    known = [(row, speaker) for row, speaker, split in zip(rows, speaker_of, splits, strict=True) if split == "train"]
-    statistics = measured(config, speakers, np.array([speaker for _, speaker in known]), [row for row, _ in known])
-    motion, first = [], []
-    pasts: list[Pasts] = []
-    levels: dict[str, list[NDArray[np.float16]]] = {"low": [], "high": []}
-    for row, speaker in zip(rows, speaker_of.tolist(), strict=True):
-        motion.append(statistics.normalise(row["motion"], speaker).astype(np.float32))
-        first.append(statistics.normalise(row["first"], speaker).astype(np.float32))
-        pasts.append(pasts_of(*map(torch.as_tensor, (motion[-1], np.diff(row["edges"]), first[-1]))))
-        for level, values in levels.items():
-            if level in row:
-                values.append(getattr(statistics, level).apply(row[level].astype(np.float32)).astype(np.float16))
-    low = torch.as_tensor(np.concatenate(levels["low"]))
-    has_text = np.array([name in words and "word_at" in row for name, row in zip(store.names, rows, strict=True)])
-    table, word_at = _words(rows, words, store.names) if words else (None, None)
-    return Corpus(
-        names=store.names, splits=splits, speaker_of=speaker_of, motion=torch.as_tensor(np.concatenate(motion)),
-        pasts=joined(pasts),
-        # The same tensor, so that one level takes its memory once and `is` tells the cases apart.
-        low=low, high=torch.as_tensor(np.concatenate(levels["high"])) if levels["high"] else low,
-        silent=np.concatenate([row["silent"] for row in rows]),
-        durations=np.concatenate([np.diff(row["edges"]) for row in rows]),
-        recording=np.repeat(np.arange(len(rows)), [len(row["silent"]) for row in rows]),
-        first=torch.as_tensor(np.stack(first)), mask=torch.as_tensor(np.stack([row["mask"] for row in rows])).float(),
-        control=np.concatenate([row["control"] for row in rows]), statistics=statistics, has_text=has_text,
-        word_at=word_at, words=table, files=files)
+    statistics = _measured(config, speakers, cached, np.flatnonzero(np.array(splits) == "train"), speaker_of, counts)
+    rows = folder / f"corpus-{digest(cached.name, config.motion, MEASURED)}"
+    if not rows.exists():
+        with new_folder(rows) as unfinished:
+            _write(unfinished, cached, counts, speaker_of, statistics)
+    try:
+        # Copy on write: torch wants arrays that may be written to, and the files stay as they are.
+        fields: dict[str, Any] = {file.stem: np.asarray(np.load(file, mmap_mode="c")) for file in rows.glob("*.npy")}
+        if len(fields["motion"]) != counts.sum():
+            raise ValueError("other rows")
+    except (OSError, ValueError, KeyError):
+        raise InputError(rows, "is damaged", "delete it and start again") from None
+    tensors: dict[str, Any] = {name: torch.as_tensor(fields.pop(name)) for name in (
+        "motion", "frames", "ratio", "low", "high", "first", "mask", "word_at", "words") if name in fields}
+    # The same tensor, so that one level takes its memory once and `is` tells the cases apart.
+    tensors.setdefault("high", tensors["low"])
+    pasts = Pasts(tensors.pop("frames"), tensors.pop("ratio"))
+    return Corpus(names=store.names, splits=splits, speaker_of=speaker_of, statistics=statistics, files=cached.files,
+                  recording=np.repeat(np.arange(len(counts)), counts), pasts=pasts, **tensors, **fields)
 
 
-def _words(rows: Sequence[dict[str, NDArray[Any]]], words: Mapping[str, NDArray[np.float16]], names: Sequence[str]
-           ) -> tuple[Tensor, Tensor]:
-    """The table [W + 1, d_t + 1] of the words of all recordings, and [N, 3K] the row of each frame of the blocks."""
-    width = len(next(iter(words.values()))[0])
-    # Row 0 of the table is the empty word, zeros with the flag 1.
-    table, at = [np.eye(1, width + 1, width, dtype=np.float16)], []
-    begin = 1
-    for row, name in zip(rows, names, strict=True):
-        frames = np.zeros((len(row["silent"]), 3 * row["motion"].shape[1]), np.int32)
-        if name in words and "word_at" in row:
-            frames = three_blocks(np.where(row["word_at"] >= 0, row["word_at"] + begin, 0), np.zeros(()))
-            table.append(np.pad(words[name], ((0, 0), (0, 1))))
-            begin += len(words[name])
-        at.append(frames.astype(np.int32))
-    return torch.as_tensor(np.concatenate(table)), torch.as_tensor(np.concatenate(at))
+def evenly(numbers: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """About `most` of these numbers [n], evenly sampled: every second one, every third, ..."""
+    return numbers[::max(1, -(-len(numbers) // most))]
+
+
+def stretches(counts: Sequence[int] | NDArray[np.int64], most: int) -> list[list[slice]]:
+    """Stretches of recordings with `counts` blocks, about `most` blocks in all: every recording completely if there are
+    no more, else every second, third, ... stretch of `_STRETCH` blocks."""
+    every = max(1, -(-int(sum(counts)) // most))
+    if every == 1:
+        return [[slice(0, size)] for size in counts]
+    number, out = 0, []
+    for size in counts:
+        begins = range(0, size, _STRETCH)
+        out.append([slice(at, min(at + _STRETCH, size)) for k, at in enumerate(begins) if (number + k) % every == 0])
+        number += len(begins)
+    return out
+
+
+def _measured(config: Config, speakers: tuple[str, ...], cached: CachedBlocks, train: NDArray[np.int64],
+              speaker_of: NDArray[np.int64], counts: NDArray[np.int64]) -> Statistics:
+    """The statistics of about MEASURED blocks of the training split, read recording by recording."""
+    loaded, encoded, owners = [], [], []
+    for recording, parts in zip(train, stretches(counts[train], MEASURED), strict=True):
+        arrays = cached.arrays(recording, only=("motion", "silent", "mask", "control"))
+        features = cached.features_of(recording)
+        for part in parts:
+            # Copies: a view would keep the whole recording in memory.
+            loaded.append({"mask": arrays["mask"], **{key: arrays[key][part].copy()
+                                                      for key in ("motion", "silent", "control")}})
+            encoded.append({key: level[part].copy() for key, level in features.items()})
+            owners.append(int(speaker_of[recording]))
+    return measured(config, speakers, np.array(owners), loaded, encoded)
+
+
+def _write(folder: Path, cached: CachedBlocks, counts: NDArray[np.int64], speaker_of: NDArray[np.int64],
+           statistics: Statistics) -> None:
+    """Write the fields of a corpus as one file each, recording by recording."""
+    written: dict[str, NDArray[Any]] = {}
+
+    def put(name: str, length: int, at: int, rows: NDArray[Any], kind: type) -> None:
+        if name not in written:
+            written[name] = np.lib.format.open_memmap(folder / f"{name}.npy", "w+", kind, (length, *rows.shape[1:]))
+        written[name][at:at + len(rows)] = rows
+
+    total, begin, at = int(counts.sum()), 1, 0
+    for recording, size in enumerate(counts.tolist()):
+        arrays, speaker = cached.arrays(recording), int(speaker_of[recording])
+        motion = statistics.normalise(arrays["motion"], speaker).astype(np.float32)
+        first = statistics.normalise(arrays["first"], speaker).astype(np.float32)
+        durations = np.diff(arrays["edges"])
+        pasts = pasts_of(torch.as_tensor(motion), torch.as_tensor(durations), torch.as_tensor(first))
+        rows: dict[str, tuple[NDArray[Any], type]] = {
+            "motion": (motion, np.float32), "frames": (pasts.frames.numpy(), np.float32),
+            "ratio": (pasts.ratio.numpy(), np.float32), "silent": (arrays["silent"], np.bool_),
+            "durations": (durations, np.float64), "control": (arrays["control"], np.float32)}
+        for level, values in cached.features_of(recording).items():
+            rows[level] = getattr(statistics, level).apply(values.astype(np.float32)), np.float16
+        vectors = cached.words.get(cached.names[recording]) if "word_at" in arrays else None
+        if cached.words:
+            # Row 0 of the table is the empty word, zeros with the flag 1, so the first word of all is row 1.
+            frames = np.zeros((size, 3 * motion.shape[1]), np.int32)
+            if vectors is not None:
+                words = 1 + sum(map(len, cached.words.values()))
+                put("words", words, 0, np.eye(1, vectors.shape[1] + 1, vectors.shape[1]), np.float16)
+                put("words", words, begin, np.pad(vectors, ((0, 0), (0, 1))), np.float16)
+                frames = three_blocks(np.where(arrays["word_at"] >= 0, arrays["word_at"] + begin, 0), np.zeros(()))
+                begin += len(vectors)
+            rows["word_at"] = frames, np.int32
+        for name, (values, kind) in rows.items():
+            put(name, total, at, values, kind)
+        for name, value, kind in (("first", first, np.float32), ("mask", arrays["mask"], np.float32),
+                                  ("has_text", np.array(vectors is not None), np.bool_)):
+            put(name, len(counts), recording, value[None], kind)
+        at += size
+    for array in written.values():
+        array.flush()  # type: ignore[attr-defined]
 
 
 def sizes(config: Config, corpus: Corpus, **more: Any) -> Sizes:

@@ -63,7 +63,7 @@ def _build(run: Run) -> Generator | FlowGenerator:
     # The flow generates coefficients of the lexicon's basis, so it takes over basis and scale.
     if isinstance(model, FlowGenerator):
         lexicon, corpus = _movements(run), run.get(CORPUS)
-        known = torch.as_tensor(corpus.select("train"))
+        known = torch.as_tensor(corpus.some("train"))
         model.adopt(lexicon.basis, lexicon.basis.coefficients(corpus.motion[known], corpus.pasts[known]),
                     lexicon.added(torch.arange(lexicon.size)))
     return model

@@ -21,7 +21,7 @@ from gesticulator.bundle.features import Sizes, representation_of
 from gesticulator.systems import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
-from gesticulator.training.stages.corpus import BLOCKS, Corpus, sizes
+from gesticulator.training.stages.corpus import BLOCKS, MEASURED, Corpus, evenly, sizes
 from gesticulator.training.stages.speech import CORPUS
 from lexicon import inventory as inventories
 from lexicon.autoencoder import Lexicon
@@ -44,7 +44,7 @@ _TOGETHER = 4096
 def _fit_movements(run: Run, model: MovementLexicon) -> Figures:
     """Fit in closed form and by k-means, on the CPU, without steps."""
     corpus = run.get(BLOCKS)
-    known = torch.as_tensor(corpus.select("train"))
+    known = torch.as_tensor(corpus.some("train"))
     mask = corpus.mask[torch.as_tensor(corpus.recording)[known]]
     model.fit(corpus.motion[known], corpus.pasts[known], mask, run.seed(LEXICON))
     return _held_figures(run, model)
@@ -53,7 +53,7 @@ def _fit_movements(run: Run, model: MovementLexicon) -> Figures:
 def _held_figures(run: Run, model: MovementLexicon) -> Figures:
     """`movement_figures` on the validation split (on the training split if it is empty)."""
     corpus = run.get(BLOCKS)
-    held = torch.as_tensor(corpus.select("val") if corpus.recordings("val") else corpus.select("train"))
+    held = torch.as_tensor(corpus.some("val") if corpus.recordings("val") else corpus.some("train"))
     return movement_figures(model, corpus.motion[held], corpus.pasts[held])
 
 
@@ -61,7 +61,7 @@ def _movements_task(run: Run, model: MovementVqVae) -> fitting.Task:
     """The VQ-VAE over movements: the basis in closed form, encoder, lexemes and decoder by steps, and the levels below
     by k-means."""
     corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)
-    known = torch.as_tensor(corpus.select("train"))
+    known = torch.as_tensor(corpus.some("train"))
     mask = corpus.mask[torch.as_tensor(corpus.recording)[known]]
     # Closed forms on the CPU in double precision, and the corpus need not fit on a GPU.
     model.cpu()
@@ -117,7 +117,7 @@ def _lexicon_task(run: Run, model: BlockLexicon) -> fitting.Task | Figures:
     if isinstance(model, MovementLexicon):
         return _fit_movements(run, model)
     corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)
-    known, val = map(torch.as_tensor, (corpus.select("train"), corpus.select("val")))
+    known, some, val = map(torch.as_tensor, (corpus.select("train"), corpus.some("train"), corpus.some("val")))
     recording = torch.as_tensor(corpus.recording)
 
     def make_batch(rng: np.random.Generator, size: int) -> fitting.Batch:
@@ -128,10 +128,10 @@ def _lexicon_task(run: Run, model: BlockLexicon) -> fitting.Task | Figures:
 
     def before_step(step: int) -> None:
         if step == begin:
-            model.start_codebook(corpus.motion[known].to(run.device), run.seed(LEXICON))
+            model.start_codebook(corpus.motion[some].to(run.device), run.seed(LEXICON))
 
     def validate() -> Figures:
-        return lexicon_figures(model, corpus.motion[val if len(val) else known].to(run.device))
+        return lexicon_figures(model, corpus.motion[val if len(val) else some].to(run.device))
 
     return fitting.Task(make_batch, validate=validate, before_step=before_step)
 
@@ -168,6 +168,7 @@ def _codec_task(run: Run, model: RacerCodec) -> fitting.Task:
     corpus, length = run.get(BLOCKS), run.config.cql.decisions
     known = _starts(corpus, "train", length)
     held = (_starts(corpus, "val", length) if corpus.recordings("val") else known)[::length]
+    held, begun = (evenly(starts, MEASURED // length) for starts in (held, known[::length]))
 
     def crops(starts: NDArray[np.int64]) -> Tensor:
         return corpus.motion[torch.as_tensor(starts)[:, None] + torch.arange(length)].flatten(1, 2)
@@ -178,7 +179,7 @@ def _codec_task(run: Run, model: RacerCodec) -> fitting.Task:
 
     def before_step(step: int) -> None:
         if step == 0:
-            model.start_codebook(crops(known[::length]).to(run.device), run.seed(CODEC))
+            model.start_codebook(crops(begun).to(run.device), run.seed(CODEC))
 
     return fitting.Task(make_batch, before_step=before_step,
                         validate=lambda: codec_figures(model, crops(held).to(run.device)))

@@ -19,8 +19,11 @@ BOUNDS = (0.1, 99.9)
 
 
 def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.int64],
-             loaded: list[dict[str, NDArray[Any]]]) -> Statistics:
-    """The statistics of training data, from the cached blocks and features of R recordings of speakers [R]."""
+             loaded: list[dict[str, NDArray[Any]]], encoded: list[dict[str, NDArray[Any]]]) -> Statistics:
+    """The statistics of training data, from the cached blocks and features of R recordings or parts of them.
+
+    speaker_of: [R]; loaded, encoded: [R].
+    """
     width = loaded[0]["motion"].shape[-1]
     mean, rest = np.zeros((len(speakers), width)), np.zeros((len(speakers), width))
     centred = []
@@ -41,7 +44,7 @@ def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.i
     quiet = [settled(arrays["silent"], 1) for arrays in loaded]
     normalisers, silences = [], []
     for level in ("low", "high"):
-        rows = [arrays.get(level, arrays["low"]) for arrays in loaded]
+        rows = [levels.get(level, levels["low"]) for levels in encoded]
         normaliser = Normaliser.fit(np.concatenate(rows).astype(np.float32))
         silence = np.concatenate([row[which] for row, which in zip(rows, quiet, strict=True)]).astype(np.float32)
         normalisers.append(normaliser)
