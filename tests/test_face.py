@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 import pytest
+import torch
 from face_samples import at_rest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,11 +18,15 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.types import Motion
 from gesticulator.face.life import RATE, FaceLife
 from gesticulator.face.lips import (
+    HIDDEN,
     LOOK_AHEAD,
     REACH,
     SHIPPED,
+    STACKED,
     LipFeatures,
     Lips,
+    VisemeStepper,
+    load_weights,
     with_dominance,
     with_strength,
 )
@@ -111,6 +116,20 @@ def test_silence_and_steady_noise_shut_the_mouth() -> None:
         lips.feed(sound)
         lips.finish()
         assert opening(lips.rows(20, len(sound) // 320 - 5)).max() < 0.05
+
+
+def test_the_network_in_numpy_is_torchs() -> None:
+    weights = {name: torch.from_numpy(value) for name, value in load_weights().items()}
+    memory = torch.nn.GRU(HIDDEN, HIDDEN, batch_first=True)
+    memory.load_state_dict({name.removeprefix("memory."): value for name, value in weights.items() if "memory" in name})
+    frames = weights["mean"] + weights["deviation"] * torch.randn(12, STACKED, generator=torch.manual_seed(0))
+    with torch.inference_mode():
+        enter = torch.nn.functional.linear((frames - weights["mean"]) / weights["deviation"], weights["enter.weight"],
+                                           weights["enter.bias"]).relu()
+        both = torch.cat([enter, memory(enter[None])[0][0]], dim=-1)
+        expected = torch.nn.functional.linear(both, weights["leave.weight"], weights["leave.bias"]).softmax(-1)
+    step = VisemeStepper(load_weights())
+    np.testing.assert_allclose(np.array([step(frame) for frame in frames.numpy()]), expected.numpy(), atol=2e-5)
 
 
 def test_weights_are_small_and_are_what_their_record_says() -> None:

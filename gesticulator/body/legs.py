@@ -499,8 +499,7 @@ def _within(values: Array, most: float) -> Array:
 
 
 def _with_hips(rotations: Array, hips: Array) -> Array:
-    """A copy of the rotations [T, J, 4] with these hips [T, 4]; the lowest joint of the spine turns back, so that the
-    upper body stays as it is in the world."""
+    """A copy of the rotations [T, J, 4] with these hips [T, 4]; the spine turns back, so that the upper body stays."""
     out = rotations.copy()
     spine = rotation.multiply(rotations[:, 0], rotations[:, _SPINE])
     out[:, 0], out[:, _SPINE] = hips, rotation.multiply(rotation.conjugate(hips), spine)

@@ -95,8 +95,7 @@ def normal(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> Array:
 
 
 def noise(seed: int, channels: NDArray[np.int64], times: Array, steps: Array) -> Array:
-    """[T, C] smooth noise of standard deviation 1 at `times` [T] seconds for each channel [C], with one normal
-    coefficient every `steps` [C] seconds."""
+    """[T, C] smooth noise of standard deviation 1 at `times` [T], one normal coefficient every `steps` [C] seconds."""
     where = np.asarray(times, dtype=np.float64)[:, None] / steps
     first = np.floor(where).astype(np.int64)
     u = where - first
@@ -157,8 +156,7 @@ class Shifts:
         return self._postures[number]
 
     def _extend(self, last: int) -> None:
-        """Extend the chain of postures up to number `last`: each is sampled from the same spread, neither too near the
-        one before nor too far."""
+        """Extend the postures up to number `last`: from one spread, neither too near the one before nor too far."""
         s, width = self.style, len(self.style.spread)
         for n in range(len(self._postures), last + 1):
             before = self._postures[-1] if n else np.zeros(width)
@@ -227,12 +225,10 @@ def _breathed(seed: int, times: Array, wander: Array) -> Array:
 
 
 class Idle:
-    """Idle motion of a body as a function of time: drivers (shifts, gaze, breath, sway, drifts and curls) mixed into
-    the axes of the joints."""
+    """Idle motion of a body as a function of time: drivers (shifts, gaze, breath) mixed into the axes of joints."""
 
     def __init__(self, seed: int, joints: Sequence[str], rest: Array) -> None:
-        """seed: any integer; joints: names; rest: [J, 3] the resting pose as exponential maps (it tells how fingers
-        bend)."""
+        """joints: names; rest: [J, 3] the resting pose as exponential maps (it tells how fingers bend)."""
         self.seed = seed
         self._shifts = Shifts(seed, _SHIFT_CHANNEL, _HEAD_SHIFT)
         self._gaze = Shifts(seed, _GAZE_CHANNEL, _GAZE)
@@ -278,8 +274,7 @@ def _mixing(joints: list[str], rest: Array) -> Array:
 # ---------------------------------------------------------------------------------------------------- over the poses
 
 def _followed(gains: Array, targets: Array, seconds: float) -> Array:
-    """[parts, 2] gains and their slopes after some seconds in which they follow targets [parts] with continuous value
-    and slope (critically damped)."""
+    """[parts, 2] gains and their slopes after some seconds in which they follow targets [parts], critically damped."""
     # Closed form of the critically damped oscillator: exact for any frame duration.
     away = gains[:, 0] - targets
     push, fade = gains[:, 1] + away / _GAIN_TAU, math.exp(-seconds / _GAIN_TAU)
@@ -293,8 +288,7 @@ class LifeLayer:
 
     def __init__(self, seed: int, statistics: Statistics, representation: Representation, speaker: int,
                  parts: Sequence[NDArray[np.int64]]) -> None:
-        """seed: of `Idle`; representation: of exponential maps; parts: the dimensions of the head, and those of the
-        body."""
+        """representation: of exponential maps; parts: the dimensions of the head, and those of the body."""
         pose = statistics.rest_pose[speaker]
         names = representation.motion(pose[None], 1.0).skeleton.names
         self._idle, self._parts = Idle(seed, names, pose.reshape(-1, 3)), parts

@@ -3,12 +3,12 @@
 Around the moment the motion keeps its manner: a difference is added to it, which rises and fades within `REACH`. With
 p(t) the path of a hand and g its place at the time b of the pin,
 
-    p'(t) = p(t) + w(t) (g - p(c(t))),   w = 6 s^5 - 15 s^4 + 10 s^3,   s = 1 - |t - b| / REACH
+    p'(t) = p(t) + w(t) (g - p(b)),   w = 6 s^5 - 15 s^4 + 10 s^3,   s = 1 - |t - b| / REACH
 
-where c(t) = b for a pin that is passed; a pin that holds has c(t) = t while it does, so that the hand is still, and c
-slows down to a stop within `STOPS` on both sides. Between two pins of a joint that are nearer than 2 REACH the
-difference goes from the one to the other. Hands are moved by turning the whole arm and then bending the elbow in its
-plane, the head by bending the spine while the gaze stays. Frames outside of the ranges are the same bit for bit.
+and with p(t) in place of p(b) for a pin that holds, so that the hand comes to a stop and is still while it does.
+Between two pins of a joint that are nearer than 2 REACH the difference goes from the one to the other. Hands are moved
+by turning the whole arm and then bending the elbow in its plane, the head by leaning while the gaze stays.
+Frames outside of the ranges are the same bit for bit.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
@@ -32,21 +31,16 @@ from gesticulator.plan.plan import GesturePlan, Place, PosePin
 
 REACH = 0.6
 """Seconds before and after a pin in which the motion differs: a hand half a metre off goes at 1.6 m/s more at most."""
-STOPS = 0.2
-"""Seconds in which a hand stops for a pin that holds: a gesture's hand of 1 m/s slows by 5 m/s^2."""
 STRETCHED, MOST_STRETCHED = 0.97, 0.995
 """Shares of an arm's length: up to the first a hand can be pinned; the second limits the way to a pin. An elbow that
 locks would jump."""
 NEAREST, NEAR_SOFT = 0.15, 0.05
 """Smallest distance of a wrist from its shoulder, metres, and metres over which it is approached."""
 MOST_LEAN = math.radians(40.0)
-"""Largest bend of the spine that moves the head: people lean so far while they sit or stand and talk."""
+"""Largest lean that moves the head: people lean so far while they sit or stand and talk."""
 _HEAD_OFF, _CLEARS = 0.03, 0.025
 """Metres by which the head may miss its place, which lies on a curve about the hips; and by which a hand may be moved
 out of the body: one on the surface is moved by 0.0125."""
-_SPINE = ("Spine", "Spine1", "Spine2", "Spine3")
-_ITERATIONS, _GAIN = 10, 1.3
-"""Of the bend of the spine: the head turns about points that are a quarter nearer than the lowest joint."""
 Problem = Callable[[Place, str, str], InputError]
 """Makes the error of a place in the plan."""
 
@@ -114,13 +108,12 @@ def _with_pins(motion: Motion, pins: Sequence[_Pin], error: Problem) -> Array:
 
 
 class _Course:
-    """How strongly the pins of a joint act in the frames of a motion: of each pin the share [T] and the frames c(t) [T]
-    if it holds, None for one that is passed."""
+    """How strongly the pins of a joint act in the frames of a motion: shares [T] of each pin, and share [T] of all."""
 
     def __init__(self, pins: Sequence[_Pin], motion: Motion) -> None:
         self.pins, frames = pins, np.arange(len(motion), dtype=np.float64)
-        self._acts: list[tuple[_Pin, Array, Array | None]] = []
-        fade, stop = (max(round(seconds * motion.fps), 1) for seconds in (REACH, STOPS))
+        self.shares: list[Array] = []
+        fade = max(round(REACH * motion.fps), 1)
         untils = [-math.inf, *(pin.until for pin in pins[:-1])]
         ats = [*(pin.at for pin in pins[1:]), math.inf]
         for pin, before, after in zip(pins, untils, ats, strict=True):
@@ -128,45 +121,26 @@ class _Course:
             rise, fall = (gap if gap < 2 * fade else fade for gap in (pin.at - before, after - pin.until))
             away = np.where(frames < pin.at, (pin.at - frames) / rise, np.maximum(frames - pin.until, 0.0) / fall)
             s = 1.0 - np.minimum(away, 1.0)
-            source = None if pin.until == pin.at else np.clip(
-                _stopped(frames, pin, min(stop, rise), min(stop, fall)), 0, len(frames) - 1)
-            self._acts.append((pin, s * s * s * (s * (6.0 * s - 15.0) + 10.0), source))
-        self.share = np.asarray(np.minimum(np.sum([share for _, share, _ in self._acts], axis=0), 1.0))
-        """[T] of all pins, 0 to 1."""
+            self.shares.append(s * s * s * (s * (6.0 * s - 15.0) + 10.0))
+        self.share = np.asarray(np.minimum(np.sum(self.shares, axis=0), 1.0))
 
-    def added(self, difference: Callable[[_Pin, Array | None], Array]) -> Array:
-        """[T, 3] the sum of the differences of the pins. difference: pin, its frames [T] or None -> the difference
-        [T, 3], or [3]."""
-        return np.asarray(np.sum([share[:, None] * difference(pin, source) for pin, share, source in self._acts],
-                                 axis=0))
+    def added(self, path: Array, difference: Callable[[_Pin, Array], Array]) -> Array:
+        """[T, 3] the sum of the differences of the pins from a path [T, D]; difference: of a pin from a part of it."""
+        # One that is passed differs from the path by as much as it does there: the motion keeps its manner.
+        return np.asarray(np.sum([share[:, None] * difference(pin, path if pin.until > pin.at else path[[pin.at]])
+                                  for pin, share in zip(self.pins, self.shares, strict=True)], axis=0))
 
 
 def _limits_hold(share: Array) -> Array:
-    """[T] nearly 1 where pins act by `share` [T], falling to 0 at the ends of their range: there the motion is as it
-    was."""
+    """[T] nearly 1 where pins act by `share` [T], falling to 0 at the ends of their range."""
     return np.asarray(1.0 - (1.0 - share) ** 4)
-
-
-def _stopped(frames: Array, pin: _Pin, before: float, after: float) -> Array:
-    """[T] the frames c(t) of a pin that holds; before, after: frames in which it slows down and sets off."""
-    rise = np.clip((frames - pin.at) / before + 1.0, 0.0, 1.0)
-    fall = np.clip((pin.until - frames) / after + 1.0, 0.0, 1.0)
-    early = pin.at - before / 2.0 * (1.0 - rise ** 2)
-    late = pin.until + after / 2.0 * (1.0 - fall ** 2)
-    return np.where(frames < pin.at, early, np.where(frames > pin.until, late, frames))
 
 
 # ----------------------------------------------------------------------------------------------------------- hands
 
 def _moved(path: Array, course: _Course) -> Array:
     """[T, 3] the path of a joint through its pins."""
-    def difference(pin: _Pin, source: Array | None) -> Array:
-        position = np.array(pin.pin.position, dtype=np.float64)
-        if source is None:
-            return position - path[pin.at]
-        return position - CubicSpline(np.arange(len(path)), path)(source)
-
-    return path + course.added(difference)
+    return path + course.added(path, lambda pin, there: np.array(pin.pin.position, dtype=np.float64) - there)
 
 
 def _move_hand(motion: Motion, hand: int, course: _Course, error: Problem) -> None:
@@ -226,61 +200,35 @@ def _clear(moved: Motion, share: Array, hands: Sequence[_Pin], error: Problem) -
 # ------------------------------------------------------------------------------------------------- head and rotations
 
 def _move_head(motion: Motion, head: int, course: _Course, error: Problem) -> None:
-    """Move the head in the rotations of a motion; see `MOST_LEAN`."""
+    """Move the head in the rotations of a motion by leaning from the lowest joint of the spine."""
     skeleton, pose = motion.skeleton, pose_of(motion)
-    spine = [skeleton.index(name) for name in _SPINE]
-    joints = [pose.places[name] for name in (*_SPINE, "Head")]
-    goal = _moved(joints[-1], course)
-    lean = _lean(joints, goal)
+    spine, neck = skeleton.index("Spine"), skeleton.parents[head]
+    low, path = pose.places["Spine"], pose.places["Head"]
+    goal = _moved(path, course)
+    lean = swing(path - low, goal - low)
+    off = np.linalg.norm(low + np.einsum("tij,tj->ti", lean, path - low) - goal, axis=-1)
+    angle = np.linalg.norm(Rotation.from_matrix(lean).as_rotvec(), axis=-1)
     for pin in course.pins:
         rows = slice(pin.at, pin.until + 1)
-        off = np.linalg.norm(_leant(joints, lean)[rows] - goal[rows], axis=-1).max()
-        if off > _HEAD_OFF or np.linalg.norm(lean[rows], axis=-1).max() > MOST_LEAN:
+        if off[rows].max() > _HEAD_OFF or angle[rows].max() > MOST_LEAN:
             raise error(("pins", pin.number, "position"), f"is out of the head's reach at {pin.pin.time:.2f} s: by "
-                        f"bending the spine it comes within {max(off, 0.01):.2f} m", "give a nearer place")
+                        f"leaning it comes within {max(off[rows].max(), 0.01):.2f} m", "give a nearer place")
     near = np.flatnonzero(course.share)
     turns = {skeleton.index(joint): turn[near] for joint, turn in pose.turns.items()}
-    for at, joint in enumerate(spine):
-        turns[joint] = _part(lean[near], at, len(spine)) @ turns[joint]
-    # The neck follows the last joint of the spine, and the head keeps its turn in the world.
-    neck = skeleton.parents[head]
-    turns[neck] = _part(lean[near], len(spine) - 1, len(spine)) @ turns[neck]
-    write_turns(motion.rotations, skeleton, turns, (*spine, head), near)
-
-
-def _part(lean: Array, at: int, count: int) -> Array:
-    """[T, 3, 3] the turn of the joint `at` of a spine of `count` joints that leans by [T, 3] as a whole."""
-    return np.asarray(Rotation.from_rotvec(lean * ((at + 1.0) / count)).as_matrix())
-
-
-def _leant(joints: Sequence[Array], lean: Array) -> Array:
-    """[T, 3] the place of the head. joints: [T, 3] places of the spine's joints and of the head."""
-    place, count = joints[0], len(joints) - 1
-    for at, (low, high) in enumerate(zip(joints, joints[1:], strict=False)):
-        place = place + np.einsum("tij,tj->ti", _part(lean, at, count), high - low)
-    return np.asarray(place)
-
-
-def _lean(joints: Sequence[Array], goal: Array) -> Array:
-    """[T, 3] axis times angle of the bend of the spine that brings the head nearest to its goal [T, 3]."""
-    lean = np.zeros_like(goal)
-    for _ in range(_ITERATIONS):
-        # A fixed-point iteration: each turn is by what is lacking, and more, since the spine turns about nearer points.
-        off = swing(_leant(joints, lean) - joints[0], goal - joints[0])
-        lean = lean + _GAIN * Rotation.from_matrix(off).as_rotvec()
-    return lean
+    # The neck follows the spine, and the head keeps its turn in the world.
+    turns[spine], turns[neck] = lean[near] @ turns[spine], lean[near] @ turns[neck]
+    write_turns(motion.rotations, skeleton, turns, (spine, head), near)
 
 
 def _turn(motion: Motion, joint: int, course: _Course) -> None:
     """Turn a joint in the rotations of a motion."""
     path = motion.rotations[:, joint].copy()
 
-    def difference(pin: _Pin, source: Array | None) -> Array:
+    def difference(pin: _Pin, there: Array) -> Array:
         goal = rotation.normalise(np.array(pin.pin.rotation, dtype=np.float64))
-        there = path[pin.at] if source is None else rotation.interpolate(path, source)
         return rotation.to_exponential_map(rotation.multiply(rotation.conjugate(there), goal))
 
     near = np.flatnonzero(course.share)
-    turned = rotation.multiply(path, rotation.from_exponential_map(course.added(difference)))[near]
+    turned = rotation.multiply(path, rotation.from_exponential_map(course.added(path, difference)))[near]
     old = path[near]
     motion.rotations[near, joint] = np.where(np.sum(turned * old, axis=-1, keepdims=True) < 0.0, -turned, turned)

@@ -53,9 +53,6 @@ STILL_HOLD, STILL_SINKING = 1.6, 0.065
 LETS_DOWN, HANGS = 0.24, 1.15
 """Seconds after an interrupting word at which the hands start down, still slow at 0.3 s, and at which they hang: as
 late as a limit of 1.2 s allows after smoothing, because a raised hand has 0.4 m to travel."""
-_EVENLY = 0.18
-"""Share of that path spent accelerating, and decelerating at its end. Between, the speed is constant, 1.2 times the
-mean, where the smooth step used for sinking reaches 1.5."""
 LONGEST_PHRASE = 3.0
 """Seconds of speech without a pause after which a new phrase begins (mean in recorded talks: 2.6 s)."""
 
@@ -198,8 +195,7 @@ class Phrases:
 class _Stop:
     """A path into rest: from a pose with a velocity at `begin` seconds to a stop, and from there to the resting pose.
 
-    stops_in: [D] seconds for each dimension; hold: seconds before it sinks; sinks_in: seconds; evenly: sink at mostly
-    constant speed instead of along a smooth step.
+    stops_in: [D] seconds for each dimension; hold: seconds before it sinks; sinks_in: seconds.
     """
 
     begin: float
@@ -210,23 +206,12 @@ class _Stop:
     rest: Array
     sinks_in: float
     hold: float
-    evenly: bool = False
 
     def at(self, time: float) -> Array:
         s = np.minimum((time - self.begin) / self.stops_in, 1.0)
         stopped = _hermite(s, self.pose, self.velocity * self.stops_in, self.stopped)
         u = min(max((time - self.begin - self.hold) / self.sinks_in, 0.0), 1.0)
-        return stopped + (_even(u) if self.evenly else u * u * (3.0 - 2.0 * u)) * (self.rest - stopped)
-
-
-def _even(u: float) -> float:
-    """0 to 1 with a speed that rises linearly over `_EVENLY` of the time, stays constant, and falls likewise."""
-    edge, speed = _EVENLY, 1.0 / (1.0 - _EVENLY)
-    if u < edge:
-        return speed * u * u / (2.0 * edge)
-    if u > 1.0 - edge:
-        return 1.0 - speed * (1.0 - u) ** 2 / (2.0 * edge)
-    return speed * (u - edge / 2.0)
+        return stopped + u * u * (3.0 - 2.0 * u) * (self.rest - stopped)
 
 
 def _hermite(s: Array | float, start: Array, slope: Array, end: Array) -> Array:
@@ -236,8 +221,7 @@ def _hermite(s: Array | float, start: Array, slope: Array, end: Array) -> Array:
 
 @dataclass
 class _Join:
-    """Offset added to a generated block after waking: removes the jump in position and velocity and fades to zero by
-    the end of the block."""
+    """Offset added to a generated block after waking: it removes the jump and fades to zero by the block's end."""
 
     begin: float
     end: float
@@ -291,7 +275,7 @@ class RestingPart:
         # The speed falls as v (1 - t / T)^2, whose integral is v T / 3.
         stopped = np.clip(pose + self._velocity() * BREAKS_OFF / 3.0, *self.bounds)
         self._stop = _Stop(now, pose, self._velocity(), stopped, np.full(len(pose), BREAKS_OFF), self.rest,
-                           HANGS - LETS_DOWN, max(word + LETS_DOWN - now, 0.0), evenly=True)
+                           HANGS - LETS_DOWN, max(word + LETS_DOWN - now, 0.0))
 
     def _velocity(self) -> Array:
         (before, earlier), (now, later) = self._last

@@ -50,9 +50,7 @@ def _command(program: str) -> list[str]:
 
 
 def run_in_blender(subject: Path, script: Path, *arguments: str) -> str:
-    """Run a script in Blender; returns its output. `InputError` about `subject` without Blender or if it fails.
-
-    """
+    """Run a script in Blender; returns its output. `InputError` about `subject` without Blender or if it fails."""
     command = check_blender(subject)
     whole = [*command, str(script), *(["--"] if "--background" in command else []), *arguments]
     # Blender has its own Python and packages, and its FBX exporter numbers objects by hashes of strings.

@@ -73,8 +73,7 @@ def outline_of(body: Body) -> Outline:
 
 
 def _measured_trunk(body: Body) -> Outline | None:
-    """The outline of the vertices that move most with hips, spine and chest, with what hangs on them, or with thighs
-    that hang down; None if there are too few."""
+    """The outline of the vertices that move with the trunk or with hanging thighs; None if there are too few."""
     mapping, standing = body.mapping, _stands(body)
     limbs = {node for name, node in mapping.joints.items()
              if name != "Hips" and not (standing and name.endswith("UpLeg"))}

@@ -19,10 +19,7 @@ PLACES = ("Xposition", "Yposition", "Zposition")
 
 
 def read_bvh_character(path: str | os.PathLike[str]) -> Character:
-    """The skeleton of a BVH file, in the file's units and axes. `InputError` if the file is not BVH.
-
-    The rest pose has all angles zero, as the format defines it.
-    """
+    """The skeleton of a BVH file with all angles zero, in its units and axes. `InputError` if it is not BVH."""
     motion, channels = bvh.read_hierarchy(path)
     skeleton = motion.skeleton
     n = len(skeleton)
@@ -78,7 +75,6 @@ def _values(character: Character, node: int, channels: tuple[str, ...], turns: A
 
 
 def turns_of(matrices: Array) -> Array:
-    """[..., 3, 3] the nearest rotations to matrices [..., 4, 4], by singular value decomposition; a mirrored matrix
-    stays mirrored (determinant -1)."""
+    """[..., 3, 3] the nearest rotations to matrices [..., 4, 4]; a mirrored one stays mirrored (determinant -1)."""
     left, _, right = np.linalg.svd(matrices[..., :3, :3])
     return np.asarray(left @ right)

@@ -32,8 +32,6 @@ _SQUARE = np.radians(8.0)
 """A body that faces within this angle of an axis of the file faces along it: shoulders are never exactly level."""
 _BENT = np.radians(15.0)
 """A joint bent by more than this in the bind pose defines the axis of its hinge."""
-_LEANS, _LOOKS, _SHRUGS = np.radians(20.0), np.radians(35.0), np.radians(40.0)
-"""Deviations of trunk, neck and clavicle from the default skeleton above which they count as a pose; less is build."""
 _LENGTH = 0.6
 """Distance from hips to head of an adult, metres."""
 _SUNK = 0.2
@@ -208,8 +206,7 @@ def _axes(character: Character, mapping: RigMapping, places: Array) -> Array:
 
 
 def _upright(character: Character, axes: Array) -> Array:
-    """[3, 3] the axes of the bind pose, set upright by the shortest turn where the format defines what is up: a body
-    that lies faces forward as the format defines it."""
+    """[3, 3] the axes of the bind pose, set upright where the format defines what is up (and forward, if it lies)."""
     known = UPS.get(character.kind)
     if known is None or axes[1] @ known > 1.0 - 1e-12:
         return axes
@@ -256,14 +253,9 @@ class _Rig:
 
     def __init__(self, character: Character, mapping: RigMapping, bind: Array, rest: tuple[Array, Array, Array]
                  ) -> None:
-        """bind: [N, 3, 3] from the nodes' axes to ours in the bind pose; rest: `rest_places`, `rest_turns` and
-        `offsets` of a `Body`."""
+        """bind: [N, 3, 3] from the nodes' axes to ours; rest: `rest_places`, `rest_turns` and `offsets` of a `Body`."""
         self.character, self.mapping, self.joints, self.bind = character, mapping, mapping.joints, bind
         self._rest_places, self._rest_turns, self._offsets = rest
-        self._places = np.zeros((len(character), 3))  # in the bind pose, from its root
-        for node, parent in enumerate(character.parents):
-            if parent >= 0:
-                self._places[node] = self._places[parent] + bind[parent] @ self._offsets[node]
 
     def way(self, above: int, below: int) -> Array | None:
         """[3] metres from a node to a descendant, in the axes of the first; None if it is not a descendant."""
@@ -287,11 +279,9 @@ class _Rig:
     # ------------------------------------------------------------------------------------------------ the trunk
 
     def trunk(self) -> list[BoneSegment]:
-        """Hips, spine, neck and head. Spine and neck follow the source's by their position between hips, chest and
-        head."""
+        """Hips, spine, neck and head, by their position between hips, chest and head."""
         joints, bind = self.joints, self.bind
         out = [BoneSegment(joints["Hips"], "Hips", bind[joints["Hips"]])]
-        chest_change = self._chest_change()
         # By length, not by number: some rigs have a short first spine bone.
         shares = self._shares([joints["Hips"], *self.mapping.spine])
         source = ("Hips", "Spine", "Spine1", "Spine2", "Spine3")
@@ -299,18 +289,14 @@ class _Rig:
         for node, share in zip(self.mapping.spine, shares[1:], strict=True):
             if node != self.mapping.spine[-1] and self._carries_legs(node):
                 share = 0.0  # a node that carries the legs moves with the hips
-            # A trunk that leans in the bind pose bends evenly: each spine joint takes its share of the whole
-            # rotation.
-            change = _matrix(rotation.from_exponential_map(share * chest_change))
-            out.append(BoneSegment(node, *_place_among(source, steps / steps[-1], share, change @ bind[node])))
-        look = self._head_change()
+            out.append(BoneSegment(node, *_place_among(source, steps / steps[-1], share, bind[node])))
         chain = [*self.mapping.neck, joints["Head"]]
         shares = self._shares(chain)
         for node, low, high in zip(self.mapping.neck, shares, shares[1:], strict=False):
             # A neck of one joint bends like the average of our two, taken at the middle of its bone.
             out.append(BoneSegment(node, *_place_among(("Neck", "Neck1"), np.array([0.25, 0.75]), (low + high) / 2.0,
-                                                   look @ bind[node])))
-        return [*out, BoneSegment(joints["Head"], "Head", look @ bind[joints["Head"]])]
+                                                   bind[node])))
+        return [*out, BoneSegment(joints["Head"], "Head", bind[joints["Head"]])]
 
     def _carries_legs(self, node: int) -> bool:
         return any(self.way(node, self.joints[side + "UpLeg"]) is not None for side in SIDES
@@ -324,26 +310,6 @@ class _Rig:
         return [float(step / steps[-1]) if steps[-1] > 0 else place / max(len(chain) - 1, 1)
                 for place, step in enumerate(steps)]
 
-    def _chest_change(self) -> Array:
-        """[3] rotation vector from the bind pose of the chest to the source at rest; zero if the character is
-        upright."""
-        top = self.mapping.neck[0] if self.mapping.neck else self.joints["Head"]
-        # Spine and shoulders together define the chest's orientation, as two directions of a frame.
-        spine = self._places[top] - self._places[self.joints["Hips"]]
-        across = self._places[self.joints["LeftArm"]] - self._places[self.joints["RightArm"]]
-        source = np.sum([_SOURCE[name] for name in ("Spine", "Spine1", "Spine2", "Spine3", "Neck")], axis=0)
-        turn = frame(source, np.array([1.0, 0.0, 0.0])) @ frame(spine, across).T
-        # The rotation vector: the turn can be divided among the spine's joints.
-        log = Rotation.from_matrix(turn).as_rotvec()
-        return log if np.linalg.norm(log) > _LEANS else np.zeros(3)
-
-    def _head_change(self) -> Array:
-        if not self.mapping.neck:
-            return np.eye(3)
-        neck = self._places[self.joints["Head"]] - self._places[self.mapping.neck[0]]
-        source = _SOURCE["Neck1"] + _SOURCE["Head"]
-        return _turn(neck, source) if np.linalg.norm(neck) > 1e-6 and _angle(neck, source) > _LOOKS else np.eye(3)
-
     # ------------------------------------------------------------------------------------------------ arms
 
     def arms(self) -> list[BoneSegment]:
@@ -352,9 +318,8 @@ class _Rig:
         # Mirrored rotations: `sign` flips the axes that point sideways.
         for side, sign in (("Left", 1.0), ("Right", -1.0)):
             if side + "Shoulder" in self.joints:
-                bone, source = self.bone(side + "Shoulder", side + "Arm"), _SOURCE[side + "Arm"]
-                out.append(self._segment(side + "Shoulder",
-                                         _turn(bone, source) if _angle(bone, source) > _SHRUGS else np.eye(3)))
+                self.bone(side + "Shoulder", side + "Arm")
+                out.append(self._segment(side + "Shoulder", np.eye(3)))
             upper, lower = self.bone(side + "Arm", side + "ForeArm"), self.bone(side + "ForeArm", side + "Hand")
             source_upper, source_lower = _SOURCE[side + "ForeArm"], _SOURCE[side + "Hand"]
             hinge = np.cross(upper, lower) if _angle(upper, lower) > _BENT else None
@@ -373,8 +338,7 @@ class _Rig:
         return out
 
     def _palm(self, side: str, sign: float, forearm: Array) -> tuple[Array, Array | None, Array, Array]:
-        """Direction along the hand and out of its back in the bind pose (None without fingers), and those of the
-        source."""
+        """Directions along the hand and out of its back (None without fingers), and those of the source."""
         fingers = [finger for finger in FINGERS[1:] if f"{side}Hand{finger}1" in self.joints]
         # Two knuckles far apart give the palm's plane best.
         pair = next((pair for pair in _KNUCKLES if set(pair) <= set(fingers)), None)
@@ -427,8 +391,7 @@ class _Rig:
         return out
 
     def _phalanx(self, name: str, before: Array | None) -> Array | None:
-        """[3] direction of a finger bone in the bind pose: to the next joint or its tip, else that of the bone
-        before."""
+        """[3] direction of a finger bone: to the next joint or its tip, else that of the bone before."""
         node, following = self.joints[name], name[:-1] + str(int(name[-1]) + 1)
         # A finger's last joint may have several children (nail, tip); the farthest shows the direction.
         ways = [self.way(node, self.joints[following])] if following in self.joints else [

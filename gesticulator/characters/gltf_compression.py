@@ -102,8 +102,7 @@ def _is_index(value: Any) -> bool:
 
 
 def unpacked_mesh(data: bytes, subject: object) -> dict[int, NDArray[Any]]:
-    """The attributes of a Draco mesh by their numbers, [count, width] each. `InputError` for data that cannot be
-    decoded."""
+    """The attributes of a Draco mesh by number, [count, width] each. `InputError` if it cannot be decoded."""
     package = decoder(DRACO, subject)
     try:
         mesh = package.decode(data)

@@ -231,8 +231,7 @@ class GltfFile:
         return cast("int", self.rows("accessors")[accessor]["count"])
 
     def array(self, accessor: int, rows: slice = slice(None)) -> NDArray[np.float64]:
-        """[n, width] the values of an accessor, or some of its rows, with sparse values applied; normalised integers
-        become fractions of 1."""
+        """[n, width] the values of an accessor, or some of its rows; normalised integers become fractions of 1."""
         source = self.rows("accessors")[accessor]
         kind, width = np.dtype(_TYPES[source["componentType"]]), math.prod(_SHAPES[source["type"]])
         if accessor in self._draco:

@@ -320,8 +320,7 @@ _SEPARATE_TRIANGLES = 4
 
 
 def read_skin(file: GltfFile, place: Mapping[int, int], moves: Mapping[int, Array]) -> Skin:
-    """A sample of the skinned triangles. place: node of the file -> node; moves: skin -> [J, 4, 4] from the space of
-    its mesh into the world of the bind pose, by joint."""
+    """A sample of the skinned triangles. moves: skin -> [J, 4, 4] from its mesh to the world of the bind pose."""
     parts = [(skin, primitive) for skin, primitive in _skinned_parts(file)
              if primitive.get("mode", _SEPARATE_TRIANGLES) == _SEPARATE_TRIANGLES]
     sizes = [file.count(primitive["indices"] if "indices" in primitive else primitive["attributes"]["POSITION"]) // 3

@@ -87,10 +87,7 @@ class Search:
 
 
 def find_joints(character: Character) -> RigMapping:
-    """The best mapping of the character's joints, with its confidence and doubts.
-
-    It rejects nothing: `gesticulator.characters.mapping.check` decides whether the mapping is usable.
-    """
+    """The best mapping of the character's joints, with its confidence and doubts; `mapping.check` rejects it."""
     if character.humanoid:
         return _from_vrm(character)
     labels = character_labels(character)
@@ -119,8 +116,7 @@ def _worth(mapping: RigMapping) -> tuple[bool, float, int]:
 
 
 def _skeletons_mixed(character: Character, mapping: RigMapping) -> list[str]:
-    """The names of the file's skeletons if the mapping has joints of two that stand beside one another, as the arms of
-    a rider and the legs of the horse; else none."""
+    """The file's skeletons, if the mapping mixes two that stand beside one another (a rider and a horse); else none."""
     skeletons = skeletons_of(character)
     inside = {top: character.under([top]) for top in skeletons.values()}
     used = [top for top, nodes in inside.items() if nodes[list(mapping.joints.values())].any()]
@@ -243,8 +239,7 @@ def _nearness(search: Search, head: int, ends: Mapping[str, int]) -> int:
 
 
 def _ends_by_shape(search: Search) -> dict[str, int]:
-    """Hands and feet by position. Left and right are those of the names, where these say them; positions do not show
-    which way the character faces."""
+    """Hands and feet by position; left and right are those of the names, as positions do not tell."""
     ends = shape.limb_ends(search.character, search.places, search.up, search.aids)
     named = {name: next((search.labels[above].side for above in (node, *ancestors(search.character.parents, node))
                          if search.labels[above].side), "") for name, node in ends.items()}
@@ -271,7 +266,7 @@ def _below(search: Search, top: int, end: int) -> list[int]:
     """The nodes of a limb from below the trunk to its end, and on to the toes."""
     path = search.path(top, end)
     while len(toes := [node for node, parent in enumerate(search.character.parents)
-                       if parent == path[-1] and search.labels[node].is_a("ToeBase", "Foot")]) == 1:
+                       if parent == (path or [end])[-1] and search.labels[node].is_a("ToeBase", "Foot")]) == 1:
         path += toes
     return path[-_LONGEST_PATH:]
 
@@ -423,8 +418,7 @@ def _one_line(search: Search, nodes: Sequence[int]) -> list[int]:
 
 
 def _turned_round(search: Search, joints: dict[str, int], named: bool, doubts: list[str]) -> dict[str, int]:
-    """Exchanges left and right if the feet show that the character faces backwards: its names do not give the sides, or
-    give them for the mirror image. named: whether they give any."""
+    """Exchanges left and right if the feet show that it faces backwards. named: whether the names give sides."""
     if not named:
         doubts.append("its names do not distinguish left from right")
     ahead = shape.feet_ahead(search.character, search.places, search.up, joints)

@@ -25,8 +25,7 @@ READERS: Registry[RegistryEntry] = Registry("characters", "a format of character
 
 
 def read_character(path: str | os.PathLike[str]) -> Character:
-    """The character in a file, or with `file#name` the one of that name among several
-    (`gesticulator.characters.rig`). `InputError` for an unknown suffix or an invalid file."""
+    """The character in a file, or with `file#name` one of several. `InputError` for an unknown or invalid file."""
     file, name = split_name(os.fspath(path))
     suffix = Path(file).suffix.lower()
     if suffix not in READERS:
@@ -38,8 +37,7 @@ def read_character(path: str | os.PathLike[str]) -> Character:
 
 def choose(file: str | os.PathLike[str], mapping: str | os.PathLike[str] | None = None,
            save: str | os.PathLike[str] | None = None) -> tuple[Character, RigMapping]:
-    """The character in a file and its mapping: from a mapping file, else detected; `mapping.check` tells whether it is
-    usable. save: where to write the mapping."""
+    """The character in a file and its mapping, unchecked: from a file, else detected. save: where to write it."""
     character = read_character(file)
     joints = find_joints(character) if mapping is None else load_mapping(mapping, character)
     if save is not None:

@@ -253,8 +253,7 @@ def skeletons_of(character: Character) -> dict[str, int]:
 
 
 def chosen(character: Character, name: str) -> Character:
-    """The character with the joints and the mesh of one skeleton alone. `InputError` that lists the names, if there is
-    none of that name."""
+    """The character with the joints and the mesh of one skeleton alone. `InputError` that lists the names."""
     skeletons = skeletons_of(character)
     if name not in skeletons:
         raise InputError(f"{character.path}#{shown(name)}", "is not a character of the file",

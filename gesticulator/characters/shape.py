@@ -77,8 +77,7 @@ def limb_ends(character: Character, places: Array, up: Array, aids: Collection[i
 
 
 def _across(leaves: Array, up: Array) -> Array | None:
-    """[3] the horizontal axis of the file along which the leaves are most symmetric (to the left of a character facing
-    along the other); None if nothing has any width."""
+    """[3] the horizontal axis of the file along which the leaves are most symmetric; None if nothing has any width."""
     names = [axis for axis in np.eye(3) if abs(axis @ up) < 0.5]
     best, best_axis = np.inf, None
     for axis in names:
@@ -97,8 +96,7 @@ def _across(leaves: Array, up: Array) -> Array | None:
 
 def head_above(character: Character, places: Array, up: Array, fork: int, taken: Iterable[int],
                aids: Collection[int] = ()) -> int | None:
-    """The head by position: on the path from the fork of the arms to the highest node above it. aids: nodes that are no
-    joints by name, such as those of ears and hair."""
+    """The head by position: on the path from the fork of the arms to the highest node above it that is no aid."""
     if fork < 0:
         return None
     below = _children(character)
@@ -115,10 +113,8 @@ def head_above(character: Character, places: Array, up: Array, fork: int, taken:
 
 
 def finger_chains(character: Character, places: Array, hand: int) -> dict[str, list[int]]:
-    """Finger -> the nodes of its chain, for a hand with five chains of at least two nodes.
-
-    The thumb is the chain that points away from the others; the rest are ordered side by side from it.
-    """
+    """Finger -> the nodes of its chain, for a hand with five chains of at least two nodes. The thumb is the chain that
+    points away from the others."""
     below = _children(character)
     chains = []
     for base in below[hand]:
@@ -133,16 +129,10 @@ def finger_chains(character: Character, places: Array, hand: int) -> dict[str, l
     ways = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
     # The thumb deviates most from the median direction of the chains.
     thumb = int(np.argmin(ways @ np.median(ways, axis=0)))
-    rest = [place for place in range(5) if place != thumb]
-    bases = np.array([places[chains[place][0]] for place in rest])
-    # The line of the knuckles: the direction in which they spread most.
-    spread = np.linalg.svd(bases - bases.mean(axis=0))[2][0]
-    order = np.argsort((bases - places[chains[thumb][0]]) @ spread)
-    if np.linalg.norm(bases[order[0]] - places[chains[thumb][0]]) > np.linalg.norm(
-            bases[order[-1]] - places[chains[thumb][0]]):
-        order = order[::-1]
-    ordered = [thumb, *(rest[int(place)] for place in order)]
-    return {finger: chains[place][:4] for finger, place in zip(FINGERS, ordered, strict=True)}
+    # From the thumb, the knuckles are farther and farther.
+    bases = np.array([places[chain[0]] for chain in chains])
+    order = np.argsort(np.linalg.norm(bases - bases[thumb], axis=1))
+    return {finger: chains[place][:4] for finger, place in zip(FINGERS, order, strict=True)}
 
 
 def feet_ahead(character: Character, places: Array, up: Array, joints: Mapping[str, int]) -> float | None:

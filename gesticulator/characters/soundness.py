@@ -1,7 +1,7 @@
 """Checks a moved character: its skeleton and mesh must stand and gesture as a human body does.
 
 A mapping is only a hypothesis. Here the character takes a few poses, and its nodes and mesh points are measured in the
-world: a trunk upright on two legs, toes and eyes ahead, limbs of human proportions that point where those of the motion
+world: a trunk upright on two legs, toes ahead, limbs of human proportions that point where those of the motion
 point, a mesh that follows its bones and does not tear. A fault prevents output; a doubt is reported, so that the user
 looks at the result.
 """
@@ -20,16 +20,15 @@ from data_module.motion.skeletons import WHOLE_BODY
 from data_module.types import Array, Motion
 from gesticulator.characters.frames import Body
 from gesticulator.characters.mapping import ARM_PARTS, LEG_PARTS, SIDES, ancestors, node_keys
-from gesticulator.characters.names import label, words
 from gesticulator.characters.rig import UPS, CharacterMotion
-from gesticulator.characters.shape import bind_matrices
+from gesticulator.characters.shape import bind_matrices, feet_ahead
 from gesticulator.contacts.limbs import pose_of
 
 _ASTRAY, _LEGS_ASTRAY = 3.0, 10.0
 """Largest angle between a limb and that of the motion, degrees: in arms it is 0 but for the correction of contacts; of
 legs, which bend so that feet stay on the floor."""
-_BEHIND = 100.0
-"""Smallest angle between feet, or eyes, and forward that counts as facing elsewhere, degrees."""
+_BEHIND = -0.17
+"""Cosine between the feet and forward below which the character faces elsewhere: 100 degrees."""
 _LIES = 50.0
 """Angle of the trunk of the bind pose from the vertical, degrees, above which it lies."""
 _ON_FOURS, _PARALLEL = 125.0, 45.0
@@ -53,7 +52,6 @@ _FEWEST = 8
 _LIMBS = {"arm": ARM_PARTS[1:], "leg": LEG_PARTS[:3]}
 _PLAIN = {"Arm": "upper arm", "ForeArm": "forearm", "Hand": "hand", "UpLeg": "thigh", "Leg": "shin", "Foot": "foot",
           "Head": "head"}
-_LEVEL, _AHEAD = np.array([1.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0])
 
 Remedy = str | tuple[str, ...]
 """Advice on a fault, or the joints to correct in a mapping."""
@@ -63,8 +61,7 @@ Check = Iterator[tuple[bool, str, Remedy]]
 
 @dataclass(frozen=True)
 class Findings:
-    """Problems of a moved character. faults: (reason, remedy); doubts: reasons; share: of the checks that found
-    nothing."""
+    """Problems of a moved character. faults: (reason, remedy); share: of the checks that found nothing."""
 
     faults: tuple[tuple[str, Remedy], ...] = ()
     doubts: tuple[str, ...] = ()
@@ -91,8 +88,7 @@ def probe_motion() -> Motion:
 
 
 def require_sound(body: Body, moved: CharacterMotion, stands: bool) -> Findings:
-    """The findings for a sound character; `InputError` with the reason and the line of the mapping to correct, for a
-    fault. See `examine`."""
+    """`examine` of a sound character; for a fault `InputError` with the line of the mapping to correct."""
     findings = examine(body, moved, stands)
     if findings.faults:
         reason, remedy = findings.faults[0]
@@ -181,20 +177,11 @@ class _Probe:
                    "give a human character, or stand it upright before the export")
 
     def facing(self) -> Check:
-        """Feet and eyes point ahead."""
-        toes = [(self.place(side + "ToeBase")[1] - self.place(side + "Foot")[1]) * _LEVEL for side in SIDES
-                if self.stands and side + "ToeBase" in self.joints]
-        toes = [way for way in toes if np.linalg.norm(way) > 0.005 * self.height]
-        if toes and all(_degrees(way, _AHEAD) > _BEHIND for way in toes):
+        """The feet point ahead, given left and right."""
+        bound = bind_matrices(self.character)[:, :3, 3]
+        ahead = feet_ahead(self.character, bound, self.body.bind_axes[1], self.joints)
+        if self.stands and ahead is not None and ahead < _BEHIND:
             yield True, "its toes point backwards", ("LeftFoot", "LeftToeBase")
-        head = self.joints["Head"]
-        eyes = [node for node, name in enumerate(self.character.names) if "eye" in words(name) and label(name).side
-                and head in ancestors(self.character.parents, node)]
-        # Both eyes: their mean lies in the middle, ahead of the head joint.
-        if len(eyes) >= 2:
-            way = (self.places[1, eyes].mean(axis=0) - self.places[1, head]) * _LEVEL
-            if np.linalg.norm(way) > 0.01 * self.height and _degrees(way, _AHEAD) > _BEHIND:
-                yield True, "its eyes look backwards", ("LeftArm", "RightArm")
 
     def proportions(self) -> Check:
         """The ratios of limb lengths are those of a human or a toy."""

@@ -8,8 +8,6 @@ forearm. A twist bone at share s of the distance from elbow to wrist turns by s 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -37,7 +35,7 @@ def share_roll(turns: dict[int, Array], body: Body) -> None:
     for side in SIDES:
         forearm, hand = body.mapping.joints[side + "ForeArm"], body.mapping.joints[side + "Hand"]
         # Places from elbow to wrist in the axes of the forearm, in the bind pose of the mesh.
-        offsets = {node: bound[forearm].T @ (places[node] - places[forearm]) for node in range(len(body.character))}
+        offsets = (places - places[forearm]) @ bound[forearm]
         bones = _twist_bones(body, forearm, hand, offsets)
         if not bones:
             continue
@@ -49,24 +47,16 @@ def share_roll(turns: dict[int, Array], body: Body) -> None:
             turns[node] = turns[forearm] @ turn @ (bound[forearm].T @ bound[node])
 
 
-def _twist_bones(body: Body, forearm: int, hand: int, offsets: Mapping[int, Array]) -> list[tuple[int, float]]:
+def _twist_bones(body: Body, forearm: int, hand: int, offsets: Array) -> list[tuple[int, float]]:
     """The nodes that take a share of the hand's roll, and their shares: identified by name or by lying between elbow
-    and wrist. offsets: node -> [3] from the elbow, in the forearm's axes."""
+    and wrist. offsets: [N, 3] from the elbow, in the forearm's axes."""
     character, way = body.character, offsets[hand]
-    length = float(np.linalg.norm(way))
-    # The nodes strictly between forearm and hand.
-    line = ancestors(character.parents, hand)
-    line = line[:line.index(forearm)]
-    twists = []
-    for node, offset in offsets.items():
-        above = ancestors(character.parents, node)
-        if forearm not in above or node == hand or hand in above or node in body.mapping.joints.values():
-            continue
-        place = float(offset @ way) / length ** 2
-        aside = float(np.linalg.norm(offset - place * way)) / length
-        if (node in line or NAMED & set(words(character.names[node]))) and aside < _ASIDE:
-            twists.append((place, node))
-    twists.sort()
+    length, line = float(np.linalg.norm(way)), ancestors(character.parents, hand)
+    along = offsets @ way / length ** 2
+    aside = np.linalg.norm(offsets - along[:, None] * way, axis=1) / length
+    under = character.under([forearm], body.mapping.joints.values()) & (aside < _ASIDE)
+    twists = sorted((float(along[node]), int(node)) for node in np.flatnonzero(under) if node != forearm
+                    and (node in line or NAMED & set(words(character.names[node]))))
     # Several bones at one end are taken to be evenly along the forearm.
     return [(node, place if _ENDS[0] < place < _ENDS[1] else (rank + 1) / (len(twists) + 1))
             for rank, (place, node) in enumerate(twists)]

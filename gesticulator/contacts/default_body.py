@@ -204,8 +204,7 @@ class _Body:
         return np.asarray((1.0 - _ramp(length(hand - shoulder), FOLDED)) * _ramp(across, BESIDE))
 
     def out_of_trunk(self, point: Array, sign: Sign, over: float) -> Array:
-        """[..., T, 3] the displacement of a point [..., T, 3] of a hand in the trunk; sign: see `push`; over: metres in
-        which it is rounded."""
+        """[..., T, 3] the displacement of a point of a hand in the trunk; over: metres in which it is rounded."""
         across, along, ahead = self._from_hips(point)
         return self._axes[:, 2] * soft(shirt_at(across * sign, along, self._length) - ahead, over)[..., None]
 
@@ -219,8 +218,7 @@ class _Body:
 
 
 def trunk_front(across: Array) -> Array:
-    """Metres by which the front of the trunk is ahead of its middle, at metres across it, positive on the hand's
-    side."""
+    """Metres by which the front of the trunk is ahead of its middle, at metres across it (the hand's side: > 0)."""
     width, depth = OURS
     # The ellipse up to where its slope is the steepest, then its tangent.
     edge = STEEPEST * width / depth
@@ -233,8 +231,7 @@ def trunk_front(across: Array) -> Array:
 
 
 def front_at(across: Array, along: Array, length: Array) -> Array:
-    """`trunk_front` at metres across the trunk and `along` it from the hips, which recedes beyond the ends of its
-    `length`."""
+    """`trunk_front` at metres across the trunk and `along` it; it recedes beyond the ends of its `length`."""
     return np.asarray(trunk_front(across) - receding(along, 0.0, length))
 
 
@@ -247,8 +244,7 @@ def shirt_at(across: Array, along: Array, length: Array) -> Array:
 
 
 def back_at(across: Array, along: Array, length: Array) -> Array:
-    """Metres by which the plane that hides an elbow is ahead of the middle of the trunk, as a rule negative; see
-    `front_at`."""
+    """Metres by which the plane that hides an elbow is ahead of the middle of the trunk; see `front_at`."""
     return np.asarray(-BACK - BACK_FALLS * np.maximum(across - BACK_ENDS, 0.0) - receding(along, 0.0, length))
 
 

@@ -49,8 +49,7 @@ class Thigh:
     knee: Array
 
     def depth(self, points: Array) -> tuple[Array, Array]:
-        """[..., T] metres by which points [..., T, 3] are under the surface, negative above it, and [T, 3] the way
-        up."""
+        """[..., T] metres by which points [..., T, 3] are under the surface, and [T, 3] the way up."""
         bone = self.knee - self.hip
         length = np.linalg.norm(bone, axis=-1)
         along = bone / np.maximum(length, 1e-9)[..., None]
@@ -98,5 +97,5 @@ def _seat() -> tuple[tuple[Array, Array], ...]:
     ends = []
     for side, out in zip(SIDES, (SEAT_SPREAD, -SEAT_SPREAD), strict=True):
         hip, bone = (WHOLE_BODY.offsets[WHOLE_BODY.index(side + part)] for part in ("UpLeg", "Leg"))
-        ends.append((hip, hip + Rotation.from_euler("yx", [out, -90.0], degrees=True).apply(bone)))
+        ends.append((hip, hip + Rotation.from_euler("YX", [out, -90.0], degrees=True).apply(bone)))
     return tuple(ends)

@@ -30,8 +30,7 @@ _STRETCHED = 0.9995
 
 @dataclass(frozen=True)
 class Pose:
-    """The joints of the default skeleton over T frames: joint -> [T, 3, 3] world rotations and [T, 3] positions,
-    metres."""
+    """The joints of the default skeleton: joint -> [T, 3, 3] world rotations and [T, 3] positions, metres."""
 
     turns: Mapping[str, Array]
     places: Mapping[str, Array]
@@ -185,8 +184,7 @@ class BelowShoulder:
 
 def write_turns(rotations: Array, skeleton: Skeleton, turns: Mapping[int, Array], joints: Sequence[int],
                 at: NDArray[np.int64]) -> None:
-    """Write the world rotations `turns` of some joints, each above the next, into `rotations` [T, J, 4] at the frames
-    `at`."""
+    """Write world rotations of some joints, each above the next, into `rotations` [T, J, 4] at the frames `at`."""
     above = np.array([turns[skeleton.parents[joint]] for joint in joints])
     local = np.swapaxes(above, -1, -2) @ np.array([turns[joint] for joint in joints])
     new = rotation.w_first(Rotation.from_matrix(local.reshape(-1, 3, 3))).reshape(*local.shape[:2], 4)
@@ -197,8 +195,7 @@ def write_turns(rotations: Array, skeleton: Skeleton, turns: Mapping[int, Array]
 
 
 def combined(moves: Array) -> Array:
-    """[..., T, 3] the displacement of a hand, of those of its points [..., P, T, 3]: the larger ones count more, so
-    that none takes over at once."""
+    """[..., T, 3] the displacement of a hand, of those of its P points: larger ones count more, none takes over."""
     # Weights that vanish with their displacement: a point that just touches changes nothing.
     weights = np.sum(moves ** 2, axis=-1, keepdims=True)
     return np.asarray(np.sum(weights * moves, axis=-3) / np.maximum(np.sum(weights, axis=-3), 1e-12))

@@ -10,14 +10,12 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import resample_poly
 
 from data_module.errors import InputError
-from data_module.types import Samples
 from gesticulator_performer.espeak_child import NO_VOICE, PHONEME_EVENT, WORD_EVENT
 from gesticulator_performer.sound import RATE, Phone, Sounded, trimmed, word_spans
 
@@ -43,43 +41,20 @@ _CHILD = "from gesticulator_performer.espeak_child import main; main()"
 def sound_phrases(lines: Sequence[Line]) -> list[Sounded]:
     """Speak all phrases in one subprocess; the same list gives the same samples. InputError if espeak-ng is missing or
     lacks a voice."""
-    spoken = _spoken(lines)
-    rate = int(spoken["rate"])
-    return [_sounded(line.text, spoken[f"samples_{i}"], spoken[f"events_{i}"], spoken[f"names_{i}"].tolist(), rate)
-            for i, line in enumerate(lines)]
-
-
-def _spoken(lines: Sequence[Line], *options: str) -> dict[str, NDArray[Any]]:
-    """The output of the subprocess (`espeak_child`)."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "spoken.npz"
-        done = subprocess.run([sys.executable, "-c", _CHILD, str(path), *options],
+        done = subprocess.run([sys.executable, "-c", _CHILD, str(path)],
                               input=json.dumps([asdict(line) for line in lines]), capture_output=True, text=True,
-                              timeout=600, cwd=Path(__file__).parents[2])
+                              timeout=600, cwd=Path(__file__).parents[1])
         if done.returncode == NO_VOICE:
             raise InputError("espeak-ng", f"lacks some of the voices {sorted({line.voice for line in lines})}",
                              "on Debian: apt install espeak-ng")
         if done.returncode != 0:
             raise InputError("espeak-ng", "its library cannot be used", "on Debian: apt install espeak-ng")
         with np.load(path) as spoken:
-            return dict(spoken)
-
-
-def ipa_phrases(lines: Sequence[Line]) -> list[tuple[Samples, list[tuple[str, float, float]]]]:
-    """Phrases in any language: samples at 16 kHz, and (IPA symbol, start, end) of each phone in seconds. Raises as
-    `sound_phrases`."""
-    spoken = _spoken(lines, "ipa")
-    rate = int(spoken["rate"])
-    common = int(np.gcd(RATE, rate))
-    out = []
-    for i in range(len(lines)):
-        samples, events = spoken[f"samples_{i}"], spoken[f"events_{i}"]
-        ends = [*(events[1:, 2] / rate).tolist(), len(samples) / rate]
-        phones = [(name, start / rate, end) for (kind, _, start), name, end in
-                  zip(events.tolist(), spoken[f"names_{i}"].tolist(), ends, strict=True) if kind == PHONEME_EVENT]
-        sound = resample_poly(samples.astype(np.float32) / 32768, RATE // common, rate // common)
-        out.append((sound.astype(np.float32), phones))
-    return out
+            rate = int(spoken["rate"])
+            return [_sounded(line.text, spoken[f"samples_{i}"], spoken[f"events_{i}"], spoken[f"names_{i}"].tolist(),
+                             rate) for i, line in enumerate(lines)]
 
 
 def _sounded(text: str, samples: NDArray[np.int16], events: NDArray[np.int64], names: list[str], rate: int) -> Sounded:

@@ -1,8 +1,7 @@
 """Subprocess that speaks a list of phrases through libespeak-ng and writes samples and events.
 
 The library keeps noise and filter state from phrase to phrase; a fresh process gives the same bytes for the same list.
-Reads JSON from standard input: [{"voice", "text", "rate", "pitch", "range"}]; writes an npz to the path in argv[1]. A
-second argument, "ipa", asks for the names of phones in IPA instead of espeak's mnemonics.
+Reads JSON from standard input: [{"voice", "text", "rate", "pitch", "range"}]; writes an npz to the path in argv[1].
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 
 _LIBRARIES = ("libespeak-ng.so.1", "libespeak-ng.so", "libespeak-ng.dylib", "libespeak-ng.dll", "espeak-ng.dll")
-_SYNCHRONOUS, _PHONEME_EVENTS, _IPA_NAMES, _UTF8 = 2, 1, 2, 1
+_SYNCHRONOUS, _PHONEME_EVENTS, _UTF8 = 2, 1, 1
 _RATE, _PITCH, _RANGE = 1, 3, 4
 WORD_EVENT, END_EVENT, PHONEME_EVENT = 1, 5, 7
 NO_LIBRARY, NO_VOICE = 3, 4
@@ -44,7 +43,7 @@ def library() -> ctypes.CDLL | None:
     return None
 
 
-def speak_all(phrases: list[dict[str, Any]], ipa: bool = False) -> dict[str, np.ndarray]:
+def speak_all(phrases: list[dict[str, Any]]) -> dict[str, np.ndarray]:
     """samples_i [n] int16, names_i and events_i [e, 3] (type, text position from 1, sample) of phrase i; rate."""
     espeak = library()
     if espeak is None:
@@ -64,7 +63,7 @@ def speak_all(phrases: list[dict[str, Any]], ipa: bool = False) -> dict[str, np.
         return 0
 
     callback = _Callback(receive)
-    rate = espeak.espeak_Initialize(_SYNCHRONOUS, 0, None, _PHONEME_EVENTS | (_IPA_NAMES if ipa else 0) | 0x8000)
+    rate = espeak.espeak_Initialize(_SYNCHRONOUS, 0, None, _PHONEME_EVENTS | 0x8000)
     if rate <= 0:
         raise SystemExit(NO_LIBRARY)
     espeak.espeak_SetSynthCallback(callback)
@@ -87,7 +86,7 @@ def speak_all(phrases: list[dict[str, Any]], ipa: bool = False) -> dict[str, np.
 
 
 def main() -> None:
-    spoken_phrases = speak_all(json.load(sys.stdin), sys.argv[2:] == ["ipa"])
+    spoken_phrases = speak_all(json.load(sys.stdin))
     with open(sys.argv[1], "wb") as stream:
         np.savez(stream, **spoken_phrases)  # type: ignore[arg-type]
     # The library's clean-up at exit can wait for a thread that never ends.

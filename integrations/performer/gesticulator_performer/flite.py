@@ -17,7 +17,6 @@ import numpy as np
 import soundfile
 
 from data_module.errors import InputError
-from data_module.types import Samples
 from gesticulator_performer.sound import RATE, Phone, Sounded, trimmed, word_spans
 
 _VOWEL_NAMES = "aa ae ah ao aw ax axr ay eh el em en er ey ih ix iy ow oy uh uw"
@@ -27,26 +26,9 @@ _PHONE = re.compile(r"([a-z]+):([0-9.]+)")
 _WORD = re.compile(r"\w+(?:'\w+)*")
 
 
-def tokens_of(text: str) -> list[str]:
-    return _WORD.findall(text)
-
-
 def sound_phrase(base: str, text: str, pitch: float, deviation: float, stretch: float) -> Sounded:
     """Speak a phrase with the voice `base`. pitch, deviation: Hz (target mean and standard deviation of F0);
     stretch: factor on the normal duration. InputError if flite is missing or lacks the voice."""
-    samples, timed = timed_phrase(base, text, pitch, deviation, stretch)
-    words = tokens_of(text)
-    phones = _in_words(timed, words)
-    if not phones:
-        raise InputError(f"flite voice {base}", f"spoke nothing of {text!r}", "give it words")
-    samples, phones = trimmed(samples, phones)
-    return Sounded(samples, word_spans(words, phones), phones)
-
-
-def timed_phrase(base: str, text: str, pitch: float, deviation: float, stretch: float
-                 ) -> tuple[Samples, list[tuple[str, float, float]]]:
-    """Samples at 16 kHz and (phone, start, end) of each phone in seconds, pauses ("pau") included; as `sound_phrase`,
-    without the words of the phones."""
     with tempfile.TemporaryDirectory() as folder:
         wave = Path(folder) / "phrase.wav"
         printed = _call("-voice", base, "--setf", f"int_f0_target_mean={pitch:.3f}", "--setf",
@@ -55,7 +37,12 @@ def timed_phrase(base: str, text: str, pitch: float, deviation: float, stretch: 
         samples, rate = soundfile.read(wave, dtype="float32")
     if rate != RATE:
         raise InputError(f"flite voice {base}", f"speaks at {rate} Hz, not {RATE}", "use slt, rms, awb or kal16")
-    return np.ascontiguousarray(samples), _timed(printed)
+    words = _WORD.findall(text)
+    phones = _in_words(_timed(printed), words)
+    if not phones:
+        raise InputError(f"flite voice {base}", f"spoke nothing of {text!r}", "give it words")
+    samples, phones = trimmed(np.ascontiguousarray(samples), phones)
+    return Sounded(samples, word_spans(words, phones), phones)
 
 
 def _call(*arguments: str) -> str:

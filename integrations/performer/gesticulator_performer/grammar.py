@@ -4,14 +4,12 @@ A file of templates has the kind of the sentences that follow on a line of its o
 slots, {thing} {other} {things} {athing} {person} {someone} {place} {elsewhere} {adj} {do} {did} {doing}, are filled
 from one topic; {n} is a small number and {time} a time of day. `|` ends a phrase, `...` is a hesitation, and a template
 after "=" is held out for test. Topics and templates of the two splits share no entry, so no sentence of one split can
-be spoken in the other. The phrasebooks of the other languages have slots of their own and attach no meaning to words:
-the performer follows stress alone.
+be spoken in the other.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from gesticulator_performer.tables import entries, table, templates
 
@@ -28,33 +26,16 @@ class Topic:
     adjectives: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Phrasebook:
-    """slots: name -> entries; templates: sentences with slots; openers: words a sentence may begin with."""
-
-    slots: dict[str, tuple[str, ...]]
-    templates: tuple[str, ...]
-    openers: tuple[str, ...]
-
-
 def _topic(row: dict[str, str]) -> Topic:
     split = [tuple(verb.split("/")) for verb in row["verbs"].split()]
     return Topic(row["name"], *(tuple(row[name].split()) for name in ("things", "people", "places")),
                  tuple((base, past, running) for base, past, running in split), tuple(row["adjectives"].split()))
 
 
-def _phrasebook(book: dict[str, Any]) -> Phrasebook:
-    return Phrasebook({name: entries(line, ",") for name, line in book["slots"].items()},
-                      tuple(book["templates"].splitlines()), entries(book["openers"], "/"))
-
-
 _WORDS = table("sentences/topics.toml")
 TRAIN_TOPICS, TEST_TOPICS = (tuple(map(_topic, _WORDS[split])) for split in ("train", "test"))
 NUMBERS, TIMES = tuple(_WORDS["shared"]["numbers"].split()), entries(_WORDS["shared"]["times"], ",")
 OPENERS, TEST_OPENERS = (entries(_WORDS["shared"][name], "/") for name in ("openers", "test_openers"))
-PHRASEBOOKS = {(language, split): _phrasebook(table(f"sentences/{language}.toml")[split])
-               for language in ("de", "es", "cmn") for split in ("train", "test")}
-"""(language, split) -> its phrasebook; English has topics and templates instead."""
 TRAIN_TEMPLATES, TEST_TEMPLATES = (templates("en", held_out) for held_out in (False, True))
 TRAIN_MEANINGS, TEST_MEANINGS = (templates("meanings", held_out) for held_out in (False, True))
 """Templates whose words call for a gesture with captured strokes, by its label."""

@@ -84,7 +84,8 @@ HABITS: dict[str, Habits] = {
 @dataclass(frozen=True)
 class Planned:
     """A stroke placed in time, seconds of the performance. gain: factor on the excursion; lag, uneven: delay in seconds
-    and factor on the gain of the left and the right hand. meaning, word: as in `PlayedStroke`."""
+    and factor on the gain of the left and the right hand. meaning: label of the gesture that a word calls for
+    and the clip shows ("point_there"), "" for a beat; word: index of the word that it falls on, -1 if unknown."""
 
     stroke: Stroke
     start: float

@@ -40,7 +40,7 @@ from gesticulator_performer.trunk import (
     with_activity,
     yaw_scale,
 )
-from gesticulator_performer.types import Played, PlayedStroke, Spoken
+from gesticulator_performer.types import Spoken
 
 # Fitting the motion to its plan.
 # Most renderings of both arms that bring the measured beats to the planned ones.
@@ -176,6 +176,14 @@ class _Score:
 
 
 @dataclass(frozen=True)
+class Played:
+    """A finished performance: motion on the performer's own skeleton at 60 fps (fingers included), and its strokes."""
+
+    motion: Motion
+    strokes: tuple[Planned, ...]
+
+
+@dataclass(frozen=True)
 class Staging:
     """The manner of a talk, the trunks of real people to perform it with, and its style."""
 
@@ -204,7 +212,7 @@ def perform(spoken: Spoken, performer: str, strokes: StrokeSet, staging: Staging
         score = replace(score, leads=np.maximum(score.leads, trespass))
     else:
         score, tuning, _ = _rehearse(score, tuning)
-    return Played(_assemble(score, _render(score, tuning)), tuple(_stroke_of(p) for p in score.planned))
+    return Played(_assemble(score, _render(score, tuning)), score.planned)
 
 
 def _rehearse(score: _Score, tuning: _Tuning) -> tuple[_Score, _Tuning, Array]:
@@ -284,12 +292,6 @@ def _tuned(tuning: _Tuning, missing: Array, faint: NDArray[np.bool_], answer: Ar
     beats = np.where(slow, planned, np.clip(beats - step, planned - _FARTHEST, planned + _FARTHEST))
     more = np.where(faint, 0.12, np.where(np.abs(known) > 0.015, 0.06, 0.0))
     return _Tuning(beats, np.minimum(accents + more, _MOST_ACCENT), fades, slow)
-
-
-def _stroke_of(p: Planned) -> PlayedStroke:
-    s = p.stroke
-    return PlayedStroke(s.lexeme, s.clip, s.hand, p.start, p.beat, p.hold_end, p.end, p.syllable, p.gain, s.held_out,
-                        p.meaning, p.word)
 
 
 # --- The score: constant from pass to pass

@@ -11,11 +11,10 @@ import numpy as np
 
 from data_module.errors import InputError
 from gesticulator_performer import grammar
-from gesticulator_performer.grammar import PHRASEBOOKS, Phrasebook, Topic
+from gesticulator_performer.grammar import Topic
 
 SPLITS = ("train", "test")
-CHARACTERS_PER_SECOND = {"cmn": 7.5}
-"""Characters a second that the voices speak, for languages other than those with 17 letters and spaces a second."""
+# Letters and spaces that the voices speak.
 _LETTERS_PER_SECOND = 17.0
 # The longest pause in seconds, and the share of sentence ends with a pause of a second or more.
 LONG_PAUSE, LONG_SHARE = 6.0, 0.21
@@ -49,17 +48,16 @@ class Utterance:
 
 
 def compose(rng: np.random.Generator, seconds: float, split: str, used: set[str] | None = None,
-            language: str = "en", repertoire: bool = False) -> list[Utterance]:
-    """Write about `seconds` of speech, pauses included, without repeating a sentence.
+            repertoire: bool = False) -> list[Utterance]:
+    """Write about `seconds` of English, pauses included, without repeating a sentence.
 
     split: "train" or "test"; the two share neither topics nor templates. used: sentences not to be repeated; the new
-    ones are added, so that one set over many calls gives hours without repetition. repertoire: English sentences for
-    all named gestures, not only for those with captured strokes. Effort drifts from sentence to
-    sentence (AR(1), 0.7) and varies from phrase to phrase. Same generator state, same text.
+    ones are added, so that one set over many calls gives hours without repetition. repertoire: sentences for all
+    named gestures, not only for those with captured strokes. Effort drifts from sentence to sentence (AR(1), 0.7) and
+    varies from phrase to phrase. Same generator state, same text.
     """
     used = set() if used is None else used
-    source = _English(split, repertoire) if language == "en" else _Phrases(PHRASEBOOKS[language, split])
-    pace = CHARACTERS_PER_SECOND.get(language, _LETTERS_PER_SECOND)
+    source = _English(split, repertoire)
     utterances: list[Utterance] = []
     mood = float(rng.normal(0, 0.5))
     total = 0.0
@@ -68,7 +66,7 @@ def compose(rng: np.random.Generator, seconds: float, split: str, used: set[str]
         mood = 0.7 * mood + float(rng.normal(0, 0.38))
         utterance = Utterance(_paced(rng, lines, mood), kind)
         utterances.append(utterance)
-        total += sum(len(part.text) / pace + part.pause for part in utterance.parts)
+        total += sum(len(part.text) / _LETTERS_PER_SECOND + part.pause for part in utterance.parts)
     return utterances
 
 
@@ -80,7 +78,7 @@ def sentence_key(utterance: Utterance) -> str:
 class _English:
     """Draws English sentences; consecutive ones share a topic."""
 
-    def __init__(self, split: str, repertoire: bool = False) -> None:
+    def __init__(self, split: str, repertoire: bool) -> None:
         train = split == "train"
         self.topics = grammar.TRAIN_TOPICS if train else grammar.TEST_TOPICS
         self.templates = grammar.TRAIN_TEMPLATES if train else grammar.TEST_TEMPLATES
@@ -104,36 +102,22 @@ class _English:
         return kind, _fill(rng, self._topic, _one(rng, self.templates[kind]))
 
 
-class _Phrases:
-    """Draws sentences of a phrasebook."""
-
-    def __init__(self, book: Phrasebook) -> None:
-        self.book, self.openers = book, book.openers
-
-    def draw(self, rng: np.random.Generator) -> tuple[str, str]:
-        slots: dict[str, str] = {}
-        for name, entries in self.book.slots.items():
-            order = rng.permutation(len(entries))
-            slots |= {f"{name}{rank + 1 if rank else ''}": entries[i] for rank, i in enumerate(order[:3])}
-        return "phrase", _one(rng, self.book.templates).format(**slots)
-
-
 def _one(rng: np.random.Generator, entries: Sequence[_T]) -> _T:
     return entries[int(rng.integers(len(entries)))]
 
 
-def _new_sentence(rng: np.random.Generator, source: _English | _Phrases, used: set[str]) -> tuple[str, list[str]]:
+def _new_sentence(rng: np.random.Generator, source: _English, used: set[str]) -> tuple[str, list[str]]:
     """(kind, phrases) of a sentence not in `used`, to which it is added without its opener."""
     for _ in range(2000):
         kind, sentence = source.draw(rng)
         if sentence not in used:
             break
     else:
-        raise InputError("text", "has no new sentence left", "ask for fewer seconds, or for another split or language")
+        raise InputError("text", "has no new sentence left", "ask for fewer seconds, or for another split")
     used.add(sentence)
     if rng.random() < 0.22:
         opener = _one(rng, source.openers).strip()
-        sentence = f"{opener} | {sentence}" if opener[-1] in ",.，" else f"{opener} {sentence}"
+        sentence = f"{opener} | {sentence}" if opener[-1] in ",." else f"{opener} {sentence}"
     return kind, [phrase.strip() for phrase in sentence.split("|")]
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from gesticulator_performer import plan
 from gesticulator_performer.hands import STEADY, Manner
-from gesticulator_performer.play import Staging, perform
+from gesticulator_performer.play import Played, Staging, perform
 from gesticulator_performer.strokes import (
     LEFT,
     RIGHT,
@@ -23,7 +23,7 @@ from gesticulator_performer.strokes import (
 )
 from gesticulator_performer.styles import NEUTRAL, StyleTrack
 from gesticulator_performer.trunk import Segment
-from gesticulator_performer.types import Played, Spoken
+from gesticulator_performer.types import Spoken
 from test_takes import moving
 
 from data_module.motion import kinematics, rotation

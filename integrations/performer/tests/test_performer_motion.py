@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gesticulator_performer.play import Played
 from gesticulator_performer.strokes import (
     LEFT,
     RIGHT,
@@ -15,12 +16,11 @@ from gesticulator_performer.strokes import (
     mirror,
 )
 from gesticulator_performer.torso import FPS
-from gesticulator_performer.types import Phrase, Played, Spoken, Syllable
+from gesticulator_performer.types import Phrase, Spoken, Syllable
 from procedural import planned as planned_by
 from procedural import played as perform_by
 from procedural import procedural_strokes
 
-from data_module.errors import InputError
 from data_module.motion import kinematics, rotation
 from data_module.motion.motion_beats import acting_positions, acting_speed, beats_of_speed
 from data_module.types import Array, Motion, Speech, Word
@@ -75,7 +75,7 @@ def _misses(played: Played, shift: float = 0.0) -> Array:
     positions = acting_positions(played.motion)
     joints = {"right": [0, 1], "left": [2, 3], "both": [0, 1, 2, 3]}
     beats = {hand: beats_of_speed(acting_speed(positions[:, acting], FPS), FPS) for hand, acting in joints.items()}
-    return np.array([np.abs(beats[stroke.hand] - stroke.beat - shift).min() for stroke in played.strokes])
+    return np.array([np.abs(beats[p.stroke.hand] - p.beat - shift).min() for p in played.strokes])
 
 
 def test_the_truth_is_in_order_and_near_its_syllables(played: Played, talk: Spoken) -> None:
@@ -88,7 +88,7 @@ def test_the_truth_is_in_order_and_near_its_syllables(played: Played, talk: Spok
         assert np.abs(vowels - stroke.syllable).min() < 1e-9
         assert abs(stroke.beat - stroke.syllable) <= 0.13
     for hand in ("left", "right"):
-        own = [s for s in played.strokes if s.hand in (hand, "both")]
+        own = [s for s in played.strokes if s.stroke.hand in (hand, "both")]
         assert all(a.hold_end <= b.start + 1e-9 for a, b in zip(own, own[1:], strict=False))
 
 
@@ -109,9 +109,9 @@ def test_long_pause_is_rest_and_home_is_reached_before_speech(played: Played, st
 def test_same_seed_same_motion_other_seed_other_motion(talk: Spoken, played: Played, strokes: StrokeSet) -> None:
     again = perform_by(talk, strokes, 1)
     assert np.array_equal(again.motion.rotations, played.motion.rotations)
-    assert again.strokes == played.strokes
+    assert [p.beat for p in again.strokes] == [p.beat for p in played.strokes]
     other = perform_by(talk, strokes, 2)
-    assert other.strokes != played.strokes
+    assert [p.beat for p in other.strokes] != [p.beat for p in played.strokes]
 
 
 def test_held_out_strokes_play_in_test_alone(talk: Spoken, strokes: StrokeSet) -> None:
@@ -119,11 +119,6 @@ def test_held_out_strokes_play_in_test_alone(talk: Spoken, strokes: StrokeSet) -
     test = [p for seed in range(6) for p in planned_by(talk, strokes, seed, "test")]
     assert not any(p.stroke.held_out for p in train)
     assert {p.stroke.held_out for p in test} == {True, False}
-
-
-def test_unknown_performer_is_named(talk: Spoken, strokes: StrokeSet) -> None:
-    with pytest.raises(InputError, match=r"nobody.*puppet"):
-        perform_by(talk, strokes, 0, performer="nobody")
 
 
 def test_meaningful_words_take_their_strokes(strokes: StrokeSet) -> None:
@@ -158,14 +153,6 @@ def test_held_out_share_is_per_person_and_blind_to_order() -> None:
     kept = held_out_keys(keys)
     assert kept == held_out_keys(reversed(keys))
     assert sum(p == "a" for p, _ in kept) == 6 and sum(p == "b" for p, _ in kept) == 3
-
-
-def test_missing_manifest_is_an_input_error(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"manifest\.csv.*does not exist"):
-        load_strokes(tmp_path)
-    (tmp_path / "manifest.csv").write_text("file,speaker\nx.bvh,brad\n", encoding="utf-8")
-    with pytest.raises(InputError, match="lacks columns"):
-        load_strokes(tmp_path)
 
 
 # --- The recorded strokes

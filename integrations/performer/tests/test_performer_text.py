@@ -40,19 +40,18 @@ def hours() -> list[list[Utterance]]:
     return [compose(np.random.default_rng(seed), 240, "train", used) for seed in range(FOUR_HOURS // 240)]
 
 
-COMPOSED = "e61fd70a17589b9bb42347f6518e587039fcd413f56d026cc9728e252f564a70"
-"""SHA-256 of 6,143 sentences, composed when the shipped weights were trained: kind, phrases, efforts, pauses."""
+COMPOSED = "ff49379c7cea84cd40b1bb05751888c07cd439e2136998265bb797c7c1a78710"
+"""SHA-256 of 4,981 sentences, composed when the shipped weights were trained: kind, phrases, efforts, pauses."""
 
 
 def test_the_sentences_are_those_of_the_shipped_corpus() -> None:
     digest = hashlib.sha256()
-    for language, seconds in (("en", 1500.0), ("de", 300.0), ("es", 300.0), ("cmn", 300.0)):
-        for split in ("train", "test"):
-            for repertoire in (False, True) if language == "en" else (False,):
-                for seed in range(3):
-                    for sentence in compose(np.random.default_rng(seed), seconds, split, None, language, repertoire):
-                        row = [sentence.kind, [asdict(part) for part in sentence.parts]]
-                        digest.update(json.dumps(row, ensure_ascii=False).encode())
+    for split in ("train", "test"):
+        for repertoire in (False, True):
+            for seed in range(3):
+                for sentence in compose(np.random.default_rng(seed), 1500.0, split, repertoire=repertoire):
+                    row = [sentence.kind, [asdict(part) for part in sentence.parts]]
+                    digest.update(json.dumps(row, ensure_ascii=False).encode())
     assert digest.hexdigest() == COMPOSED
 
 
@@ -74,17 +73,6 @@ def test_the_splits_share_no_topic_word_and_no_template() -> None:
     train_things = {thing for topic in TRAIN_TOPICS for thing in topic.things + topic.people + topic.places}
     test_things = {thing for topic in TEST_TOPICS for thing in topic.things + topic.people + topic.places}
     assert not train_things & test_things
-
-
-def test_mandarin_words_stand_apart() -> None:
-    """A voice is told where words begin by the spaces; every character is Chinese, and every sentence is closed."""
-    for split in ("train", "test"):
-        for utterance in compose(np.random.default_rng(3), 300, split, language="cmn"):
-            for part in utterance.parts:
-                words = part.text.split(" ")
-                assert all(0 < len(word.rstrip("，。？")) <= 3 for word in words), part
-                assert all("\u4e00" <= letter <= "\u9fff" for word in words for letter in word.rstrip("，。？"))
-            assert utterance.text[-1] in "。？"
 
 
 def test_a_tenth_of_the_time_is_long_pauses(hours: list[list[Utterance]]) -> None:

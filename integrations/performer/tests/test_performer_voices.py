@@ -15,9 +15,6 @@ from gesticulator_performer import flite, sound, syllables
 from gesticulator_performer.text import Part, Utterance, compose
 from gesticulator_performer.types import Phrase, Spoken
 from gesticulator_performer.voices import (
-    TEST_VOICES,
-    TRAIN_VOICES,
-    VOICES,
     nuclei_of,
     speak,
 )
@@ -102,16 +99,6 @@ def test_the_same_seed_gives_the_same_bytes(voice: str) -> None:
     assert first.speech.samples.tobytes() == second.speech.samples.tobytes()
     assert first.syllables == second.syllables and first.phrases == second.phrases
     assert first.speech.samples.tobytes() != other.speech.samples.tobytes()
-
-
-def test_training_and_test_voices_differ_down_to_the_speaker() -> None:
-    assert len(TRAIN_VOICES) >= 6 and set(TRAIN_VOICES) | set(TEST_VOICES) <= set(VOICES)
-    assert len({(v.engine, v.base, v.pitch, v.tract) for v in VOICES.values()}) == len(VOICES)
-
-    def speakers(names: tuple[str, ...]) -> set[tuple[str, str]]:
-        return {(VOICES[n].engine, VOICES[n].base) for n in names}
-
-    assert not speakers(TRAIN_VOICES) & speakers(TEST_VOICES)
 
 
 def test_phones_find_their_words_through_changes() -> None:

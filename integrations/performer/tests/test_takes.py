@@ -11,7 +11,6 @@ from gesticulator_performer.chaining import chain, seam_ratio
 from gesticulator_performer.takes import HIPS, SKULL, SPINE, Library, MotionRange, RealTake
 from gesticulator_performer.torso import FPS, facing_positions
 
-from data_module.errors import InputError
 from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, FINGER_JOINTS, FINGERED
 from data_module.types import Array
@@ -60,17 +59,6 @@ def test_a_mirror_image_swaps_the_hands_and_twice_is_nothing() -> None:
     assert np.allclose(first[:, left] * [-1, 1, 1], second[:, right], atol=1e-9)
 
 
-def test_a_calmed_upper_arm_swings_less_and_keeps_its_turn() -> None:
-    lib, swing, turn = library(1), np.array([0.0, -0.8, 0.3]), 0.6
-    logs = np.zeros((3, 16, 3))
-    whole = rotation.multiply(rotation.from_exponential_map(swing), rotation.from_exponential_map(np.eye(3)[0] * turn))
-    logs[:, LEFT_ARM] = rotation.to_exponential_map(whole)
-    out = takes.calmed(lib, RealTake("one", "ann", "story", "none", logs), 0.5, 1.0)[0, LEFT_ARM]
-    kept = rotation.from_exponential_map(np.eye(3)[0] * 0.925 * turn)
-    assert np.allclose(rotation.from_exponential_map(out),
-                       rotation.multiply(rotation.from_exponential_map(0.5 * swing), kept))
-
-
 def test_idling_and_hands_too_high_are_cut_out() -> None:
     lib = library(1)
     logs = moving(12.0, 5)
@@ -96,17 +84,6 @@ def test_splits_by_take_hold_whoever_else_is_there() -> None:
     assert takes.split_of_takes(reversed([*many, *few])) == splits
 
 
-def test_a_manifest_without_takes_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"manifest\.csv"):
-        takes.load_takes(tmp_path)
-    (tmp_path / "manifest.csv").write_text("file,person\nx.bvh,ann\n")
-    with pytest.raises(InputError, match="licence"):
-        takes.load_takes(tmp_path)
-    (tmp_path / "manifest.csv").write_text("file,person,licence\nf_cheer_01.bvh,ann,MIT\n")
-    with pytest.raises(InputError, match="standing"):
-        takes.load_takes(tmp_path)
-
-
 def test_seams_of_a_chain_cannot_be_told_from_the_rest() -> None:
     lib = library(8)
     pieces = [take.logs for take in lib.takes]
@@ -123,15 +100,6 @@ def test_seams_of_a_chain_cannot_be_told_from_the_rest() -> None:
         cut = facing_positions(lib.rotations(hard))[:, list(takes.WRISTS)]
         assert seam_ratio(cut, out.edges) > 3.0
     assert max(ratios) < 1.35
-
-
-def test_a_chain_is_the_same_twice_and_needs_two_pieces() -> None:
-    pieces = [moving(8.0, k) for k in range(5)]
-    first, again, other = (chain(pieces, 20.0, np.random.default_rng(seed)) for seed in (1, 1, 2))
-    assert np.array_equal(first.logs, again.logs) and first.used == again.used
-    assert first.used != other.used or not np.array_equal(first.logs, other.logs)
-    with pytest.raises(ValueError, match="two"):
-        chain(pieces[:1], 20.0, np.random.default_rng(1))
 
 
 def test_takes_as_published_lose_their_turning(outside_data: Path) -> None:

@@ -1,1 +1,0 @@
-"""The network of the lips: its training on speech of known phones."""
