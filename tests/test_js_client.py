@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from javascript import printed_by
 from pipecat_gesticulator import Joint, Poses, SteadyPlayer, Welcome
-from pipecat_gesticulator.messages import LONGEST, MessageReader, hello_messages, pose_messages, to_rtvi
+from pipecat_gesticulator.messages import LONGEST, hello_messages, pose_messages, to_rtvi
 
 from data_module.motion import rotation
 
@@ -171,8 +171,7 @@ def test_its_player_shows_what_the_reference_player_shows() -> None:
 
 @pytest.mark.parametrize("face", [False, True])
 def test_poses_through_a_data_channel_are_those_that_were_sent(face: bool) -> None:
-    """In messages of bounded size, read again by us and by the browser's client; what an interruption took back is
-    replaced."""
+    """In messages of bounded size, read by the browser's client; what an interruption took back is replaced."""
     rng = np.random.default_rng(5)
     joints = tuple(Joint(f"Joint{number}", number - 1, tuple(rng.normal(0, 0.2, 3))) for number in range(46))
     welcome = Welcome("1", 60.0, "joints", 1.63, joints, {})
@@ -186,16 +185,6 @@ def test_poses_through_a_data_channel_are_those_that_were_sent(face: bool) -> No
     sent = [to_rtvi(one) for one in hello_messages(welcome)]
     sent += [to_rtvi(one) for k, poses in enumerate(packets) for one in pose_messages(poses, 2.5 + k)]
     assert max(len(json.dumps(one)) for one in sent) <= LONGEST
-    reader = MessageReader()
-    read = [poses for one in sent if (poses := reader.take(json.dumps(one))) is not None]
-    assert reader.welcome is not None and [one.name for one in reader.welcome.joints] == [one.name for one in joints]
-    np.testing.assert_allclose([one.offset for one in reader.welcome.joints], [one.offset for one in joints], atol=6e-6)
-    numbers = [k for one in read for k in range(one.first, one.first + len(one))]
-    assert numbers == [*range(101), *range(60, 90)]
-    whole = np.concatenate([one.rotations for one in packets])
-    np.testing.assert_allclose(np.concatenate([one.rotations for one in read]), whole, atol=4e-5)
-    np.testing.assert_array_equal(np.concatenate([one.root_positions for one in read]),
-                                  np.concatenate([one.root_positions for one in packets]))
     got = node(f"""
         import {{ MessageStream }} from "./src/index.js";
         let now = 10;

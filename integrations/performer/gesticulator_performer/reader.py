@@ -126,7 +126,7 @@ class Performer:
         parser.add_argument("--hours", type=float, default=4.2, help="hours of synthetic speech (default 4.2)")
         parser.add_argument("--repertoire", type=Path, metavar="DIR",
                             help="takes of named gestures, which are played at words that call for them; they are "
-                            "drawn if DIR does not exist (see gesticulator gesture-takes)")
+                            "drawn if DIR does not exist")
 
     @staticmethod
     def options(arguments: argparse.Namespace) -> PerformerOptions:
@@ -159,7 +159,7 @@ class Performer:
             from gesticulator_performer.repertoire import read_repertoire
 
             if not options.repertoire.exists():
-                from gesticulator_performer.sources.gesture_takes import write_takes
+                from gesticulator_performer.gesture_takes import write_takes
 
                 count = write_takes(options.repertoire, options.seed)
                 print(f"{options.repertoire}: {count} takes of named gestures were drawn", flush=True)
@@ -213,13 +213,12 @@ class Performer:
         return Recording(info, replace(spoken.speech, speaker=info.speaker), played.motion, stands=True)
 
     def _speech_for_motion(self, item: Item) -> Recording:
-        from gesticulator_performer.talks import TalkRequest, talk_for_motion
+        from gesticulator_performer.talks import talk_for_motion
 
         script: MotionScript = item.content
         takes = [take for take in self._library.talks() if self._take_splits[take.name] == item.info.split]
         pool = self._pool(item.info.voice, item.info.split)
-        request = TalkRequest(script.group, script.seconds)
-        talk = talk_for_motion(request, self._library, takes, pool, self._rng(item.index, _PLAY))
+        talk = talk_for_motion(script.group, script.seconds, self._library, takes, pool, self._rng(item.index, _PLAY))
         spoken = talk.spoken
         info = replace(item.info, language=spoken.language, sources=talk.takes)
         return Recording(info, replace(spoken.speech, speaker=info.speaker), talk.motion, stands=True)
@@ -227,16 +226,7 @@ class Performer:
     def notes(self) -> Sequence[str]:
         strokes = self._strokes.strokes
         held_out = sum(stroke.held_out for stroke in strokes)
-        lines = [f"strokes: {len(strokes)} including mirror images, {held_out} of them held out for test"]
-        if self._repertoire is not None:
-            takes = self._repertoire.outlines
-            lines.append(f"named gestures: {len(takes)} takes of {len(self._repertoire.labels)} gestures from scripts, "
-                         "including mirror images")
-        minutes = dict.fromkeys(POOL, 0.0)
-        for take in self._library.talks():
-            minutes[self._take_splits[take.name]] += len(take) / 3600.0
-        lines.append("continuous real motion: " + ", ".join(f"{split} {m:.1f} min" for split, m in minutes.items()))
-        return lines
+        return [f"strokes: {len(strokes)} including mirror images, {held_out} of them held out for test"]
 
     def _rng(self, index: int, purpose: int) -> np.random.Generator:
         return np.random.default_rng([self._options.seed, index, purpose])

@@ -37,7 +37,7 @@ COLUMNS = ("file", "label", "size", "hand", "licence", "start", "stroke", "apex"
 the stroke ends, and hold and retraction end."""
 SIZES: Mapping[str, float] = {"small": 0.65, "medium": 1.0, "large": 1.4}
 """The sizes of takes, as factors on the medium one."""
-_ADVICE = "draw the takes again: gesticulator gesture-takes FOLDER"
+_ADVICE = "name a folder that does not exist, and the build draws takes into it"
 _BODY = "script"
 # Lent takes in memory, about 70 kB each.
 _REMEMBERED = 300

@@ -67,26 +67,18 @@ class MadeTalk:
     takes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class TalkRequest:
-    """What a talk should be. group: its manner, a key of `takes.GROUPS`; seconds: its length."""
-
-    group: str
-    seconds: float
-
-
-def talk_for_motion(request: TalkRequest, library: Library, takes: Sequence[RealTake], pool: Pool,
+def talk_for_motion(group: str, seconds: float, library: Library, takes: Sequence[RealTake], pool: Pool,
                     rng: np.random.Generator) -> MadeTalk:
-    """A talk from the given takes alone, with speech for it from `pool`."""
+    """A talk from the given takes alone, with speech for it from `pool`. group: its manner, a key of `takes.GROUPS`."""
     limits = MotionRange(float(rng.uniform(*_HEIGHTS)), float(rng.uniform(*_TRUNKS)))
-    slower = 1.0 if request.group == _SLOW_GROUP else float(rng.uniform(*_SLOWER))
-    named = _named_stretches(library, takes, request.group, limits, rng)
+    slower = 1.0 if group == _SLOW_GROUP else float(rng.uniform(*_SLOWER))
+    named = _named_stretches(library, takes, group, limits, rng)
     mixed, flip = rng.random() < 1.0 / 3.0, rng.random() < 0.5
     pieces = []
     for _, logs in named:
         turned = bool(rng.random() < 0.5) if mixed else flip
         pieces.append(_slowed(_one_handed(library, mirrored(logs) if turned else logs, rng), slower))
-    joined, places = _smoothest(library, pieces, request.seconds, rng)
+    joined, places = _smoothest(library, pieces, seconds, rng)
     spoken = inverse.speech_for(places, pool, ENERGY, movements.features_of(places), rng)
     logs = with_life(joined.logs, spoken, rng)
     rotations = library.rotations(logs)

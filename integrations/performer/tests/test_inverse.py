@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gesticulator_performer import inverse, movements
 from gesticulator_performer.inverse import Candidates, Energy, Wanted, Window, assign, phrase_windows
-from gesticulator_performer.sentence_pool import NO_VOWEL, Pool, make_pool, phrase_texts, stretched
+from gesticulator_performer.sentence_pool import NO_VOWEL, Pool, make_pool, phrase_texts
 from gesticulator_performer.sound import RATE
 from gesticulator_performer.takes import arms_speed
 from gesticulator_performer.torso import FPS, facing_positions
@@ -85,23 +85,6 @@ def test_every_assignment_is_monotone_and_in_bounds(seed: int) -> None:
     inner = match.anchors[1:-1]
     assert all(np.abs(vowels[match.phrase] - a).min() < 1e-9 and np.abs(beats - b).min() < 1e-9 for a, b in inner)
     assert len(inner) == match.beats
-
-
-def test_stretched_sound_has_its_clicks_at_the_anchors() -> None:
-    rng = np.random.default_rng(0)
-    samples = 0.001 * rng.standard_normal(2 * RATE)
-    clicks = np.array([0.3, 0.8, 1.5])
-    for at in clicks:
-        start = round(at * RATE)
-        samples[start:start + 400] += 0.5 * np.hanning(400) * np.sin(np.arange(400) * 0.3)
-    anchors = np.array([[0.0, 0.0], [0.3, 0.36], [0.8, 0.78], [1.5, 1.62], [2.0, 2.1]])
-    out = stretched(samples.astype(np.float32), anchors)
-    assert len(out) == pytest.approx(2.1 * RATE, abs=2)
-    envelope = np.convolve(np.abs(out), np.ones(200) / 200, "same")
-    for target in anchors[1:-1, 1]:
-        near = slice(round((target - 0.1) * RATE), round((target + 0.12) * RATE))
-        found = (near.start + int(envelope[near].argmax())) / RATE
-        assert abs(found - target - 200 / RATE) < 0.02
 
 
 @pytest.fixture(scope="module")

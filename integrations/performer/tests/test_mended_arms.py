@@ -10,7 +10,7 @@ from gesticulator_performer import mended_arms, takes
 from gesticulator_performer.takes import MotionRange
 from gesticulator_performer.torso import FPS, facing_positions, torso_depth
 
-from data_module.motion import kinematics, rotation
+from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER, FINGERED
 from data_module.types import Array, Motion
 from eval.metrics.eye import posture
@@ -32,13 +32,6 @@ def hanging(azimuth: float, seconds: float = 4.0, bend: float = 25.0, lift: floa
         out[:, CHARACTER.index(side + "Arm")] = rotation.multiply(down, turn)
         out[:, CHARACTER.index(side + "ForeArm")] = fold
     return out
-
-
-def azimuth(rotations: Array, side: str) -> float:
-    """Degrees outward of the forearm, seen from above."""
-    places = kinematics.joint_positions(CHARACTER, rotations)
-    way = places[:, CHARACTER.index(side + "Hand")] - places[:, CHARACTER.index(side + "ForeArm")]
-    return float(np.median(np.degrees(np.arctan2(way[:, 0] * (1.0 if side == "Left" else -1.0), way[:, 2]))))
 
 
 def test_a_hand_in_the_trunk_comes_out_of_it_and_other_hands_stay() -> None:

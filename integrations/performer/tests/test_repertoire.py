@@ -9,15 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gesticulator_performer import grammar, text
-from gesticulator_performer.cues import Cues, plain
+from gesticulator_performer.cues import Cues
+from gesticulator_performer.gesture_takes import write_takes
 from gesticulator_performer.repertoire import Repertoire, read_repertoire
-from gesticulator_performer.sources.gesture_takes import write_takes
 from gesticulator_performer.strokes import StrokeSet, standing_body
 from gesticulator_performer.types import SCRIPTED, Phrase, Spoken, Syllable
 from procedural import planned, played, procedural_strokes
 
 from data_module.errors import InputError
-from data_module.files import read_table
 from data_module.motion import rotation
 from data_module.motion.bvh import read_bvh
 from data_module.types import Speech, Word
@@ -168,14 +167,3 @@ def test_every_gesture_has_sentences_whose_words_call_for_it() -> None:
         assert np.mean(hits) > 0.85
     assert not set(sum(grammar.TRAIN_REPERTOIRE.values(), ())) & set(
         sum(grammar.TEST_REPERTOIRE.values(), ()))
-
-
-def test_texts_of_the_repertoire_are_new_and_the_old_ones_stay(meaning_data: Path) -> None:
-    old = text.compose(np.random.default_rng(5), 600.0, "train")
-    assert old == text.compose(np.random.default_rng(5), 600.0, "train", repertoire=False)
-    new = text.compose(np.random.default_rng(5), 3600.0, "train", repertoire=True)
-    assert len({utterance.kind for utterance in new}) > 90
-    held_out = {" ".join(plain(word) for word in str(row["text"]).split())
-                for _, row in read_table(meaning_data / "test_sentences.csv", "")}
-    said = [" ".join(plain(word) for word in utterance.text.split()) for utterance in new]
-    assert not any(sentence in one for one in said for sentence in held_out)

@@ -59,17 +59,6 @@ def test_a_mirror_image_swaps_the_hands_and_twice_is_nothing() -> None:
     assert np.allclose(first[:, left] * [-1, 1, 1], second[:, right], atol=1e-9)
 
 
-def test_a_calmed_upper_arm_swings_less_and_keeps_its_turn() -> None:
-    lib, swing, turn = library(1), np.array([0.0, -0.8, 0.3]), 0.6
-    logs = np.zeros((3, 16, 3))
-    whole = rotation.multiply(rotation.from_exponential_map(swing), rotation.from_exponential_map(np.eye(3)[0] * turn))
-    logs[:, LEFT_ARM] = rotation.to_exponential_map(whole)
-    out = takes.calmed(lib, RealTake("one", "ann", "story", "none", logs), 0.5, 1.0)[0, LEFT_ARM]
-    kept = rotation.from_exponential_map(np.eye(3)[0] * 0.925 * turn)
-    assert np.allclose(rotation.from_exponential_map(out),
-                       rotation.multiply(rotation.from_exponential_map(0.5 * swing), kept))
-
-
 def test_idling_and_hands_too_high_are_cut_out() -> None:
     lib = library(1)
     logs = moving(12.0, 5)

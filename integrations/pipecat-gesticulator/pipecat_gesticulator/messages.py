@@ -14,14 +14,13 @@ was sent, seconds. A message whose first frame was already sent replaces that fr
 from __future__ import annotations
 
 import base64
-import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipecat_gesticulator.protocol import Joint, Poses, Welcome
+from pipecat_gesticulator.protocol import Poses, Welcome
 
 LONGEST = 3500
 """Bytes of a message in its envelope: less than what a data channel takes at once, 4 kB at the least."""
@@ -58,37 +57,5 @@ def to_rtvi(message: Mapping[str, Any]) -> dict[str, Any]:
     return {"label": "rtvi-ai", "type": "server-message", "data": dict(message)}
 
 
-class MessageReader:
-    """Reads the messages again: the skeleton (`welcome`, once all of it has come) and poses."""
-
-    def __init__(self) -> None:
-        self.welcome: Welcome | None = None
-        self._joints: dict[int, Joint] = {}
-
-    def take(self, message: str | Mapping[str, Any]) -> Poses | None:
-        """Poses, or None for another message. message: with or without its envelope, or its text."""
-        data = json.loads(message) if isinstance(message, str) else message
-        data = data.get("data", data)
-        if data.get("type") == "gestures-hello":
-            for number, (name, parent, *offset) in enumerate(data["part"], data["at"]):
-                self._joints[number] = Joint(name, parent, tuple(offset))
-            if len(self._joints) == data["joints"]:
-                joints = tuple(self._joints[number] for number in range(data["joints"]))
-                self.welcome = Welcome("", data["fps"], "joints", data["look_ahead"], joints, {})
-            return None
-        if data.get("type") != "gestures":
-            return None
-        count = data["count"]
-        turns = _numbers(data["turns"], "<i2").reshape(count, -1, 4).astype(np.float32)
-        turns /= np.linalg.norm(turns, axis=-1, keepdims=True)
-        face = _numbers(data["face"], "<f4").reshape(count, -1) if "face" in data else None
-        return Poses(data["first"], data["fps"], turns, _numbers(data["roots"], "<f4").reshape(count, 3),
-                     data["state"], 0.0, data["source"], face)
-
-
 def _text(numbers: NDArray[Any]) -> str:
     return base64.b64encode(numbers.tobytes()).decode("ascii")
-
-
-def _numbers(text: str, kind: str) -> NDArray[Any]:
-    return np.frombuffer(base64.b64decode(text), kind)

@@ -1,4 +1,4 @@
-"""`gesticulator gesture-takes`: takes of the named gestures, clips with marked phases that the performer plays.
+"""Takes of the named gestures, clips with marked phases that the performer plays.
 
 Every gesture of the repertoire that does not offend is drawn in three sizes, several times each. No two takes are the
 same, since place, direction, size and timing vary with the seed. The performer adds the mirror images.
