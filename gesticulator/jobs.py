@@ -231,8 +231,7 @@ def check_job(job: Job) -> None:
     if job.source is not None:
         check_file(job.source, any_length=True)
     elif sys.stdin is None or sys.stdin.isatty():
-        raise InputError("standard input", "is closed" if sys.stdin is None else "is a terminal",
-                         f"pipe a recording into {PROGRAM}, or name a file")
+        raise InputError("standard input", "holds no recording", f"pipe one into {PROGRAM}, or name a file")
 
 
 def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> Retargeter | None:

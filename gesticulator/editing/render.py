@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -203,18 +203,14 @@ class PlanRenderer:
         """Number -> what the speech of a wanted block depends on, and it; of N blocks with edges [N + 1], flags [N]."""
         if len(self._recut) > self._most:
             self._recut.clear()
-        out: dict[int, tuple[Hashable, SpeechBlock]] = {}
-        for at in wanted:
-            # A block whose window was there before has the features of the first encoding; others are cut again.
-            place, known = window(edges, at), self._windows.get(window(edges, at))
-            if known is not None:
-                out[at] = place, self._speech.block(known)
-                continue
-            course = self._recutter.course(edges, at)
-            if course not in self._recut:
-                self._recut[course] = self._recutter.block(edges, flags, at)
-            out[at] = course, self._recut[course]
-        return out
+        # Blocks whose window was there before have the features of the first encoding; only the others are cut again.
+        places: dict[int, Hashable] = {at: window(edges, at) for at in wanted}
+        places |= {at: self._recutter.course(edges, at) for at, place in places.items() if place not in self._windows}
+        missing = [at for at, place in places.items() if place not in self._windows and place not in self._recut]
+        self._recut |= {places[at]: block for at, block in self._recutter.blocks(edges, flags, missing).items()
+                        if at in missing} if missing else {}
+        return {at: (place, self._recut[place] if place in self._recut else self._speech.block(self._windows[place]))
+                for at, place in places.items()}
 
     @cached_property
     def _recutter(self) -> Recutter:
@@ -398,19 +394,23 @@ class Recutter:
         copy, _ = self._start(edges, at)
         return copy, tuple(edges[edges.index(self._cutters[copy].uncut[-1]):at + 3])
 
-    def block(self, edges: Sequence[float], flags: Sequence[BeatFlag], at: int) -> SpeechBlock:
-        """Block `at`. flags: [N] of the beats at the ends of the blocks."""
-        copy, number = self._start(edges, at)
-        # A copy of the copy, which must serve other edits as well.
-        cutter = self._cutters[copy].fork()
-        cutter.cut_at(list(zip(edges[1:], flags, strict=True))[edges.index(cutter.uncut[-1]):at + 2])
+    def blocks(self, edges: Sequence[float], flags: Sequence[BeatFlag], wanted: Sequence[int]
+               ) -> dict[int, SpeechBlock]:
+        """Number -> block, for the wanted ones (rising). flags: [N] of the beats at the ends of the blocks."""
+        ends, out = list(zip(edges[1:], flags, strict=True)), dict[int, SpeechBlock]()
+        # Neighbours are cut in one go: an edit of a beat moves four blocks.
+        for (copy, number), run in groupby(wanted, lambda at: self._start(edges, at)):
+            *_, last = run
+            # A copy of the copy, which must serve other edits as well.
+            cutter = self._cutters[copy].fork()
+            cutter.cut_at(ends[edges.index(cutter.uncut[-1]):last + 2])
+            out |= zip(range(number, last + 1), self._fed(cutter, copy), strict=False)
+        return out
 
-        def blocks() -> Iterator[SpeechBlock]:
-            for piece in range(copy * CUTTER_EVERY, len(self._samples), CUTTER_EVERY):
-                yield from cutter.feed(self._samples[piece:piece + CUTTER_EVERY])
-            yield from cutter.finish()
-
-        return next(islice(blocks(), at - number, None))
+    def _fed(self, cutter: BlockCutter, copy: int) -> Iterator[SpeechBlock]:
+        for piece in range(copy * CUTTER_EVERY, len(self._samples), CUTTER_EVERY):
+            yield from cutter.feed(self._samples[piece:piece + CUTTER_EVERY])
+        yield from cutter.finish()
 
     def _start(self, edges: Sequence[float], wanted: int) -> tuple[int, int]:
         """The last copy of the cutter that has cut nothing but these blocks and has not returned the wanted one, and

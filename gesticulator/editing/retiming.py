@@ -31,6 +31,7 @@ from gesticulator.plan.plan import (
     Flag,
     GestureCue,
     GesturePlan,
+    KnobCurve,
     PlanKnobs,
     PlanSound,
     PlanWord,
@@ -266,8 +267,7 @@ def _sections(plan: GesturePlan, beats: BeatMap, words: Sequence[PlanWord] | Non
     return {
         "words": now, "cues": tuple(cues), "pins": tuple(pins), "knobs": _knobs(plan.knobs, beats),
         "units": _spans(plan.units, beats, duration), "meanings": _spans(plan.meanings, beats, duration),
-        "curves": tuple(replace(curve, **dict(zip(("times", "values"), _points(curve.times, curve.values, beats),
-                                                  strict=True))) for curve in plan.curves),
+        "curves": tuple(KnobCurve(curve.knob, *_points(curve.times, curve.values, beats)) for curve in plan.curves),
         "made_by": {**plan.made_by, "settings": settings}}, losses
 
 

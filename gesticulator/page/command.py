@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 from data_module.errors import InputError, complain
 from data_module.files import write_text
 from gesticulator.arguments import performance_arguments, run_settings_of, settings_of
-from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
-from gesticulator.jobs import STDIN, Job, RunSettings, Worker, load
+from gesticulator.cli import Command, limited_threads, our_warnings
+from gesticulator.jobs import Job, RunSettings, Worker, load
 
 if TYPE_CHECKING:
     from gesticulator.characters.rig import Character
@@ -33,7 +33,7 @@ SHOWN = (".glb", ".gltf", ".vrm")
 
 def arguments(p: argparse.ArgumentParser) -> None:
     p.usage = f"{p.prog} SPEECH [options]"
-    p.add_argument("speech", nargs="*", metavar="SPEECH", help="an audio file, as for gesticulator infer")
+    p.add_argument("speech", metavar="SPEECH", type=Path, help="an audio file, as for gesticulator infer")
     page = p.add_argument_group("page")
     page.add_argument("--port", type=int, default=0, metavar="N", help="port on 127.0.0.1 (default: any free one)")
     page.add_argument("--no-browser", action="store_true", help="print the address instead of opening a window")
@@ -58,15 +58,10 @@ def _job(args: argparse.Namespace) -> Job:
     """The recording; `InputError` for errors that can be found before loading anything."""
     from data_module.speech.audio import check_file
 
-    if len(args.speech) != 1:
-        given = f"names {len(args.speech)} recordings" if args.speech else "is missing"
-        raise InputError("speech", given, f"name one sound file; see {PROGRAM} view --help")
-    if args.speech[0] == STDIN:
-        raise InputError("standard input", "cannot be viewed", "name a sound file")
     if args.character is not None and Path(args.character).suffix.lower() not in SHOWN:
         raise InputError(args.character, "cannot be shown by the page", f"give one of {', '.join(SHOWN)}")
-    check_file(Path(args.speech[0]), any_length=True)
-    return replace(settings_of(args), source=Path(args.speech[0]), text=None if args.text is None else Path(args.text))
+    check_file(args.speech, any_length=True)
+    return replace(settings_of(args), source=args.speech, text=None if args.text is None else Path(args.text))
 
 
 def _prepare(server: PageServer, job: Job, settings: RunSettings) -> None:

@@ -2,7 +2,7 @@
 
 A plan holds the sound's name and hash, the seed, the words, the possible choices (`lexicon`, `gestures`), the decisions
 of the first generation (`drawn`), and the blocks to play (`blocks`), which can be edited. Blocks that differ from
-`drawn` are generated again, all others are replayed (`gesticulator.directing.editing`).
+`drawn` are generated again, all others are replayed (`gesticulator.editing.render`).
 
 The types of the fields carry their ranges, by which `gesticulator.plan.plan_file` reads and checks a file;
 `docs/schema/plan.schema.json` is generated from these classes.
