@@ -224,9 +224,3 @@ def test_the_command_moves_a_bvh_character_from_sound_to_file(tmp_path: Path) ->
     assert abs(made.duration - 1.0 / made.fps - len(made) / 20.0) < 0.1 and len(made) > 40
     wrist = kinematics.positions_of(made)[:, rest.names.index(rig.character.names[rig.truth["LeftHand"]])]
     assert np.ptp(wrist, axis=0).max() > 0.1
-
-
-def test_a_mapping_without_a_character_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as left:
-        infer.main(["speech.wav", "-o", "x.bvh", "--mapping", "m.json"])
-    assert left.value.code == 2 and "--character" in capsys.readouterr().err
