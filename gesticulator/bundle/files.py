@@ -1,13 +1,14 @@
 """The folder of a bundle: its index (`bundle.json`), its weight files, and their hashes.
 
 Everything read is checked first: the format, the content of the index, and size, hash and shapes of each file. A
-bundle is written to a temporary folder, which is then renamed.
+bundle is written to a temporary folder, which is synced and renamed.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import platform
 import shutil
@@ -36,6 +37,10 @@ ENDING = ".safetensors"
 _ASSETS = Path(__file__).parents[1] / "assets"
 NAMED = {"default": _ASSETS / "bundle", "paper": _ASSETS / "paper"}
 """Name -> folder of the shipped bundles; `paper` is both papers in their own form."""
+_HEADER = 2**20
+"""Largest header of a weight file, bytes."""
+_LARGEST_STATISTICS = 256 * 2**20
+"""Largest statistics file, bytes: the transition matrix of 8,192 lexemes."""
 
 
 def bundle_folder(given: str | os.PathLike[str] | None) -> Path:
@@ -79,8 +84,18 @@ def replace_folder(target: Path, write: Callable[[Path], Any]) -> None:
         write(folder)
         for file in folder.iterdir():
             file.chmod(0o644)  # safetensors restricts access to the owner
-    shutil.rmtree(target, ignore_errors=True)
-    rename(fresh, target)
+            # Flushed before the rename: after a power failure there is the old bundle or the new one.
+            with file.open("rb+") as written:
+                os.fsync(written.fileno())
+    if target.exists():
+        # A folder cannot be replaced in one step; the old one is moved away for an instant.
+        old = target.with_name(f".{target.name}.old")
+        shutil.rmtree(old, ignore_errors=True)
+        rename(target, old)
+        rename(fresh, target)
+        shutil.rmtree(old, ignore_errors=True)
+    else:
+        rename(fresh, target)
 
 
 class _TextEntry(msgspec.Struct, forbid_unknown_fields=True):
@@ -151,6 +166,10 @@ class Weights:
         file = self.folder / f"{name}{ENDING}"
         if file.name not in self.listed:
             raise InputError(file, "is missing from the bundle", "copy the bundle again")
+        # The size bounds the memory, whatever a header claims.
+        largest = _LARGEST_STATISTICS if shapes is None else _HEADER + sum(8 * math.prod(s) for s in shapes.values())
+        if file.stat().st_size > largest:
+            raise InputError(file, "is larger than the settings say", "train it again")
         data = file.read_bytes()
         if hashlib.sha256(data).hexdigest() != self.listed[file.name]:
             raise InputError(file, "is not the file that the bundle was made with (wrong SHA-256)",
