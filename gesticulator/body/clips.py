@@ -95,7 +95,8 @@ def _reach(frames: int, fps: float) -> int:
 
 
 def _without_seam(begins: Array, ends: Array, seam: Array, fps: float) -> Array:
-    """[T + 1, ...] values whose ends meet at `seam` with a common slope. begins, ends: on the branches of each end."""
+    """[T + 1, ...] values whose ends meet at `seam` with a common slope. begins, ends: [T + 1, ...] the same values, on
+    the branches of the logarithm that are right at the first and at the last frame."""
     frames = len(begins) - 1
     near = _reach(frames, fps)
     leaving, coming = begins[1] - begins[0], ends[-1] - ends[-2]
@@ -138,7 +139,8 @@ def replanted(motion: Motion, ankles: Array, feet: Array) -> Motion:
 
 
 def upper_alone(motion: Motion) -> Motion:
-    """The motion with hips and legs at rest; the spine turns for the hips, so that the upper body keeps its pose."""
+    """The motion with hips and legs at rest; the spine takes the rotation of the hips, so that the upper body keeps its
+    pose."""
     rotations = motion.rotations.copy()
     spine = motion.skeleton.index("Spine")
     rotations[:, spine] = rotation.multiply(rotations[:, 0], rotations[:, spine])

@@ -327,7 +327,10 @@ def with_legs(motion: Motion, seed: int) -> Motion:
 
 
 def seated(motion: Motion) -> Motion:
-    """The motion on seated legs: thighs level, shins vertical, feet flat on the floor, hips still; see `with_legs`."""
+    """The motion on seated legs: thighs level, shins vertical, feet flat on the floor, hips still.
+
+    See `with_legs` for the input. The spine takes the rotation of the hips, so the upper body keeps its pose.
+    """
     body = resized(motion, WHOLE_BODY)
     rotations = _with_hips(body.rotations, np.tile([1.0, 0.0, 0.0, 0.0], (len(body), 1)))
     root = np.zeros((len(body), 3))
@@ -512,7 +515,8 @@ def _hang(rotations: Array, world: Sequence[Array]) -> None:
 
 
 def _on_legs(body: Motion, rotations: Array, root: Array, before: Array) -> Motion:
-    """The body with these rotations and root positions, legs filled in; before: [0 or 1, J, 4] the previous frame."""
+    """The body with these rotations and root positions; its legs are marked as filled in. before: [0 or 1, J, 4] the
+    previous frame, for continuous quaternion signs."""
     filled = {*body.filled, *LEG_JOINTS}
     rotations = rotation.continuous(np.concatenate([before, rotations]))[len(before):]
     return replace(body, rotations=rotations, root_positions=root,

@@ -283,7 +283,8 @@ def _followed(gains: Array, targets: Array, seconds: float) -> Array:
 
 
 class LifeLayer:
-    """Adds idle motion: fully where the body rests or the head would freeze, else faintly; head and body fade apart."""
+    """Adds idle motion to the poses of one performance: fully where the body rests or the head would freeze, faintly
+    elsewhere. Head and body fade separately."""
 
     def __init__(self, seed: int, statistics: Statistics, representation: Representation, speaker: int,
                  parts: Sequence[NDArray[np.int64]]) -> None:

@@ -56,7 +56,8 @@ class _Pin:
 
 
 def pinned(motion: Motion, plan: GesturePlan) -> Motion:
-    """A motion on the default skeleton with the pins of a plan. `InputError` for a place that cannot be reached."""
+    """A motion on the default skeleton with the pins of a plan. `InputError` for a place that cannot be reached, with
+    the line of the pin if the plan was read from a file."""
     fade, count = max(round(REACH * motion.fps), 1), len(motion)
     pins = [_Pin(pin, number, *(min(round(time * motion.fps), count - 1) for time in (pin.time, pin.time + pin.hold)))
             for number, pin in enumerate(plan.pins)]

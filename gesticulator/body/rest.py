@@ -268,7 +268,8 @@ class RestingPart:
         return out
 
     def break_off(self, last: list[tuple[float, Array]], word: float) -> None:
-        """Stop and go to rest at once from the last two times and poses. word: seconds of the interruption."""
+        """Stop and go to rest at once from the last two times and poses (later motion is discarded). word: time of the
+        interruption in seconds, a little earlier."""
         self._last, self._join = last, None
         now, pose = last[1]
         # The speed falls as v (1 - t / T)^2, whose integral is v T / 3.
@@ -366,7 +367,8 @@ class Rest:
 
     def __init__(self, statistics: Statistics, representation: Representation, speaker: int, activity: float, seed: int
                  ) -> None:
-        """representation: of exponential maps; activity: share of speech time that is gestured."""
+        """representation: of exponential maps; activity: share of speech time that is gestured; seed: of the choice of
+        phrases and of the idle motion."""
         # Head and body rest apart: in a phrase without gestures the head still moves.
         rest_pose = statistics.rest_pose[speaker]
         names = representation.motion(rest_pose[None], 1.0).skeleton.names

@@ -39,7 +39,8 @@ _LEAST = 1e-5
 
 
 def keep_hands_out(turns: dict[int, Array], body: Body, default: Pose, fps: float) -> None:
-    """Bend the arms in `turns` where a hand would be nearer to the trunk than on the default character."""
+    """Bend the arms in `turns` where a hand would be nearer to the character's trunk than on the default character.
+    default: its pose; fps: frames per second."""
     joints, chest, origin = body.mapping.joints, default.turns["Spine3"], default.places["Hips"]
     neck = body.place(turns, body.mapping.neck[0] if body.mapping.neck else joints["Head"])
     # A trunk that does not move has one place for all frames.
@@ -62,7 +63,8 @@ def keep_hands_out(turns: dict[int, Array], body: Body, default: Pose, fps: floa
 
 
 def outline_of(body: Body) -> Outline:
-    """The trunk of a character: measured on its mesh, else the default one, scaled by shoulders and trunk."""
+    """The trunk of a character: measured on its mesh, else the default one, scaled by the width of the shoulders and
+    the length of the trunk."""
     joints, places = body.mapping.joints, body.rest_places
     shoulders = float(np.linalg.norm(places[joints["LeftArm"]] - places[joints["RightArm"]]))
     trunk = float(np.linalg.norm(places[joints["Head"]] - places[joints["Hips"]]))

@@ -14,7 +14,8 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the joint of each node, and what is odd in some poses; `InputError` if it is unusable or not sound."""
+    """Print the joint of each node, and measurements of the character in some poses; `InputError` if the mapping is
+    unusable or the moved character is not sound."""
     from gesticulator.characters.mapping import described
     from gesticulator.characters.reading import choose
     from gesticulator.characters.retarget import Retargeter

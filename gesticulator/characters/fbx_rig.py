@@ -25,7 +25,10 @@ _LARGEST = 1 << 28
 
 
 def read_fbx_character(path: str | os.PathLike[str]) -> Character:
-    """The rig of an FBX file: node 0 is the armature, the others are its bones. `InputError` without Blender."""
+    """The rig of an FBX file. `InputError` without Blender, or without an armature in the file.
+
+    Node 0 is the armature object with the scale and rotation of its import; the others are its bones.
+    """
     source = Path(path)
     if not source.is_file():
         raise InputError(path, "does not exist" if not source.exists() else "is not a regular file", "check the path")

@@ -137,8 +137,11 @@ _ANKLE = 0.08
 
 
 def _ankles(character: Character, mapping: RigMapping, axes: tuple[Array, Array], rest: Array, unit: float) -> Array:
-    """[2] heights of the ankles of a character that stands, metres: at rest if its feet rest where the bind pose has
-    them, else in the bind pose, on the floor of mesh or file. axes: upright, and of the bind pose."""
+    """[2] heights of the ankles of a character that stands, metres, without its lift.
+
+    They are those at rest if its feet rest where the bind pose has them, else those of the bind pose: on the floor of
+    the mesh, or on the floor of the file if the mesh does not stand upright there. axes: upright, and of the bind pose.
+    """
     feet = [mapping.joints[side + "Foot"] for side in SIDES]
     if character.bind is None:
         return rest[feet, 1]

@@ -183,10 +183,12 @@ def _to_world(file: GltfFile, place: Mapping[int, int], matrices: Mapping[int, A
 
 
 def _bind(character: Character, inverse: Mapping[int, Array], meshes: Sequence[int]) -> tuple[Array, Array]:
-    """[N, 4, 4] world matrices of the bind pose, and [4, 4] from mesh space to the world. Inverse bind matrices give
-    each joint's place in mesh space. The place of mesh space in the world is that which explains most of them: each
-    joint that rests in its bind pose determines it, and all of those agree. If most joints rest in another pose, the
-    nodes that carry the meshes determine it, or else the joint nearest to the root."""
+    """[N, 4, 4] world matrices of the bind pose, and [4, 4] from mesh space to the world.
+
+    Inverse bind matrices give each joint's place in mesh space. The place of mesh space in the world is that which
+    explains most of them: each joint that rests in its bind pose determines it, and all of those agree. If most joints
+    rest in another pose, the nodes that carry the meshes determine it, or else the joint nearest to the root.
+    """
     rest = character.world_matrices()
     joints = list(inverse)
     there = np.array([np.linalg.inv(inverse[node]) for node in joints])
@@ -264,7 +266,8 @@ def _placed_by_nodes(character: Character, joints: Sequence[int], there: Array, 
 
 
 def _flesh(file: GltfFile, place: Mapping[int, int], moves: Mapping[int, Array]) -> tuple[Array, NDArray[np.int64]]:
-    """[V, 3] vertices of the skinned meshes in the bind pose's world, and [V] the node with the largest weight."""
+    """[V, 3] vertices of the skinned meshes in the bind pose's world, and [V] the node with the largest weight of
+    each. moves: skin -> [J, 4, 4] from the space of its mesh."""
     parts = [(skin, primitive["attributes"]) for skin, primitive in _skinned_parts(file)]
     counts = [file.count(attributes["POSITION"]) for _, attributes in parts]
     # One step over all meshes, so that each keeps its share of the points.

@@ -228,7 +228,8 @@ def _ends(search: Search) -> dict[str, int]:
 
 
 def _nearness(search: Search, head: int, ends: Mapping[str, int]) -> int:
-    """How far down the tree a head meets the trunk of the hands: one beside the skeleton meets it nowhere."""
+    """How far down the tree a head meets the trunk that the hands hang on: a bone or a mesh of that name beside the
+    skeleton meets it nowhere. 0 while the hands are unknown."""
     hands = [ends[side + "Hand"] for side in SIDES if side + "Hand" in ends]
     if len(hands) < 2:
         return 0
@@ -272,8 +273,11 @@ def _below(search: Search, top: int, end: int) -> list[int]:
 
 def _limb(search: Search, path: Sequence[int], side: str, parts: Sequence[str]
           ) -> tuple[dict[str, int], dict[str, float]]:
-    """The best choice of nodes on a path for the four parts of a limb, with the confidence of each. An arm may lack its
-    clavicle (the first part), a leg its toes (the last)."""
+    """The best choice of nodes on a path for the four parts of a limb, with the confidence of each.
+
+    An arm may lack its clavicle (the first part), a leg its toes (the last). Helper nodes (twist bones) are chosen only
+    if there is nothing else.
+    """
     arm = parts is ARM_PARTS
     best = -np.inf
     chosen: tuple[int, ...] = ()

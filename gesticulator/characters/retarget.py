@@ -135,8 +135,11 @@ class Retargeter:
         return turns
 
     def _stand(self, turns: dict[int, Array], pose: Pose) -> Array:
-        """[T, 3] path of the hips; bends the legs in `turns` so that each ankle moves as the source's, scaled by the
-        ratio of leg lengths, about its mean place. The hips go where both ankles are nearest to that."""
+        """[T, 3] path of the hips; bends the legs in `turns` so that feet stay in place.
+
+        Each ankle moves as the source's does, scaled by the ratio of leg lengths, about its mean place under the
+        source's bone directions. The hips go where both ankles are nearest to that.
+        """
         joints, body = self.mapping.joints, self.body
         self._scale_hips(turns, pose.turns["Hips"])
         ankles = np.stack([pose.places[side + "Foot"] for side in SIDES], axis=1)
@@ -158,8 +161,11 @@ class Retargeter:
         return root
 
     def _scale_hips(self, turns: dict[int, Array], hips_turns: Array) -> None:
-        """Rotate hips of another width so that the hip sockets move as the source's do, scaled by the legs: wide hips
-        that tilt like narrow ones would lift a foot off the floor. Usually by less than a degree."""
+        """Rotate hips of another width so that the hip sockets move as the source's do, scaled by the legs.
+
+        Wide hips that tilt like narrow ones would lift a foot off the floor. The rotation about the up and forward axes
+        is scaled, relative to its mean over time, usually by less than a degree.
+        """
         body = self.body
         sockets = [body.place(turns, self.mapping.joints[side + "UpLeg"]) for side in SIDES]
         width = float(np.linalg.norm(sockets[0] - sockets[1], axis=-1).mean())
@@ -211,7 +217,10 @@ def _between(a: Array, b: Array, share: float) -> Array:
 def retarget(motion: Motion, character: Character | str | os.PathLike[str],
              mapping: RigMapping | str | os.PathLike[str] | None = None, *, contacts: bool = True,
              legs: bool = True) -> CharacterMotion:
-    """A motion on a character, or on that of a file; mapping: one, or a file of `save_mapping`. See `Retargeter`."""
+    """A motion on a character; see `Retargeter`.
+
+    character: from `read_character`, or a file. mapping: a `RigMapping`, or a file written by `save_mapping`.
+    """
     from gesticulator.characters.mapping import load_mapping
     from gesticulator.characters.reading import read_character
 

@@ -122,7 +122,8 @@ class Character:
         return np.asarray(_turns(self.rotations) * np.where(self.scales < 0.0, -1.0, 1.0)[:, None, :])
 
     def world_turns(self) -> Array:
-        """[N, 3, 3] the nodes' world rotations at rest; below a mirrored node with a reflection (determinant -1)."""
+        """[N, 3, 3] the nodes' world rotations at rest, in the file's axes, without scales but for their signs: below
+        a mirrored node the matrices are rotations with a reflection (determinant -1)."""
         world = self.local_turns()
         for node, parent in enumerate(self.parents):
             if parent >= 0:
@@ -145,7 +146,10 @@ class Character:
 
 
 def decomposed(matrices: Array) -> tuple[Array, Array, Array]:
-    """Translations, rotations [..., 4] and scales of matrices [..., 4, 4]; the first scale of a mirror is negative."""
+    """Translations [..., 3], rotations [..., 4] and scales [..., 3] of matrices [..., 4, 4].
+
+    The first scale of a mirrored matrix (determinant below 0) is negative.
+    """
     scales = np.linalg.norm(matrices[..., :3, :3], axis=-2)
     # A reflection has no rotation; moving it into one scale keeps the rest a proper rotation.
     scales[..., 0] *= np.where(np.linalg.det(matrices[..., :3, :3]) < 0.0, -1.0, 1.0)

@@ -63,7 +63,10 @@ def _twist_bones(body: Body, forearm: int, hand: int, offsets: Array) -> list[tu
 
 
 def _roll(apart: Array, axis: Array) -> Array:
-    """[T] radians by which rotations [T, 3, 3] turn about an axis [3]; it fades towards half a turn, where it jumps."""
+    """[T] the part of rotations [T, 3, 3] that turns about an axis [3], radians; each frame independently.
+
+    Half a turn to either side is the same pose: the roll fades towards it, so that it is continuous there.
+    """
     q = Rotation.from_matrix(apart).as_quat(scalar_first=True)
     # The twist of a swing-twist decomposition: the part of the quaternion along the axis.
     angle = 2.0 * np.arctan2(q[:, 1:] @ axis, q[:, 0])

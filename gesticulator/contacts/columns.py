@@ -43,7 +43,8 @@ class Column:
     points: tuple[str, ...] = ("Hand", "HandMiddle1")
 
     def distance(self, points: Array, low: Array, high: Array, turns: Array) -> tuple[Array, Array]:
-        """[..., T] metres from the surface (inside: < 0) and the outward direction; low, high, turns: of `ends`."""
+        """[..., T] metres from the surface (negative inside) and [..., T, 3] the outward direction, for points
+        [..., T, 3]; low, high, turns: of `ends`, which are rounded."""
         axes = trunk_axes(high - low, turns)
         left, up, fore = np.moveaxis(axes.axes, -2, 0)
         local = points - low

@@ -86,7 +86,8 @@ _SWINGS = 7
 
 
 def cleared(motion: Motion, sits: bool = False) -> Motion:
-    """A motion on the default skeleton with the hands outside trunk and face, and above the thighs if it sits."""
+    """A motion on the default skeleton with the hands outside trunk and face. sits: and above its thighs, those of a
+    body that sits; the motion may still lack them."""
     names = [name for name in (*_JOINTS, *(_SEATED if sits else ())) if name in motion.skeleton.names]
     pose = pose_of(replace(motion, root_positions=np.zeros((len(motion), 3))), names)
     body, rotations = _Body(pose, sits), None
@@ -105,7 +106,8 @@ def cleared(motion: Motion, sits: bool = False) -> Motion:
 
 def _bend_arm(rotations: Array, skeleton: Skeleton, body_of: tuple[Pose, bool], side: tuple[str, float],
               at: NDArray[np.int64]) -> None:
-    """Bend an arm in `rotations` [T, J, 4] at the frames `at`; body_of: the pose there, and whether it sits."""
+    """Bend an arm in `rotations` [T, J, 4] at the frames `at`, where it is in the body; body_of: the pose in these
+    frames, and whether it sits."""
     (name, sign), (pose, sits) = side, body_of
     body, places = _Body(*body_of), pose.places
     shoulder, wrist = places[name + "Arm"], places[name + "Hand"]

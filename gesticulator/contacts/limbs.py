@@ -88,7 +88,8 @@ CAP, RECEDES = 0.20, 0.5
 
 
 def receding(along: Array, low: Array | float, high: Array, size: Array | float = 1.0) -> Array:
-    """Metres by which a trunk from `low` to `high` recedes at metres `along` it. size: relative to the default."""
+    """Metres by which the surface of a trunk that reaches from `low` to `high` recedes at metres `along` it. size:
+    relative to the default character's."""
     return np.asarray(size * RECEDES * (np.maximum(np.maximum(low - along, along - high), 0.0) / (CAP * size)) ** 2)
 
 

@@ -103,7 +103,8 @@ def near(gap: Array) -> Array:
 
 
 def displacement(limits: list[HandLimit], reached: Array, arm: float) -> Array:
-    """[T, 3] the displacement of a hand at `reached` from the shoulder into all limits and the reach of an arm."""
+    """[T, 3] the displacement that brings a hand at `reached` [T, 3] from the shoulder within all limits and the reach
+    of an arm, metres: by projections on them in turn, which move no two hands apart."""
     moved = reached
     # Projections on convex sets in turn converge to a place in all of them, if there is one.
     for _ in range(_ROUNDS):
@@ -130,7 +131,8 @@ class Trunk:
     size: float
 
     def limit(self, our: Array, place: Array) -> HandLimit:
-        """The limit of a point of the hand at `place` [T, 3]; our: [3, T] left, up, ahead, of the default character."""
+        """The limit of a point of the hand at `place` [T, 3] metres from the hips; our: [3, T] left, up, ahead of the
+        hips, that of the default character."""
         width, depth = OURS
         # Equation (1): the normal of the ellipse through the hand, and its distance from the tangent.
         x, z = our[0] / width ** 2, our[2] / depth ** 2
@@ -166,7 +168,10 @@ class Trunk:
 
 
 def spread(push: Array, limits: list[HandLimit], trunk: Trunk, arm: tuple[Array, float], fps: float) -> Array:
-    """[T, 3] displacements `push` spread over time. arm: [T, 3] the wrist from its shoulder, and the arm's length."""
+    """[T, 3] displacements spread over time, of a hand that is displaced by `push` [T, 3] frame by frame.
+
+    arm: [T, 3] the wrist from its shoulder, without correction, and the length of the arm; metres.
+    """
     reached, length = arm
     width, loops = AHEAD * fps / np.sqrt(_TURNS), bool(np.linalg.norm(reached[0] - reached[-1]) < _CLOSED)
     # What counts as hasty: faster than the hand is anyway around that moment.
