@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from data_module.motion.motion_beats import beats_of_speed
 from data_module.speech.onsets import merged
+from data_module.types import BeatFlag, Beats, Speech, Word
 from eval.metrics import pmb
 from eval.pictures import embedding, plots
 from eval.pictures.embedding import colours
-from eval.pictures.strips import save_strip
+from eval.pictures.strips import BEAT_COLOURS, BEAT_NAMES, save_strip
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 from matplotlib.colors import to_hex
@@ -139,11 +141,53 @@ def test_sweep_shows_means_intervals_and_sizes() -> None:
     assert set(lines_of(figure.axes[1])["performer"].get_ydata()) == {95.0}
 
 
+# ---------------------------------------------------------------------------------------------------------- Fig. 2
+
+def performance(seconds: float = 8.0, rate: int = 16000) -> dict[str, Any]:
+    rng = np.random.default_rng(6)
+    samples = (0.4 * np.sin(np.arange(round(seconds * rate)) * 0.06) * rng.uniform(0, 1, round(seconds * rate)))
+    times = np.array([0.0, 0.5, 1.1, 1.9, 2.4, 3.3, 4.0, 5.2, 6.0, 7.0, seconds])
+    flags = np.array([0, 1, 1, 2, 3, 1, 1, 3, 2, 1, 0], np.int8)
+    speed = 1 + np.sin(np.arange(round(seconds * 60)) / 60 * 7) ** 3
+    return {"speech": Speech(samples.astype(np.float32), rate), "beats": Beats(times, flags), "edges": times,
+            "lexemes": np.array([1, 4, 4, 2, 0, 3, 1, 2, 2, 0]), "hand_speed": speed, "fps": 60.0,
+            "motion_beats": beats_of_speed(speed, 60.0)}
+
+
+def test_overview_shows_its_stretch() -> None:
+    own = performance()
+    words = (Word("before", 0.1, 0.4), Word("well", 1.2, 1.6), Word("", 1.6, 2.0), Word("yes", 4.0, 4.4))
+    figure = plots.overview(plots.Overview(**own, words=words, silent=[2]), 1.0, 4.0)
+    spoken, sound, cells, hands = figure.axes
+    assert [text.get_text() for text in spoken.texts] == ["well", "yes"]
+    assert [text.get_position()[0] for text in spoken.texts] == pytest.approx([1.4, 4.2])
+    times, flags = own["beats"].times, own["beats"].flags
+    drawn = {line.get_label(): line for line in sound.get_lines()}
+    for flag in BeatFlag:
+        mine = times[(flags == flag) & (times >= 1) & (times <= 5)]
+        name = f"beat: {BEAT_NAMES[flag]}"
+        assert (name in drawn) == bool(len(mine))
+        if len(mine):
+            np.testing.assert_array_equal(drawn[name].get_xdata(), mine)
+            assert drawn[name].get_color() == BEAT_COLOURS[flag]
+    shown = [(float(patch.get_x()), float(patch.get_width()), patch.get_hatch()) for patch in cells.patches]
+    blocks = [i for i in range(10) if times[i] < 5 and times[i + 1] > 1]
+    assert shown == [(times[i], pytest.approx(times[i + 1] - times[i]), "////" if own["lexemes"][i] == 2 else None)
+                     for i in blocks]
+    assert [text.get_text() for text in cells.texts] == [str(own["lexemes"][i]) for i in blocks]
+    np.testing.assert_array_equal(lines_of(hands)["_speed"].get_ydata(), own["hand_speed"])
+    found = own["motion_beats"]
+    expected = found[(found >= 1) & (found <= 5)]
+    assert len(expected) > 2
+    np.testing.assert_array_equal(lines_of(hands)["motion beat"].get_xdata(), expected)
+    assert hands.get_xlim() == (1.0, 5.0)
+
+
 # ---------------------------------------------------------------------------------------------------------- saving
 
 def test_the_same_input_gives_the_same_bytes(tmp_path: Path) -> None:
     def saved(name: str) -> bytes:
-        save_strip(plots.delta_curves({"ours": [20.0, 60.0, 90.0]}, DELTAS), tmp_path / name)
+        save_strip(plots.overview(plots.Overview(**performance(), silent=[2]), 0.0, 8.0), tmp_path / name)
         return (tmp_path / name).read_bytes()
 
     for suffix in ("svg", "png"):

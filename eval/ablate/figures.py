@@ -17,20 +17,23 @@ import torch
 from data_module import intervals
 from data_module.blocks import cut
 from data_module.errors import InputError
-from data_module.motion.motion_beats import motion_beats
+from data_module.motion.motion_beats import acting_positions, acting_speed, motion_beats
 from data_module.speech.beats import find_beats
 from data_module.speech.onsets import detect_onsets
 from data_module.store import Recording
+from eval.ablate import style_editing
 from eval.ablate.rows import COLUMNS, OURS, PERFORMER, REAL_TAKE, ROWS, TABLES
-from eval.ablate.run import RgRows, configured
+from eval.ablate.run import SHOWN_SEED, RgRows, configured
 from eval.clip.excerpts import evenly
 from eval.metrics import audio_clusters, pmb
 from eval.metrics.encode import EncodedMotion, latents_of
 from eval.metrics.evaluate import WIDE
+from eval.pictures import plots
 from eval.pictures.canvas import STYLE
 from eval.pictures.embedding import embed, embedding_panels, joint_embedding, neighbours_agree
-from eval.pictures.plots import beat_strips, cluster_bars, delta_curves, size_sweep
+from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curves, overview, size_sweep
 from eval.pictures.strips import PAGE, Source, draw_page, save_strip
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages import LABELS
 
 if TYPE_CHECKING:
@@ -90,6 +93,17 @@ def lexicon(rg: RgRows, rows: Summaries) -> Picture:
     return embedding_panels({title: (flat, labels)}, len(judge.vectors), labelled.silent.tolist())
 
 
+def pipeline(rg: RgRows, rows: Summaries) -> Picture:
+    """RG Fig. 2, on a stretch of real data."""
+    recording, motion = shown_recording(rg), rg.motions(OURS)[0]
+    rhythm = rg.first.config.rhythm
+    shown = Overview(recording.speech, find_beats(recording.speech, rhythm.beats),
+                     cut(recording.speech, rhythm).edges, encoded(rg, OURS)[0].labels,
+                     acting_speed(acting_positions(motion), motion.fps), motion.fps, motion_beats(motion),
+                     recording.speech.words or (), rg.first.get(LABELS).silent.tolist())
+    return overview(shown, start_of(recording), STRETCH)
+
+
 def strip(name: str) -> Draw:
     """RG Fig. 9, of a row or of the performer."""
     def drawn(rg: RgRows, rows: Summaries) -> Picture:
@@ -101,6 +115,14 @@ def strip(name: str) -> Draw:
                          find_beats(recording.speech), layout=replace(PAGE, views=("front",)))
 
     return drawn
+
+
+def edited(rg: RgRows, rows: Summaries) -> Picture:
+    """RG Fig. 10."""
+    bundle, _ = rg.trained("style-editing", SHOWN_SEED)
+    assert bundle.levels is not None
+    clips = style_editing.excerpts(rg.context.store)
+    return plots.style_editing(style_editing.figures(Gesticulator(bundle), clips, bundle.levels))
 
 
 def curves(rg: RgRows, rows: Summaries) -> Picture:
@@ -177,9 +199,11 @@ _STEPS = (PERFORMER, "no-audio-no-style", "no-style", "random-style", OURS)
 _LEXEMES = (PERFORMER, "no-lexemes", OURS)
 _RANGES = tuple(line.row for line in TABLES["RG Table 4"].lines)
 FIGURES: dict[str, PaperFigure] = {
+    "figure-2": PaperFigure(pipeline, (OURS,)),
     "figure-5": PaperFigure(onset_intervals), "figure-6": PaperFigure(lexicon, dots=True),
     "figure-9-performer": PaperFigure(strip(PERFORMER), (PERFORMER,), dots=True),
     "figure-9-ours": PaperFigure(strip(OURS), (OURS,), dots=True),
+    "figure-10": PaperFigure(edited, ("style-editing",), dots=True),
     "figure-11": PaperFigure(curves), "figure-14": PaperFigure(clusters, (PERFORMER, OURS)),
     "figure-15": PaperFigure(panels(*_STEPS), _STEPS, dots=True),
     "figure-16": PaperFigure(strips_of_beats, (*_RANGES, PERFORMER)),

@@ -4,6 +4,8 @@
     cluster_bars       entropy of lexemes within clusters of sound      RG Fig. 14
     beat_strips        motion beats beside onsets                       RG Fig. 16
     size_sweep         metrics against the size of the lexicon          RG Fig. 18
+    overview           a few seconds of speech, blocks and motion       RG Fig. 2
+    style_editing      what was asked for, and what came of it          RG Fig. 10
 
 Each takes numbers and gives a figure. Colours are of the palette of Okabe and Ito (2008), which people with any colour
 vision tell apart, and no meaning hangs on colour alone: lines have markers, lexemes, of which there are too many for
@@ -15,15 +17,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from data_module.controls import FEATURES, LEVELS
 from data_module.speech.onsets import merged
-from data_module.types import Array
+from data_module.types import Array, Beats, Speech, Word
 from eval.metrics import pmb
 from eval.pictures.canvas import canvas, legend, row_without_scale
-from gesticulator.export.figure import INK, SOFT
+from eval.pictures.embedding import Labels, colours
+from eval.pictures.strips import draw_wave
+from gesticulator.export.figure import FLOOR, INK, SOFT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -154,4 +160,110 @@ def cluster_bars(panels: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Fig
     axis.set(ylabel="entropy of the lexeme, nats")
     axis.grid(axis="y")
     legend(figure, (axis,))
+    return figure
+
+
+# ----------------------------------------------------------------------------------------------------------- Fig. 2
+
+@dataclass(frozen=True)
+class Overview:
+    """The data of Fig. 2. edges: [N + 1] seconds and lexemes: [N] of the blocks; hand_speed: [T] m/s, frame t at
+    t / fps seconds, such as `motion_beats.acting_speed`; motion_beats: seconds; silent: lexemes that are hatched."""
+
+    speech: Speech
+    beats: Beats
+    edges: Array
+    lexemes: Labels
+    hand_speed: Array
+    fps: float
+    motion_beats: Array
+    words: Sequence[Word] = ()
+    silent: Sequence[int] = ()
+
+
+def overview(of: Overview, start: float, seconds: float) -> Figure:
+    """A stretch of one performance: words, sound and beats, blocks and lexemes, hands and motion beats (RG Fig. 2).
+
+    The stretch is clamped to the speech.
+    """
+    end = min(start + seconds, of.speech.duration)
+    heights = (0.5, 1.3, 0.45, 1.1)
+    figure = canvas(sum(heights) + 1.0)
+    axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    axes[0].set_xlim(start, end)
+    spoken, sound, cells, hands = axes
+    _draw_words(spoken, [word for word in of.words if word.text and word.end > start and word.start < end], start, end)
+    draw_wave(sound, of.speech, of.beats, start, end)
+    row_without_scale(sound, "sound")
+    _draw_cells(cells, of.edges, of.lexemes, of.silent, start, end)
+    _draw_hands(hands, of.hand_speed, of.fps, of.motion_beats, start, end)
+    for axis in axes:
+        axis.vlines(of.edges, 0, 1, transform=axis.get_xaxis_transform(), color=FLOOR, zorder=0, label="_edges")
+    hands.set_xlabel("seconds")
+    legend(figure, (sound, hands))
+    return figure
+
+
+def _draw_words(axis: Axes, words: Sequence[Word], start: float, end: float) -> None:
+    """Each word over its middle, in three lanes in turn, so that neighbours do not run into each other."""
+    for number, word in enumerate(words):
+        middle = min(max((word.start + word.end) / 2, start), end)
+        axis.text(middle, 2.5 - number % 3, word.text, ha="center", va="center", clip_on=True)
+    axis.set(ylim=(0, 3))
+    row_without_scale(axis, "words")
+
+
+def _draw_cells(axis: Axes, edges: Array, lexemes: Labels, silent: Sequence[int], start: float, end: float) -> None:
+    """Blocks as cells of their lexeme's colour, with its number."""
+    palette = colours(int(lexemes.max(initial=0)) + 1)
+    for left, right, lexeme in zip(edges[:-1], edges[1:], lexemes.tolist(), strict=True):
+        if min(right, end) <= max(left, start):
+            continue
+        # A silent lexeme is hatched: hue alone would not tell it apart.
+        look = ({"color": "white", "edgecolor": palette[lexeme], "hatch": "////"} if lexeme in silent else
+                {"color": palette[lexeme], "edgecolor": "white"})
+        axis.barh(0.5, right - left, 0.9, left, label=f"_{lexeme}", **look)
+        axis.text((max(left, start) + min(right, end)) / 2, 0.5, str(lexeme), ha="center", va="center", clip_on=True,
+                  bbox={"boxstyle": "round,pad=0.12", "fc": "white", "ec": "none"})
+    axis.set(ylim=(0, 1))
+    row_without_scale(axis, "lexemes")
+
+
+def _draw_hands(axis: Axes, speed: Array, fps: float, beat_times: Array, start: float, end: float) -> None:
+    times = np.arange(len(speed)) / fps
+    axis.plot(times, speed, color=INK, label="_speed")
+    mine = beat_times[(beat_times >= start) & (beat_times <= end)]
+    # Motion beats stand below the curve, where nothing hides them.
+    top = 1.1 * float(speed[(times >= start) & (times <= end)].max(initial=0.0)) or 1.0
+    axis.vlines(mine, -0.22 * top, np.interp(mine, times, speed), color=BLUE, linewidth=0.9, label="_beats")
+    axis.plot(mine, np.full(len(mine), -0.22 * top), color=BLUE, marker="^", linestyle="none", label="motion beat")
+    axis.set(ylim=(-0.32 * top, top), ylabel="arms, m/s")
+
+
+# ---------------------------------------------------------------------------------------------------------- Fig. 10
+
+def style_editing(result: Mapping[str, Any]) -> Figure:
+    """For each feature the first clip over time beside what was asked, and box plots of all clips.
+
+    result: of `eval.ablate.style_editing.figures`. Whiskers reach the extremes; dashes are what was asked for.
+    """
+    figure = canvas(3 * len(FEATURES))
+    for index, (feature, axes) in enumerate(zip(FEATURES, figure.subplots(
+            len(FEATURES), 2, width_ratios=(2, 1), sharey="row"), strict=True)):
+        over_time, boxes = axes
+        rows, requested = {level: f"{feature} {level}" for level in LEVELS} | result["beside"], result["asked"][feature]
+        drawn = boxes.boxplot([result["values"][row][feature] for row in rows.values()], whis=(0, 100))
+        boxes.set_xticks(range(1, len(rows) + 1), list(rows))
+        for place, (level, colour) in enumerate(zip(LEVELS, PALETTE, strict=False), 1):
+            series = result["series"][rows[level]]
+            curve = series["values"][index]
+            over_time.plot(np.arange(len(curve)) / series["fps"], curve, color=colour, label=level)
+            over_time.axhline(requested[level], color=colour, linestyle="--", linewidth=0.8)
+            boxes.hlines(requested[level], place - 0.4, place + 0.4, color=colour, linestyle="--")
+            drawn["boxes"][place - 1].set_color(colour)
+        over_time.set_ylabel(result["titles"][feature])
+        if index == 0:
+            over_time.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(LEVELS))
+    over_time.set_xlabel(f"seconds of {result['clips'][0]['name']} (mean over 4 s)")
+    boxes.set_xlabel(f"means over {len(result['clips'])} clips")
     return figure

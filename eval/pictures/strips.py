@@ -171,13 +171,13 @@ def _draw_sound(axis: Axes, speech: Speech, beats: Beats | None, times: Array, l
     """The waveform under the figures: time runs as they do, so that each stands above its own moment."""
     gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
     start, end = times[0] - gap * layout.margin / layout.spacing, times[-1] + gap * layout.margin / layout.spacing
-    _draw_wave(axis, speech, beats, max(start, 0.0), min(end, speech.duration))
+    draw_wave(axis, speech, beats, max(start, 0.0), min(end, speech.duration))
     for time in times:
         axis.axvline(time, color=FLOOR, linewidth=0.8, zorder=-5)
     axis.set_xlim(start, start + gap * wide / layout.spacing)
 
 
-def _draw_wave(axis: Axes, speech: Speech, beats: Beats | None, start: float, end: float) -> None:
+def draw_wave(axis: Axes, speech: Speech, beats: Beats | None, start: float, end: float) -> None:
     """The extremes of the samples from start to end, seconds, and beats as lines in the colours of their flags."""
     # The extremes of each bin: a plain line would leave out what lies between its points.
     bins = np.linspace(start, end, 1201)
