@@ -57,10 +57,7 @@ class SetupResolver:
         chosen = options.interpreter or bundle.interpreters[0]
         # An object may have `start` and `step` alone, and gets defaults for the rest.
         interpreter = as_interpreter(bundle.interpreter_named(chosen, text) if isinstance(chosen, str) else chosen)
-        # Interpreters of other packages have no figures of ours, so there is nothing to warn of.
         known = INTERPRETERS.get(interpreter.name)
-        if known is not None and known.doubt:
-            warnings.warn(InterpreterWarning(known.doubt), stacklevel=2)
         temperature = options.temperature
         if temperature is None and known is not None:
             temperature = known.temperature
@@ -69,14 +66,16 @@ class SetupResolver:
             temperature = defaults.q_temperature if interpreter.gives_values else defaults.temperature
         # beta depends on the temperature: it is a weight on scores that are divided by it.
         interpreter = interpreter.steered(options.beta, temperature)
+        # Interpreters of other packages have no figures of ours, so there is nothing to warn of.
+        if known is not None and known.doubt:
+            warnings.warn(InterpreterWarning(known.doubt), stacklevel=2)
         return Setup(interpreter, self.speaker(options.speaker), temperature, int(options.seed), activity,
                      hand_controls(bundle, options), int(options.variation), interpreter.beta, text)
 
 
-
 def hand_controls(bundle: Bundle, options: InferenceOptions) -> Controls:
-    """The hand controls of the options as numbers: "low", "mid" and "high" by the bundle's levels, curves from their
-    files. `InputError` for an invalid control, or if the bundle was trained without style editing."""
+    """The hand controls of the options as numbers: "low", "mid" and "high" by the bundle's levels, curves as they
+    are. `InputError` for an invalid control, or if the bundle was trained without style editing."""
     controls = options.controls or Controls.free()
     if controls == Controls.free() and not any(hand is not None for hand in options.hands):
         return controls

@@ -29,25 +29,6 @@ def test_a_glb_without_a_mesh_for_a_face_is_written_with_one_line(tmp_path: Path
     assert path.read_bytes() == write(tmp_path / "plain.glb", perform(1.0)).read_bytes()
 
 
-@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
-def test_usd_has_weights_as_pixars_library_reads_them(tmp_path: Path, suffix: str) -> None:
-    skel = pytest.importorskip("pxr.UsdSkel")
-    from pxr import Usd
-
-    made = with_face(perform(1.0))
-    assert made.face is not None
-    stage = Usd.Stage.Open(str(write(tmp_path / f"a{suffix}", made)))
-    cache, root = skel.Cache(), skel.Root(stage.GetDefaultPrim())
-    cache.Populate(root, Usd.PrimDefaultPredicate)
-    query = cache.GetSkelQuery(next(skel.Skeleton(prim) for prim in stage.Traverse() if prim.IsA(skel.Skeleton)))
-    animation = query.GetAnimQuery()
-    assert list(animation.GetBlendShapeOrder()) == list(ARKIT)
-    for frame in (0, 12, 24):
-        wanted = [arkit(made.face)[name][frame] for name in ARKIT]
-        np.testing.assert_allclose(animation.ComputeBlendShapeWeights(frame), wanted, atol=1e-6)
-    assert b"blendShape" not in write(tmp_path / f"plain{suffix}", perform(1.0)).read_bytes()
-
-
 def in_blender(path: Path, made: Performance) -> dict[str, dict[str, Array]]:
     """Mesh -> shape key -> its values in Blender at the frames of the face."""
     target = path.with_suffix(".json")

@@ -28,6 +28,8 @@ from data_module.files import new_file
 from gesticulator.bundle.config import FitSettings
 from gesticulator.training import distributed
 
+__all__ = ["FitOptions", "Task", "fit"]
+
 Batch = dict[str, Tensor]
 MakeBatch = Callable[[np.random.Generator, int], Batch]
 Losses = Callable[[Batch, float], dict[str, Tensor]]

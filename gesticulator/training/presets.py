@@ -36,6 +36,8 @@ from gesticulator.bundle.config import (
     TextConfig,
 )
 
+__all__ = ["PRESETS", "preset"]
+
 LITERAL = EpisodeConfig(truth=1.0, sampled=0.0, statistical=0.0, perturbed=0.0, baseline=0)
 """RACER's data set: the performers' decisions alone."""
 
