@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_module.speech.audio import SAMPLE_RATE
+from data_module.speech.word_sound import WordSounds
 from data_module.types import Speech, Word
-from gesticulator.directing.cues import stroke_of_word
-from gesticulator.directing.word_sound import WordSounds
+from gesticulator.directing.cues import gesture_of_word, stroke_of_word
 
 LASTS = 0.4
 """Seconds of a made word; words follow each other every half second, from .5 s on."""
@@ -46,7 +46,7 @@ def sounds(speech: Speech, count: int) -> WordSounds:
 def test_a_stroke_falls_just_before_the_vowel(vowel: float, pitch: float) -> None:
     begins = word(0).start + vowel
     assert sounds(said((vowel, 0.0, pitch)), 1).vowel(word(0)) == pytest.approx(begins, abs=0.035)
-    assert -0.2 < sounds(said((vowel, 0.0, pitch)), 1).stroke(word(0)) - begins < 0.05
+    assert -0.2 < gesture_of_word(word(0), sounds(said((vowel, 0.0, pitch)), 1))[0] - begins < 0.05
 
 
 def test_of_two_vowels_the_louder_one_counts_unless_it_is_far() -> None:
@@ -64,8 +64,8 @@ def test_of_two_vowels_the_louder_one_counts_unless_it_is_far() -> None:
                                      np.full(100, 0.5, np.float32)])
 def test_without_a_voice_the_times_of_the_word_count(samples: np.ndarray) -> None:
     silent = WordSounds(Speech(samples, SAMPLE_RATE), [word(0)])
-    assert silent.vowel(word(0)) is None and silent.stroke(word(0)) == stroke_of_word(word(0))
-    assert silent.size(word(0)) == 1.0
+    assert silent.vowel(word(0)) is None
+    assert gesture_of_word(word(0), silent) == gesture_of_word(word(0), None) == (stroke_of_word(word(0)), 1.0)
 
 
 PLAIN = (0.08, 0.0, 120.0)
@@ -76,7 +76,7 @@ PLAIN = (0.08, 0.0, 120.0)
 ])
 def test_a_word_that_stands_out_gets_a_larger_gesture(third: tuple[float, float, float], size: float) -> None:
     speech = said(PLAIN, PLAIN, third, PLAIN, PLAIN)
-    assert sounds(speech, 5).size(word(2)) == size
+    assert gesture_of_word(word(2), sounds(speech, 5))[1] == size
 
 
 @lru_cache(maxsize=1)
@@ -90,5 +90,4 @@ def test_the_level_of_the_whole_recording_changes_nothing(decibels: float) -> No
     quiet = Speech((phrase().samples * np.float32(10 ** (decibels / 20))).astype(np.float32), SAMPLE_RATE)
     for number in range(5):
         here, there = (sounds(one, 5) for one in (phrase(), quiet))
-        assert here.stroke(word(number)) == there.stroke(word(number))
-        assert here.size(word(number)) == there.size(word(number))
+        assert gesture_of_word(word(number), here) == gesture_of_word(word(number), there)

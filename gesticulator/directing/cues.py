@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from data_module.errors import InputError, shown
 from data_module.types import Word
@@ -13,9 +14,17 @@ from gesticulator.plan.checks import plain_word
 from gesticulator.plan.gestures import EXPRESSIONS, GESTURES, near_gestures
 from gesticulator.plan.plan import GestureCue, LexemeName
 
+if TYPE_CHECKING:
+    from data_module.speech.word_sound import WordSounds
+
 _VOWEL_SHARE, _EARLY = 0.3, 0.11
 """A stroke falls at this share of its word, less this many seconds. Measured on two read sonnets: the vowel of the
 loudest syllable begins there, and a beat of the hand leads the voice by .075 s in the median."""
+_LEAD = 0.08
+"""Seconds by which a stroke comes before a vowel that was found in the sound, for the same reason."""
+_STANDS_OUT = 0.45
+"""Emphasis from which on a gesture is larger; from its negative on it is smaller."""
+_SMALLER, _LARGER = 0.8, 1.25
 
 
 class OptionWarning(UserWarning):
@@ -47,8 +56,18 @@ class TimedCue:
 
 def stroke_of_word(word: Word) -> float:
     """Seconds at which the stroke of a word's gesture falls: just before its stressed vowel, as far as the times of the
-    word tell. `word_sound.WordSounds.stroke` knows it better where the sound is there."""
+    word tell. `gesture_of_word` knows it better where the sound is there."""
     return max(word.start + _VOWEL_SHARE * (word.end - word.start) - _EARLY, 0.0)
+
+
+def gesture_of_word(word: Word, sounds: WordSounds | None) -> tuple[float, float]:
+    """Seconds at which the stroke of a word's gesture falls, and the factor on the gesture's size: larger for a word
+    that stands out from those around it, smaller for one that recedes, and 1 without sound or where little is known."""
+    if sounds is None:
+        return stroke_of_word(word), 1.0
+    vowel, emphasis = sounds.vowel(word), sounds.emphasis(word)
+    stroke = stroke_of_word(word) if vowel is None else max(vowel - _LEAD, 0.0)
+    return stroke, _LARGER if emphasis >= _STANDS_OUT else _SMALLER if emphasis <= -_STANDS_OUT else 1.0
 
 
 def cues_at(cues: Sequence[GestureCue], words: Sequence[Word], duration: float,

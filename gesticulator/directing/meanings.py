@@ -12,12 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from data_module.speech.word_sound import WordSounds
 from data_module.text.language import language_of
 from data_module.types import Speech, Word
-from gesticulator.directing.cues import TimedCue, cues_at, stroke_of_word
+from gesticulator.directing.cues import TimedCue, cues_at, gesture_of_word, stroke_of_word
 from gesticulator.directing.marks import gestures_of
 from gesticulator.directing.meaning_cues import CalledGesture, meaning_cues
-from gesticulator.directing.word_sound import WordSounds
 from gesticulator.options import InferenceOptions
 from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.plan import GestureCue, PlanMeaning
@@ -133,7 +133,7 @@ class MeaningTrack:
             word = words[called.word]
             if called.gesture not in GESTURES or any(near.marks for near in words[called.first:called.last + 1]):
                 continue
-            stroke, size = (stroke_of_word(word), 1.0) if sounds is None else (sounds.stroke(word), sounds.size(word))
+            stroke, size = gesture_of_word(word, sounds)
             # Rounded as a plan stores them, so that a plan replays the same motion.
             time, intensity = round(stroke, 6), round(self._intensity * size, 6)
             cue = TimedCue(GestureCue(called.gesture, time=time, intensity=intensity), time)

@@ -1,4 +1,4 @@
-"""What the sound of a word says about its gesture: where the stressed vowel begins, and how emphatic the word is.
+"""The sound of words: where the stressed vowel of a word begins, and how emphatic the word is.
 
 Both are found from the samples around the word alone, and neither depends on the level of the whole recording.
 """
@@ -14,10 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from data_module.types import Array, Speech, Word
-from gesticulator.directing.cues import stroke_of_word
 
-_LEAD = 0.08
-"""Seconds by which a stroke comes before the vowel: a beat of the hand leads the voice by .075 s in the median."""
 _EXPECTED, _TO_PEAK = 0.3, 0.04
 """A stressed vowel is expected to begin at this share of its word, and to be loudest so many seconds later."""
 _HOP = 0.01
@@ -36,9 +33,6 @@ _NEIGHBOURS, _FEWEST = 2.5, 3
 """Seconds on both sides of a word within which its neighbours begin, and how many are needed."""
 _SPREAD = (6.0, 4.0, 0.4)
 """Decibels, semitones, and natural logarithms of duration by which a word stands out plainly from its neighbours."""
-_STANDS_OUT = 0.45
-"""Emphasis from which on a gesture is larger; from its negative on it is smaller."""
-_SMALLER, _LARGER = 0.8, 1.25
 
 
 class WordSounds:
@@ -49,11 +43,6 @@ class WordSounds:
         self._samples, self._rate = speech.samples, speech.sample_rate
         self._words = list(words)
         self._measured = functools.cache(self._measure)
-
-    def stroke(self, word: Word) -> float:
-        """Seconds at which the stroke of a word's gesture falls: just before its stressed vowel."""
-        vowel = self.vowel(word)
-        return stroke_of_word(word) if vowel is None else max(vowel - _LEAD, 0.0)
 
     def vowel(self, word: Word) -> float | None:
         """Seconds at which the stressed vowel of a word begins: the loudest voiced one, the nearer to where it is
@@ -74,9 +63,9 @@ class WordSounds:
             begin -= 1
         return float(times[begin])
 
-    def size(self, word: Word) -> float:
-        """The factor on the size of a word's gesture: larger for a word that is louder, higher and longer than the
-        words around it, smaller for one that is less so, and 1 where too little is known."""
+    def emphasis(self, word: Word) -> float:
+        """[-1, 1]: above 0 for a word that is louder, higher and longer than the words around it, and 0 where too
+        little is known."""
         near = [other for other in self._words
                 if abs(other.start - word.start) <= _NEIGHBOURS and other.start != word.start]
         rows = np.array([self._measured(other) for other in near]).reshape(len(near), 3)
@@ -84,8 +73,7 @@ class WordSounds:
         differences = [float(np.clip((mine - np.median(column)) / spread, -1.0, 1.0)) for mine, spread, column
                        in zip(self._measured(word), _SPREAD, others, strict=True)
                        if len(column) >= _FEWEST and math.isfinite(mine)]
-        emphasis = sum(differences) / max(len(differences), 1)
-        return _LARGER if emphasis >= _STANDS_OUT else _SMALLER if emphasis <= -_STANDS_OUT else 1.0
+        return sum(differences) / max(len(differences), 1)
 
     def _measure(self, word: Word) -> tuple[float, float, float]:
         """Peak level, decibels; median pitch, semitones; logarithm of duration over what its letters take; or NaN."""
