@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import io
 import json
@@ -23,15 +24,17 @@ import recogniser_samples
 import soundfile
 from hypothesis import strategies as st
 
+from data_module.arrays import read_npz
 from data_module.corpora.base import Options
+from data_module.corpora.folder import FolderOptions
 from data_module.corpora.serialised import deserialise
 from data_module.corpora.table import open_corpus
 from data_module.errors import InputError
 from data_module.motion import skeletons
-from data_module.motion.bvh import read_bvh, write_bvh
+from data_module.motion.bvh import read_bvh, read_hierarchy, write_bvh
 from data_module.motion.representation import TED_JOINTS
 from data_module.motion.smplx import read_smplx
-from data_module.speech.audio import load_speech
+from data_module.speech.audio import header_seconds, load_speech
 from data_module.speech.fingerprint import fingerprint_frames, fingerprint_text
 from data_module.speech.speech_encoder import load_fairseq
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter, _fingerprint, _sha256
@@ -84,20 +87,32 @@ def _sound(kind: str, subtype: str | None) -> Callable[[Path], Path]:
     return write
 
 
-def _container(folder: Path) -> Path:
-    av = pytest.importorskip("av", reason="PyAV is in the extra 'video'")
-    with av.open(str(folder / "a.m4a"), "w", format="mp4") as file:
-        stream = file.add_stream("aac", rate=48000)
-        stream.layout = "mono"
-        for start in range(0, 48000, 4800):
-            part = (3000 * np.sin(np.arange(start, start + 4800) / 20)).astype(np.int16)[None]
-            frame = av.AudioFrame.from_ndarray(part, format="s16", layout="mono")
-            frame.sample_rate, frame.pts, frame.time_base = 48000, start, Fraction(1, 48000)
-            for packet in stream.encode(frame):
+def _read_pipe(file: Path) -> object:
+    """As standard input gives a file: nothing can be read twice."""
+    class Pipe(io.BytesIO):
+        def seekable(self) -> bool:
+            return False
+
+    return load_speech(Pipe(file.read_bytes()))
+
+
+def _container(suffix: str, kind: str, codec: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        av = pytest.importorskip("av", reason="PyAV is in the extra 'video'")
+        with av.open(str(folder / f"a.{suffix}"), "w", format=kind) as file:
+            stream = file.add_stream(codec, rate=48000)
+            stream.layout = "mono"
+            for start in range(0, 48000, 4800):
+                part = (3000 * np.sin(np.arange(start, start + 4800) / 20)).astype(np.int16)[None]
+                frame = av.AudioFrame.from_ndarray(part, format="s16", layout="mono")
+                frame.sample_rate, frame.pts, frame.time_base = 48000, start, Fraction(1, 48000)
+                for packet in stream.encode(frame):
+                    file.mux(packet)
+            for packet in stream.encode(None):
                 file.mux(packet)
-        for packet in stream.encode(None):
-            file.mux(packet)
-    return folder / "a.m4a"
+        return folder / f"a.{suffix}"
+
+    return write
 
 
 def _bvh(folder: Path) -> Path:
@@ -105,9 +120,12 @@ def _bvh(folder: Path) -> Path:
     return folder / "a.bvh"
 
 
+_SMPLX = {"poses": 0.2 * np.random.default_rng(0).standard_normal((8, 165)), "trans": np.zeros((8, 3)),
+          "mocap_frame_rate": np.array(30)}
+
+
 def _smplx(folder: Path) -> Path:
-    np.savez_compressed(folder / "a.npz", poses=0.2 * np.random.default_rng(0).standard_normal((8, 165)),
-                        trans=np.zeros((8, 3)), mocap_frame_rate=np.array(30))
+    np.savez_compressed(folder / "a.npz", **_SMPLX)  # type: ignore[arg-type]
     return folder / "a.npz"
 
 
@@ -224,6 +242,12 @@ def _pairs(folder: Path) -> Path:
     return folder / "a.json"
 
 
+def _folder_splits(folder: Path) -> Path:
+    _pairs(folder)
+    (folder / "splits.txt").write_text("name,split\na,train\n")
+    return folder / "splits.txt"
+
+
 def _read_pairs(file: Path) -> object:
     reader = open_corpus("folder", file.parent, Options())
     return [reader.read(item) for item in reader.items()]
@@ -277,11 +301,14 @@ def _with_index(file: Path, data: bytes) -> None:
 _SPEECH = Speech(_noise(), RATE)
 
 
-def _glb(folder: Path) -> Path:
-    from small_characters import write_character
+def _glb(name: str) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        from small_characters import write_character
 
-    write_character(folder / "a.glb")
-    return folder / "a.glb"
+        write_character(folder / name, vrm="1.0" if name.endswith(".vrm") else "")
+        return folder / name
+
+    return write
 
 
 def _gltf_text(file: Path) -> bytes:
@@ -305,19 +332,32 @@ def _read_character(file: Path) -> object:
     from gesticulator.characters.reading import read_character
     from gesticulator.export.gltf import open_gltf
 
+    file = file.with_suffix(".gltf") if file.suffix == ".bin" else file
     character = read_character(file)
-    open_gltf(file).to_bytes()
+    if file.suffix != ".bvh":
+        open_gltf(file).to_bytes()
     return find_joints(character)
 
 
-def _gltf(folder: Path) -> Path:
-    """A character as a .gltf, with its buffer in a file beside it."""
-    glb = _glb(folder)
-    document, text = json.loads(_gltf_text(glb)), _gltf_text(glb)
-    (folder / "a.bin").write_bytes(glb.read_bytes()[28 + len(text):][:document["buffers"][0]["byteLength"]])
-    document["buffers"][0]["uri"] = "a.bin"
-    (folder / "a.gltf").write_text(json.dumps(document))
-    return folder / "a.gltf"
+def _gltf(damaged: str, beside: bool) -> Callable[[Path], Path]:
+    """A character as a .gltf, its buffer and picture in files beside it or as base64 in its text."""
+    def write(folder: Path) -> Path:
+        glb = _glb("a.glb")(folder)
+        document, text = json.loads(_gltf_text(glb)), _gltf_text(glb)
+        binary = glb.read_bytes()[28 + len(text):][:document["buffers"][0]["byteLength"]]
+        glb.unlink()
+        picture = document["images"][0]
+        view = document["bufferViews"][picture.pop("bufferView")]
+        start = view.get("byteOffset", 0)
+        for row, name, data in ((document["buffers"][0], "a.bin", binary),
+                                (picture, "a.png", binary[start:start + view["byteLength"]])):
+            row["uri"] = name if beside else "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+            if beside:
+                (folder / name).write_bytes(data)
+        (folder / "a.gltf").write_text(json.dumps(document))
+        return folder / damaged
+
+    return write
 
 
 def _mapping(folder: Path) -> Path:
@@ -325,7 +365,7 @@ def _mapping(folder: Path) -> Path:
     from gesticulator.characters.mapping import save_mapping
     from gesticulator.characters.reading import read_character
 
-    character = read_character(_glb(folder))
+    character = read_character(_glb("a.glb")(folder))
     save_mapping(folder / "m.json", find_joints(character), character)
     return folder / "m.json"
 
@@ -434,19 +474,6 @@ def _read_study(file: Path) -> object:
     return anova.read_ratings([file.with_name("1.json")], key)
 
 
-def _read_message(file: Path) -> object:
-    from gesticulator.live.protocol import read_hello, read_message
-
-    text = file.read_bytes().decode("utf-8", "replace")
-    return read_message(text), read_hello(text)
-
-
-def _read_sound_message(file: Path) -> object:
-    from gesticulator.live.protocol import StreamRequest
-
-    return [StreamRequest(RATE, format).samples(file.read_bytes()) for format in ("pcm16", "float32")]
-
-
 def _lips(folder: Path) -> Path:
     from gesticulator.face.lips import SHIPPED
 
@@ -461,48 +488,130 @@ def _read_lips(file: Path) -> object:
     return load_weights(file.parent)
 
 
+def _read_tables(file: Path) -> object:
+    from eval import table
+
+    return table.load(file)
+
+
+def _read_words_of_a_command(file: Path) -> object:
+    """Each line of the file as what a user writes on a command line."""
+    from data_module import controls
+    from data_module.settings import with_settings
+    from gesticulator.arguments import _cue, _seconds
+    from gesticulator.batch import parse_shard
+    from gesticulator.live.vmc import read_target
+    from gesticulator.options import RANGES
+    from interpreters.settings import LstmConfig
+
+    levels = controls.Levels(np.zeros((3, 3)), np.zeros(3), np.ones(3))
+    lines = file.read_bytes().decode("utf-8", "surrogateescape").split("\n")
+    readers: tuple[Callable[[str], object], ...] = (
+        read_target, parse_shard, _cue, lambda text: with_settings(LstmConfig(), [text]),
+        lambda text: RANGES["seed"].parse("--seed", text), lambda text: RANGES["temperature"].parse("-t", text),
+        _seconds, lambda text: controls.parse("--height", text, "height", levels))
+    refusals = []
+    for read, line in zip(readers, lines, strict=False):
+        try:
+            read(line)
+        except InputError as error:
+            refusals.append(str(error))
+    return refusals
+
+
+def _read_message(file: Path) -> object:
+    from gesticulator.live.protocol import read_hello, read_message
+
+    text = file.read_bytes().decode("utf-8", "replace")
+    return read_message(text), read_hello(text)
+
+
+def _read_sound_message(file: Path) -> object:
+    from gesticulator.live.protocol import StreamRequest
+
+    return [StreamRequest(RATE, format).samples(file.read_bytes()) for format in ("pcm16", "float32")]
+
+
+def _read_token(file: Path) -> object:
+    from argparse import Namespace
+
+    from gesticulator.live.command import read_token
+
+    return read_token(Namespace(token_file=file, no_token=False, host="0.0.0.0"))
+
+
+def _results(folder: Path) -> Path:
+    from test_table import ABOUT, TABLE
+
+    from eval.table import save
+
+    save([TABLE], folder / "t.json", ABOUT)
+    return folder / "t.json"
+
+
 READERS: dict[str, Case] = {
-    **{kind: Case(_sound(kind, subtype), load_speech, examples=share)
+    **{kind: Case(_sound(kind, subtype), lambda file: (header_seconds(file), load_speech(file)), examples=share)
        # MP3 takes a process each.
        for kind, subtype, share in (("WAV", "PCM_16", 1), ("FLAC", "PCM_16", 1), ("OGG", "VORBIS", 1),
                                     ("AIFF", "PCM_16", 1), ("MP3", None, 0.2))},
-    "m4a": Case(_container, load_speech),
+    **{suffix: Case(_container(suffix, kind, codec), load_speech)
+       for suffix, kind, codec in (("m4a", "mp4", "aac"), ("webm", "webm", "libopus"), ("mkv", "matroska", "flac"))},
+    "sound from a pipe": Case(_sound("WAV", "PCM_16"), _read_pipe),
     "bvh": Case(_bvh, lambda file: skeletons.to_character(read_bvh(file))),
+    "bvh, the hierarchy": Case(_bvh, read_hierarchy),
     "smplx, the archive": Case(_smplx, lambda file: skeletons.to_character(read_smplx(file))),
-    "smplx": Case(_smplx, lambda file: skeletons.to_character(read_smplx(file)), _member("poses.npy"),
-                  _with_member("poses.npy")),
+    **{f"smplx, {name}": Case(_smplx, lambda file: (skeletons.to_character(read_smplx(file)), read_npz(file)),
+                              _member(f"{name}.npy"), _with_member(f"{name}.npy"))
+       for name in _SMPLX},
     "eye's space": Case(_space, ReferenceSpace.load, _member("mean.npy"), _with_member("mean.npy"), 0.5),
+    "eye's space, the archive": Case(_space, ReferenceSpace.load, examples=0.5),
     "published network": Case(_published_network, lambda file: published_network(file.parent), examples=0.5),
     **{f"transcript {suffix}": Case(_written(f"a{suffix}", text), lambda file: read_transcript(file, _SPEECH))
        for suffix, text in TRANSCRIPTS.items()},
     **{f"transcript of {name}": Case(_written(f"a{suffix}", write(MARKED)), lambda file: read_transcript(file, _SPEECH),
                                      examples=0.3)
        for name, (suffix, write) in recogniser_samples.FILES.items()},
-    "store, listing": Case(_store("store.json"), _read_store, packed=_with_fingerprint),
-    "store, recording": Case(_store("recordings/a.npz"), _read_store, _member("rotations.npy"),
-                             _with_hash(_with_member("rotations.npy"))),
+    "store, listing": Case(_store("store.json"), _read_store),
+    "store, edited listing": Case(_store("store.json"), _read_store, packed=_with_fingerprint),
+    "store, sound": Case(_store("recordings/a.flac"), _read_store, packed=_with_hash(Path.write_bytes)),
+    **{f"store, {name}": Case(_store("recordings/a.npz"), _read_store, _member(f"{name}.npy"),
+                              _with_hash(_with_member(f"{name}.npy")))
+       for name in ("rotations", "fps", "joints", "word_text")},
     "foreign positions": Case(_positions("a.npy"), foreign.read_motion),
     "foreign sidecar": Case(_positions("a.json"), lambda file: foreign.read_motion(file.with_suffix(".npy"))),
     "folder, NAME.json": Case(_pairs, _read_pairs),
+    "folder, its splits": Case(_folder_splits, lambda file: open_corpus("folder", file.parent,
+                                                                        FolderOptions(split=str(file))).items()),
     "beat2, its list": Case(published.listed_beat2, lambda file: open_corpus("beat2", file.parent, Options()).items()),
     "ted, a value": Case(_ted, lambda file: deserialise(file.read_bytes(), source=file)),
     "fairseq checkpoint": Case(_checkpoint, load_fairseq),
     "bundle, index": Case(_bundle("bundle.json"), _read_bundle),
-    "bundle, weights": Case(_bundle("generator.safetensors"), _read_bundle, packed=_with_index),
-    "glb character": Case(_glb, _read_character, _gltf_text, _with_gltf_text, 2.0),
-    "gltf character": Case(_gltf, _read_character),
+    "bundle, weights": Case(_bundle("generator.safetensors"), _read_bundle),
+    "bundle, weights and their hash": Case(_bundle("generator.safetensors"), _read_bundle, packed=_with_index),
+    "glb character": Case(_glb("a.glb"), _read_character),
+    "glb character, its JSON": Case(_glb("a.glb"), _read_character, _gltf_text, _with_gltf_text, 2.0),
+    "vrm character, its JSON": Case(_glb("a.vrm"), _read_character, _gltf_text, _with_gltf_text),
+    "gltf character, data in its text": Case(_gltf("a.gltf", beside=False), _read_character),
+    "gltf character, files beside it": Case(_gltf("a.gltf", beside=True), _read_character),
+    "gltf character, the file beside it": Case(_gltf("a.bin", beside=True), _read_character, examples=0.5),
+    "bvh character": Case(_bvh, _read_character),
     "mapping": Case(_mapping, _read_mapping),
     "plan": Case(_plan, _read_plan),
     "fingerprint in a plan": Case(_written("a.txt", fingerprint_text(np.random.default_rng(0).integers(
         0, 16, (40, 12), dtype=np.uint8))), lambda file: fingerprint_frames(file.read_text("latin-1"))),
-    "weights of the lips": Case(_lips, _read_lips),
     "request to the server of a page": Case(_request, _read_request, examples=2.0),
     "manifest": Case(_manifest, _read_manifest),
     **{f"study {name}": Case(_study(name), _read_study) for name in ("key.json", "1.json")},
+    "weights of the lips": Case(_lips, _read_lips),
+    "table of results": Case(_results, _read_tables),
+    "words of a command": Case(_written("a.txt", "\n".join((
+        "127.0.0.1:39539", "2/8", "hello:2=wave", "width=30", "7", "1.5", "3.2-5.0", "0.2"))),
+                               _read_words_of_a_command, examples=2.0),
     "message of a client": Case(_written("a.json", json.dumps({
         "type": "hello", "protocol": 1, "sample_rate": 16000, "format": "pcm16", "fps": 30, "seed": 4,
         "options": {"speaker": "ann", "temperature": 1.0}})), _read_message),
     "sound of a client": Case(_written("a.raw", _noise(0.05).astype("<f4").tobytes()), _read_sound_message),
+    "token": Case(_written("a.txt", "secret\n"), _read_token),
 }
 
 

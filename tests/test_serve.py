@@ -22,6 +22,8 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from live_double import LOOK_AHEAD, TURN, TellingStream, figure, opener
 from pipecat_gesticulator import Hello, PosePlayer, Poses, connect
 from prometheus_client.parser import text_string_to_metric_families
@@ -438,6 +440,45 @@ async def test_a_failure_in_a_stream_is_one_line(caplog: pytest.LogCaptureFixtur
         await closed_with(at.url, Hello(RATE).text(), b"\xff\x7f" * 1000)
     failures = [record.getMessage() for record in caplog.records if "a model failed" in record.getMessage()]
     assert len(failures) == 1 and "4500" in failures[0] and "\n" not in failures[0]
+
+
+JSON = st.recursive(st.none() | st.booleans() | st.integers(-3, 200_000) | st.floats() | st.text(max_size=5),
+                    lambda own: st.lists(own, max_size=3) | st.dictionaries(st.text(max_size=5), own, max_size=3),
+                    max_leaves=5)
+MESSAGES = st.lists(st.one_of(
+    st.binary(max_size=50),
+    st.text(max_size=20),
+    JSON.map(json.dumps),
+    st.sampled_from([Hello(RATE).text(), '{"type":"finish"}', '{"type":"idle","seconds":0.1}', '{"type":"interrupt"}',
+                     '{"type":"listen"}', '{"type":"speak"}', '{"type":"idle"}', '{"type":"idle","seconds":-1}']),
+    st.dictionaries(st.sampled_from(["type", "protocol", "sample_rate", "format", "fps", "seed", "options", "time"]),
+                    JSON | st.sampled_from(["hello", "interrupt", "idle", "float32"]), max_size=5).map(json.dumps),
+), max_size=8)
+
+
+def test_no_message_ends_the_server() -> None:
+    """Whatever is sent, after a hello or not, the server closes with a code of its own and serves the next."""
+    async def test() -> None:
+        async with running(replace(LIMITS, quiet_seconds=0.2, hello_seconds=0.2)) as at:
+            loop = asyncio.get_running_loop()
+
+            async def attack(messages: list[str | bytes], greet: bool) -> None:
+                try:
+                    async with asyncio.timeout(60):
+                        code, _ = await closed_with(at.url, *([Hello(RATE).text()] if greet else []), *messages)
+                    assert str(code) in published()["close_codes"]
+                except UnicodeEncodeError:
+                    pass  # text that cannot be sent
+
+            @given(MESSAGES, st.booleans())
+            def fuzz(messages: list[str | bytes], greet: bool) -> None:
+                asyncio.run_coroutine_threadsafe(attack(messages, greet), loop).result()
+
+            await asyncio.to_thread(fuzz)
+            assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
+            assert figure(at.server, "closed_total", code=str(int(CloseCode.FAILED))) == 0
+
+    asyncio.run(test())
 
 
 # ---------------------------------------------------------------- health, figures, the end
