@@ -59,7 +59,7 @@ def _spoken(lines: Sequence[Line], *options: str) -> dict[str, NDArray[Any]]:
         path = Path(folder) / "spoken.npz"
         done = subprocess.run([sys.executable, "-c", _CHILD, str(path), *options],
                               input=json.dumps([asdict(line) for line in lines]), capture_output=True, text=True,
-                              timeout=600, cwd=Path(__file__).parents[2])
+                              timeout=600, cwd=Path(__file__).parents[1])
         if done.returncode == NO_VOICE:
             raise InputError("espeak-ng", f"lacks some of the voices {sorted({line.voice for line in lines})}",
                              "on Debian: apt install espeak-ng")
