@@ -68,7 +68,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "cql": ("--interpreter", "cql"), "advantage": ("--interpreter", "advantage"),
     "beta": ("--interpreter", "advantage", "--beta", "2"), "statistical": ("--interpreter", "statistical"),
     "low": ("--hand-height", "low"), "slow": ("--hand-speed", "low", "--hand-radius", ".3"), "seed": ("--seed", "3"),
-    "cold": ("--temperature", "0"), "metres": ("--unit", "m"), "fps": ("--fps", "24"), "gain": ("--gain", "-12"),
+    "cold": ("--temperature", "0"), "fps": ("--fps", "24"), "gain": ("--gain", "-12"),
     "many": ("--legs", "--mirror", "--energy", "calm", "--cue", "1=wave", "--hold-still", "5-7", "--seed", "9"),
 }
 """Case -> options of the command, without words."""
