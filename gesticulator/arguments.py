@@ -179,7 +179,8 @@ def _clip_arguments(p: argparse.ArgumentParser) -> None:
 
 def run_settings_of(args: argparse.Namespace) -> RunSettings:
     """The settings of a run from its arguments; a command may lack those of a batch."""
-    return RunSettings(**{field.name: getattr(args, field.name, field.default) for field in fields(RunSettings)})
+    values: dict[str, Any] = {field.name: getattr(args, field.name, field.default) for field in fields(RunSettings)}
+    return RunSettings(**values)
 
 
 def settings_of(args: argparse.Namespace, upper: bool = False) -> Job:

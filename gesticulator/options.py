@@ -9,7 +9,7 @@ import math
 import numbers
 import os
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 from data_module.errors import InputError, shown
 from gesticulator.plan.plan import ENERGIES, PlanKnobs, shapes
@@ -49,14 +49,14 @@ class Range:
             number = math.nan
         return self.check(name, number, text)
 
-    def check(self, name: str, number: float, text: object = None) -> float:
+    def check(self, name: str, number: Any, text: object = None) -> float:
         """Return the number; `InputError` with the option's name if it is not a number or out of range. text: as it
         was given, if not as a number."""
-        kind = numbers.Integral if self.whole else numbers.Real
+        kind: Any = numbers.Integral if self.whole else numbers.Real
         if isinstance(number, bool) or not isinstance(number, kind) or not self.low <= number <= self.high:  # also NaN
             raise InputError(f"{name} {shown(number if text is None else text)}",
                              f"is not a {'whole ' * self.whole}number in range", f"choose {self.advice}")
-        return number
+        return cast("float", number)
 
 
 RANGES = {

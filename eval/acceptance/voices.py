@@ -120,7 +120,7 @@ def measure(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings:
     corpus = own_motion(tests, space) if tests else None
     figures = {} if corpus is None else corpus.figures(space)
     beside = {(figure, CORPUS): Measured(value) for figure, value in figures.items()}
-    known = [name for name in (WITHOUT_SOUND,) if name in system.gesticulator.interpreters]
+    known = [name for name in (WITHOUT_SOUND,) if name in system.bundle.interpreters]
     results: dict[str, Results] = {name: dict(beside) for name in (OURS, *known, ROLLED_SOUND, SPEAKERS)}
     for on, chosen in ((ON_TAKE, takes), (ON_TEST, tests)):
         if not chosen:
