@@ -595,7 +595,7 @@ def test_every_group_is_judged(standing: tuple[Path, Path], tmp_path: Path, monk
         "interpreter cql runs"]["reason"]
     assert by_name["hand controls are accepted"]["holds"] is False
     assert list(groups[0].columns) == ["value", "bound", "holds", "reason", "statistical", "sound rolled", "speakers"]
-    speeds = groups[0].rows["median hand speed, test split"]
+    speeds = groups[0].rows["log hand speed with loudness, correlation, test split"]
     assert len({speeds[column] for column in ("value", "statistical", "sound rolled", "speakers")}) == 4
 
 
