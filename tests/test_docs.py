@@ -23,8 +23,8 @@ DOCS = ROOT / "docs"
 GUIDE = [README, *sorted(DOCS.glob("*.md")), *sorted((DOCS / "api").glob("*.md"))]
 """Pages that people write. Those under docs/results are written by commands."""
 PAGES = [*GUIDE, ROOT / "CHANGELOG.md", *sorted((DOCS / "results").rglob("*.md"))]
-OF_PERFORMER = re.compile(r"build performer\b")
-"""The command that needs the distribution in integrations/performer."""
+OF_PERFORMER = re.compile(r"(build performer|smartbody|train-face)\b")
+"""Commands of the distribution in integrations/performer."""
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
 SPAN = re.compile(r"`([^`]+)`")
@@ -64,9 +64,12 @@ CALLS = sorted({(of(page), " ".join(map(shlex.quote, call))) for page in GUIDE f
 
 @cache
 def verbs() -> dict[str, str]:
-    """The verbs of this checkout."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    return dict(project["entry-points"]["gesticulator.commands"])
+    """The verbs of this checkout and those of the maker of the corpus."""
+    points: dict[str, str] = {}
+    for folder in (ROOT, ROOT / "integrations" / "performer"):
+        project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+        points |= project["entry-points"]["gesticulator.commands"]
+    return points
 
 
 def command(verb: str) -> Command:

@@ -83,7 +83,7 @@ def door(arguments: list[str]) -> int:
 
 
 def test_perfect_input_gets_the_perfect_score(result: Scores) -> None:
-    for metric in ("maje", "maje_length", "mad", "mad_per_frame", "speed_distance", *NETWORKS):
+    for metric in ("maje", "mad", "mad_per_frame", "speed_distance", *NETWORKS):
         assert mean_of(result.figures, "same", metric) == pytest.approx(0.0, abs=1e-9), metric
     for metric in result.metrics:
         assert mean_of(result.figures, "same", metric) == pytest.approx(
@@ -256,7 +256,7 @@ def test_bad_input_is_one_line(arguments: list[str], says: str, tmp_path: Path, 
 
 
 def test_a_real_take_as_a_foreign_system(outside_data: Path, tmp_path: Path) -> None:
-    """Against itself it is perfect; jittered it is 14 mm off, far too rough, and better by beat consistency."""
+    """Against itself it is perfect; jittered it is 14 mm off, and far too rough."""
     (file,) = (outside_data / "takes" / "beat_scott").glob("*.bvh")
     motion = read_motion(file, 15.0).crop(0, 360)
     real, shaken = tmp_path / "real", tmp_path / "shaken"
@@ -268,7 +268,7 @@ def test_a_real_take_as_a_foreign_system(outside_data: Path, tmp_path: Path) -> 
     itself, off = ({name: mean_of(result.figures, row, name) for name in METRICS} for row in ("itself", "shaken"))
     assert result.fps == 15.0
     assert itself["maje"] == itself["mad"] == itself["speed_distance"] == 0.0
-    assert 10 < off["maje"] < 18 and off["jerk_hands"] > 10 * itself["jerk_hands"]
+    assert 10 < off["maje"] < 18 and off["jerk_hands"] > 5 * itself["jerk_hands"]
     assert off["speed_distance"] > 0.2
     assert "no row shuffled" in " ".join(result.notes)
 
@@ -276,7 +276,7 @@ def test_a_real_take_as_a_foreign_system(outside_data: Path, tmp_path: Path) -> 
 # ----------------------------------------------------------------------------------------- what a user runs into
 
 def asked(truth: Path, systems: list[str], **others: Any) -> Namespace:
-    told: dict[str, Any] = {"speech": None, "fgd": None, "work": None, "bundle": None, "seed": 0, "split": "test"}
+    told: dict[str, Any] = {"speech": None, "fgd": None, "bundle": None, "seed": 0, "split": "test"}
     return Namespace(truth=truth, system=systems, **{**told, **others})
 
 

@@ -140,7 +140,7 @@ def keys(store: Store, work: Path, *settings: str) -> dict[str, str]:
     ("judge.width=17", {"reward_judge"}),
     ("advantage.width=17", {"advantage"}), ("schedules.advantage.steps=31", {"advantage"}),
     ("selection.beta=2.0", set()),
-    ("episodes.sampled=0.3", {"q_network", "advantage"}),
+    ("episodes.prefix=4", {"q_network", "advantage"}),
     ("cql.width=18", {"q_network"}), ("schedules.cql.steps=31", {"q_network"}), ("selection.q_temperature=1.0", set()),
     ("cql_literal.width=18", {"q_network_literal"}), ("schedules.cql_literal.steps=31", {"q_network_literal"}),
     ("gate.width=17", {"gate"}), ("planner.width=17", {"planner"}),
