@@ -14,16 +14,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors.torch import load_file
 
 from data_module.errors import InputError
-from data_module.layers import freeze
 from data_module.store import Recording, Store
 from eval.metrics.eye import ReferenceSpace
 from eval.metrics.gesture_features import Features
@@ -31,15 +27,12 @@ from eval.table import Provenance
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.files import INDEX, bundle_folder
-from gesticulator.bundle.models import JUDGES
 from gesticulator.cli import PROGRAM
 from gesticulator.gesticulator import Gesticulator
-from gesticulator.training.stages import CORPUS, ENCODER, STAGES, Corpus, Run
-from gesticulator.training.stages.base import WEIGHTS, finished
+from gesticulator.training.stages import CORPUS, ENCODER, Corpus, Run
 from gesticulator.training.stages.caches import weights_hash
 from gesticulator.training.stages.corpus import prepare
 from gesticulator.training.stages.lexicon import token_labels
-from interpreters.reward import RewardEnsemble
 from lexicon.inventory import nearest_silent
 
 Lexemes = NDArray[np.int64]
@@ -161,37 +154,6 @@ def opened(data: str, work: str | None) -> tuple[Store, Path]:
     folder = Path(work) if work else Path(f"{store.path}.work")
     folder.mkdir(parents=True, exist_ok=True)
     return store, folder
-
-
-# ------------------------------------------------------------------------------------------------------ reward models
-
-def folder_of(bundle: Bundle, work: Path, name: str) -> Path:
-    """Where a work folder holds a reward model of the bundle's own training, if it does."""
-    data = SimpleNamespace(fingerprint=str(bundle.provenance.get("fingerprint", "")))  # all that the name needs
-    return Run(bundle.config, cast(Store, data), work).folder(STAGES[name])
-
-
-def with_judges(bundle: Bundle, work: Path | None) -> Bundle:
-    """The bundle with the reward models that the work folder holds of its training; those that it has already stay."""
-    if work is None:
-        return bundle
-    # A model that the bundle holds already goes before one of the work folder: it may be another training's.
-    there = {name: folder_of(bundle, work, name) for name in JUDGES if name not in bundle.parts}
-    models = {name: _reward_model(bundle, folder, name) for name, folder in there.items() if finished(folder)}
-    return bundle.with_parts(**models) if models else bundle
-
-
-def _reward_model(bundle: Bundle, folder: Path, name: str) -> RewardEnsemble:
-    weights = load_file(folder / WEIGHTS)
-    frames, motion = bundle.frames, len(bundle.statistics.deviation)
-    # The width of the audio is that of the front end, which no setting of the reward model repeats.
-    audio = weights["members.0.read_audio.weight"].shape[1] // frames
-    # A new network draws its first weights: the caller's random numbers must not move for that.
-    with torch.random.fork_rng():
-        model = RewardEnsemble(bundle.config.reward if name == "reward" else bundle.config.judge, frames, motion, audio)
-    model.load_state_dict(weights)
-    freeze(model)
-    return model
 
 
 def without_work(words: Sequence[str]) -> list[str]:

@@ -601,7 +601,7 @@ def test_every_group_is_judged(standing: tuple[Path, Path], tmp_path: Path, monk
 
 @pytest.mark.parametrize(("more", "told"), [
     (["--renderings", "0"], "give 1 or more"), (["--limit", "0"], "give 1 or more"),
-    (["--speaker", "nobody"], "nobody"), (["--only", "everything"], "invalid choice")])
+    (["--speaker", "unknown"], "unknown"), (["--only", "everything"], "invalid choice")])
 def test_wrong_input_is_refused(standing: tuple[Path, Path], more: list[str], told: str,
                                 capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:

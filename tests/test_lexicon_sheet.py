@@ -1,4 +1,4 @@
-"""The contact sheet of a lexicon, and what its lexemes are told by: latents, labels, neighbours."""
+"""The contact sheet of a lexicon, and how its lexemes are told apart: latents, labels, neighbours."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ def test_another_word_encoder_than_the_one_of_training_is_refused(system: Gestic
 
 
 def test_activity_is_the_gates_threshold_and_the_gate_hears_no_lexemes(system: Gesticulator) -> None:
-    assert all(block.gate is None for block in system(SPEECH).decided.blocks), "nobody asked it"
+    assert all(block.gate is None for block in system(SPEECH).decided.blocks), "the gate is not asked"
     gate = np.array([block.gate for block in system(SPEECH, activity=0.4).decided.blocks])
     assert ((gate >= 0) & (gate <= 1)).all()
     middle = float(np.median(gate))

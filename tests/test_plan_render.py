@@ -80,7 +80,7 @@ def hand_speeds(made: Performance) -> Array:
     return np.linalg.norm(np.diff(hands, axis=0), axis=-1) * made.fps
 
 
-def test_a_plan_that_nobody_edited_gives_the_same_bytes_whatever_the_seed(
+def test_a_plan_without_edits_gives_the_same_bytes_with_any_seed(
         system: Gesticulator, speech: Speech, drawn: Performance, plan: GesturePlan) -> None:
     again = system(speech, plan=plan, seed=99)
     np.testing.assert_array_equal(again.rotations, drawn.rotations)

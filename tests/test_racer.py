@@ -16,7 +16,6 @@ from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh
 from data_module.store import Store
 from data_module.types import Speech
-from eval.context import with_judges
 from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
@@ -24,6 +23,7 @@ from gesticulator.bundle.features import representation_of
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.training import command as train
 from gesticulator.training import presets
+from gesticulator.training.stages import REWARD, Run
 from gesticulator.training.stages.corpus import Corpus, prepare
 from gesticulator.training.stages.lexicon import decoded_blocks, token_labels
 from gesticulator.training.stages.q_network import takes_of
@@ -104,8 +104,11 @@ def test_rivals_are_wrong_at_the_end_and_right_before(corpus: Corpus, tiny_bundl
     assert {tuple(piece.flatten()[:5].tolist()) for piece in batch["rival"][:, :, -1].flatten(0, 1)} <= shown
 
 
-def test_a_reward_table_asks_about_the_corpus(corpus: Corpus, tiny_bundle: Path) -> None:
-    bundle = with_judges(bundles.load(tiny_bundle), tiny_bundle.with_name(tiny_bundle.name + ".work"))
+def test_a_reward_table_asks_about_the_corpus(corpus: Corpus, tiny_store: Path, tiny_bundle: Path) -> None:
+    bundle = bundles.load(tiny_bundle)
+    # The work folder of the training holds the reward model, which a bundle does not.
+    run = Run(bundle.config, Store.open(tiny_store), tiny_bundle.with_name(tiny_bundle.name + ".work"), progress=False)
+    bundle = bundle.with_parts(reward=run.get(REWARD))
     assert bundle.reward is not None
     labels = token_labels(bundle.lexicon, corpus)
     np.testing.assert_array_equal(labels, bundle.lexicon.label(corpus.motion).numpy())
