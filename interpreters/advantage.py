@@ -34,17 +34,13 @@ from interpreters.base import (
     as_interpreter,
 )
 from interpreters.cql import QNetwork, QState
-from interpreters.settings import CriticConfig
+from interpreters.settings import CRITICS, GAMMA, CriticConfig
 from interpreters.transformer import begin_small
 
 __all__ = ["AdvantageInterpreter", "Critics"]
 
-CRITICS = 2
-"""J; the least of their advantages is used."""
 VALUE = 0.3
 """Weight of the error of the state's value, which does not affect the choice."""
-GAMMA = 0.9
-"""Discount per block. A lexeme affects the rewards of `reward.window` blocks."""
 _MOMENTUM = 0.02
 """Weight of a batch in the running spread of the advantages, which averages about fifty batches."""
 

@@ -8,15 +8,8 @@ import pytest
 import torch
 
 from generator import losses
-from generator.model import (
-    BlockInputs,
-    Generator,
-    GeneratorConfig,
-    GeneratorWidths,
-    GumbelCodes,
-    StyleCodes,
-    positional_block,
-)
+from generator.model import BlockInputs, Generator, GumbelCodes, StyleCodes
+from generator.settings import GeneratorConfig, GeneratorWidths, positional_block
 
 FRAMES, WIDTH, AUDIO, LEXEME, CONTROL = 6, 5, 4, 7, 6
 CONFIG = GeneratorConfig(motion_features=8, audio_features=6, style_width=4, position_width=4, hidden=24, groups=4,
