@@ -154,7 +154,8 @@ class FlowGenerator(nn.Module):
         self.register_buffer("present", torch.ones(widths.motion) if present is None else present, persistent=False)
         self.register_buffer("deviation", torch.ones(basis.width))
         self.register_buffer("centres", torch.zeros(widths.lexemes + 1, basis.width))  # u of each lexeme; 0 for none
-        self.register_buffer("position", torch.from_numpy(positional_block(frames, c.position_width)), persistent=False)
+        position = torch.as_tensor(positional_block(frames, c.position_width))
+        self.register_buffer("position", position, persistent=False)
         self.control_width = widths.control if c.use_control else 0
         self.encode_motion = convolutions((widths.motion, *[c.motion_features] * 3), norm=False)
         self.encode_audio = BlockLinear(frames, widths.audio, c.audio_features, bottleneck=c.audio_bottleneck)

@@ -11,23 +11,15 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from data_module.layers import SLOPE, BlockLinear, Linear, convolutions, repeat_frames, run_lstm
-from generator.settings import (
-    GROUP_WIDTH,
-    PERCEPTUAL,
-    RECONSTRUCTION,
-    STYLE,
-    GeneratorConfig,
-    GeneratorWidths,
-    positional_block,
-)
+from generator.settings import BLEND, GROUP_WIDTH, GeneratorConfig, GeneratorWidths, positional_block
 
 if TYPE_CHECKING:
     from generator.losses import Encoder
 
 __all__ = ["BlockInputs", "Generator"]
 
-_BLEND = 0.1
-"""Temperature of nearly equal classes: their logits differ by a few tenths."""
+RECONSTRUCTION, PERCEPTUAL, STYLE = 1.0, 0.5, 1.0
+"""Weights of L_rec, L_perc and L_z (RG Eq. 9); that of L_lexeme is the setting `lexeme`, which the paper ablates."""
 State = tuple[Tensor, Tensor]
 """Hidden and cell state of the decoder, [layers, B, width] each."""
 
@@ -82,9 +74,9 @@ class GumbelCodes(nn.Module):
 
     def best(self, hidden: Tensor) -> Tensor:
         """The codebook vector of the flow head in evaluation, [..., H * group_width] of hidden [..., width]. Classes
-        that are nearly equal are blended (a softmax at temperature `_BLEND`), or the rounding errors of a recording at
+        that are nearly equal are blended (a softmax at temperature `BLEND`), or the rounding errors of a recording at
         another level would flip a class here and there, and with it the motion."""
-        share = torch.softmax(self.logits(hidden).unflatten(-1, (self.groups, self.classes)) / _BLEND, -1)
+        share = torch.softmax(self.logits(hidden).unflatten(-1, (self.groups, self.classes)) / BLEND, -1)
         return torch.einsum("...hc,hcw->...hw", share, self.vectors).flatten(-2)
 
 
@@ -105,7 +97,8 @@ class Generator(nn.Module):
         self.config, self.frames = config, frames
         self.encode_motion = convolutions((widths.motion, *[c.motion_features] * 3), norm=False)
         self.encode_audio = BlockLinear(frames, widths.audio, c.audio_features, bottleneck=c.audio_bottleneck)
-        self.register_buffer("position", torch.from_numpy(positional_block(frames, c.position_width)), persistent=False)
+        position = torch.as_tensor(positional_block(frames, c.position_width))
+        self.register_buffer("position", position, persistent=False)
         self.register_buffer("fade", torch.arange(frames - 1, -1, -1.0)[:, None] / frames, persistent=False)
         self.control_width = widths.control if c.use_control else 0
         width = c.motion_features + c.audio_features + widths.lexeme + c.style_width + c.position_width

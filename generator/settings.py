@@ -1,4 +1,4 @@
-"""Settings and sizes of the generators, and what their networks and runners share."""
+"""Sizes and weights of both generators, and what their torch modules and runners have in common."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
-from data_module.layers_run import Floats
 from data_module.settings import (
     Count,
     Depth,
@@ -20,14 +20,14 @@ from data_module.settings import (
     WidthOrNone,
 )
 
-__all__ = ["GeneratorConfig", "GeneratorWidths"]
+__all__ = ["BLEND", "GROUP_WIDTH", "GeneratorConfig", "GeneratorWidths", "positional_block"]
 
 GROUP_WIDTH = 8
 """Width of the vector behind each class of each group."""
+BLEND = 0.1
+"""Temperature of nearly equal classes: their logits differ by a few tenths."""
 TEMPERATURE = 2.0, 0.5
 """Gumbel temperature at the start and at the end of training; it falls geometrically."""
-RECONSTRUCTION, PERCEPTUAL, STYLE = 1.0, 0.5, 1.0
-"""Weights of L_rec, L_perc and L_z (RG Eq. 9); that of L_lexeme is the setting `lexeme`, which the paper ablates."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class GeneratorWidths:
     units: int = 0
 
 
-def positional_block(frames: int, width: int, beta: float = 10_000.0) -> Floats:
+def positional_block(frames: int, width: int, beta: float = 10_000.0) -> NDArray[np.float32]:
     """P [K, width]: p(k, 2j) = sin(k / beta^(2j / width)), p(k, 2j + 1) = cos of the same, k = 0..K-1 (RG Eq. 8). The
     paper prints K in place of the frame index k (the literal form is the same on every frame)."""
     if width % 2:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from interpreters.base import (
     Scores,
     as_interpreter,
 )
-from interpreters.cql_run import QState, QTrunk
+from interpreters.cql_run import QRunState, QTrunk
 from interpreters.settings import CRITICS, GAMMA, CriticConfig
 
 __all__ = ["AdvantageInterpreter", "CriticsRunner"]
@@ -49,13 +49,12 @@ class CriticsRunner:
         for name in ("unit", "value_scale", "value_mean"):
             tensors.take(name)
 
-    def start(self, speaker: int) -> QState:
+    def start(self, speaker: int) -> QRunState:
         return self._trunk.start(speaker)
 
-    def step(self, state: QState, features: BlockFeatures, previous_lexeme: int, log_prior: Scores
-             ) -> tuple[Scores, QState]:
-        """[S] the advantage of each lexeme of this block in standard deviations, given log pi_b [S], and the state
-        after it."""
+    def step(self, state: QRunState, features: BlockFeatures, previous_lexeme: int, log_prior: Scores
+             ) -> tuple[Scores, QRunState]:
+        """See `Advantages.step`."""
         row, after = self._trunk.step(state, features, previous_lexeme)
         row = self._norm(row)
         q = (self._reward(row) + GAMMA * self._future_scale * self._future(row)).reshape(CRITICS, -1)
@@ -63,12 +62,23 @@ class CriticsRunner:
         return (advantage / self._spread).astype(np.float64), after
 
 
+class Advantages(Protocol):
+    """Critics that value every lexeme of a block."""
+
+    def start(self, speaker: int) -> Any:
+        """The state before the first block."""
+
+    def step(self, state: Any, features: BlockFeatures, previous_lexeme: int, log_prior: Scores) -> tuple[Scores, Any]:
+        """[S] the advantage of each lexeme of this block in standard deviations, given log pi_b [S], and the state
+        after it."""
+
+
 @dataclass(frozen=True)
 class AdvantageState:
     """The states of prior and critics."""
 
     prior: Any
-    critics: QState
+    critics: Any
 
 
 @dataclass(frozen=True)
@@ -76,7 +86,7 @@ class AdvantageInterpreter(InterpreterDefaults):
     """The behaviour policy, biased by beta times the advantage. temperature: T, which `select` divides by."""
 
     prior: LexemeInterpreter
-    critics: CriticsRunner
+    critics: Advantages
     beta: float = 1.0
     temperature: float = 1.0
     name = "advantage"
@@ -84,7 +94,7 @@ class AdvantageInterpreter(InterpreterDefaults):
 
     @classmethod
     def open(cls, parts: InterpreterParts) -> AdvantageInterpreter:
-        assert parts.prior is not None and isinstance(parts.model, CriticsRunner)
+        assert parts.prior is not None and parts.model is not None
         return cls(parts.prior, parts.model, parts.beta)
 
     @property

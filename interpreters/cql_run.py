@@ -13,14 +13,14 @@ from data_module.layers_run import BlockDense, Dense, Floats, Norm, Tensors, att
 from interpreters.base import BlockFeatures, InterpreterDefaults, Need, Scores
 from interpreters.settings import QConfig
 
-__all__ = ["LiteralQRunner", "QRunner", "QState"]
+__all__ = ["LiteralQRunner", "QRunState", "QRunner"]
 
 KeysAndValues = tuple[Floats, Floats]
 """Cached keys and values [tokens, C] of a layer."""
 
 
 @dataclass(frozen=True)
-class QState:
+class QRunState:
     """The pairs that the next decision attends to, and the speaker's one-hot [P]. Never changed in place.
 
     tokens: [2, n, C] audio and action tokens of the last n <= T decisions, without positions. past: keys and values of
@@ -73,13 +73,13 @@ class QTrunk:
         self._layers = [TwoStreamLayer(tensors.within(f"layers.{number}"), width, config.heads)
                         for number in range(config.layers)]
 
-    def start(self, speaker: int) -> QState:
+    def start(self, speaker: int) -> QRunState:
         speakers = np.eye(self._speakers, dtype=np.float32)
-        return QState(speakers[speaker], np.zeros((2, 0, self._width), np.float32), None)
+        return QRunState(speakers[speaker], np.zeros((2, 0, self._width), np.float32), None)
 
-    def step(self, state: QState, features: BlockFeatures, previous_lexeme: int) -> tuple[Floats, QState]:
+    def step(self, state: QRunState, features: BlockFeatures, previous_lexeme: int) -> tuple[Floats, QRunState]:
         """[C] features of this block's decision, and the state after it."""
-        parts = [self._encode(features.high).ravel(), np.float32([features.silent])]
+        parts = [self._encode(np.asarray(features.high)).ravel(), np.array([features.silent], np.float32)]
         parts += [state.speaker] if self._use_speaker else []
         pair = np.stack([self._audio_token(np.concatenate(parts)), self._action_token[previous_lexeme]])[:, None]
         filled = state.tokens.shape[1]
@@ -94,11 +94,11 @@ class QTrunk:
         mask = None if resumes else np.tile(np.triu(np.full((count, count), -np.inf, np.float32), 1), (2, 2))
         present = []
         for number, layer in enumerate(self._layers):
-            x, pair_of = layer(x, state.past[number] if resumes and state.past else None, mask)
-            present.append(pair_of)
+            x, keys_and_values = layer(x, state.past[number] if resumes and state.past else None, mask)
+            present.append(keys_and_values)
         # A full window slides at the next step, which could not use the cache.
         keep = tuple(present) if tokens.shape[1] < self._window else None
-        return x[-1], QState(state.speaker, tokens, keep)
+        return x[-1], QRunState(state.speaker, tokens, keep)
 
 
 class QRunner(InterpreterDefaults):
@@ -118,11 +118,11 @@ class QRunner(InterpreterDefaults):
     def needs(self) -> frozenset[Need]:
         return frozenset()
 
-    def start(self, speaker: int, first_lexeme: int) -> QState:
+    def start(self, speaker: int, first_lexeme: int) -> QRunState:
         """The state before the first block; `first_lexeme`, a_0, is the previous lexeme in the first `step`."""
         return self._trunk.start(speaker)
 
-    def step(self, state: QState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, QState]:
+    def step(self, state: QRunState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, QRunState]:
         """Q values [S] of this block's lexeme, and the state after it. The silent mask is applied by the caller."""
         row, after = self._trunk.step(state, features, previous_lexeme)
         return self._values(self._norm(row)).astype(np.float64), after

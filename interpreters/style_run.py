@@ -14,7 +14,7 @@ __all__ = ["StyleRunner"]
 
 
 @dataclass(frozen=True)
-class StyleState:
+class StyleRunState:
     """The state of the LSTM, None before the first block, the last code [d_z] and the speaker's one-hot [P]."""
 
     hidden: tuple[Floats, Floats] | None
@@ -52,19 +52,19 @@ class StyleRunner:
         self._lstm = Lstm(tensors.within("lstm"), width, config.width)
         self._to_code = Dense.of(tensors.within("to_code"), config.width, widths.code)
 
-    def start(self, speaker: int) -> StyleState:
+    def start(self, speaker: int) -> StyleRunState:
         speakers = np.eye(self._widths.speakers, dtype=np.float32)
-        return StyleState(None, np.zeros(self._widths.code, np.float32), speakers[speaker])
+        return StyleRunState(None, np.zeros(self._widths.code, np.float32), speakers[speaker])
 
-    def step(self, state: StyleState, features: BlockFeatures, lexeme: int) -> tuple[Floats, StyleState]:
+    def step(self, state: StyleRunState, features: BlockFeatures, lexeme: int) -> tuple[Floats, StyleRunState]:
         """The code [d_z] of this block, and the state after it. ValueError without needed text."""
-        rows = [self._encode_audio(features.low), self._lexemes[lexeme][None], state.code[None]]
+        rows = [self._encode_audio(np.asarray(features.low)), self._lexemes[lexeme][None], state.code[None]]
         if self._encode_text is not None:
             if features.text is None:
                 raise ValueError("this interpreter needs text; use the audio-only one")
-            rows.append(self._encode_text(features.text))
+            rows.append(self._encode_text(np.asarray(features.text)))
         if self._config.use_speaker:
             rows.append(state.speaker[None])
         out, hidden = self._lstm(side_by_side(rows)[None], state.hidden)
         code = self._to_code(out[0, -1])
-        return code, StyleState(hidden, code, state.speaker)
+        return code, StyleRunState(hidden, code, state.speaker)

@@ -8,7 +8,12 @@ import pytest
 import torch
 
 from generator import losses
-from generator.model import BlockInputs, Generator, GumbelCodes, StyleCodes
+from generator.model import (
+    BlockInputs,
+    Generator,
+    GumbelCodes,
+    StyleCodes,
+)
 from generator.settings import GeneratorConfig, GeneratorWidths, positional_block
 
 FRAMES, WIDTH, AUDIO, LEXEME, CONTROL = 6, 5, 4, 7, 6

