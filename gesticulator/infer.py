@@ -1,6 +1,6 @@
 """`gesticulator infer`: from recordings to motion files, the main command.
 
-Everything that can be checked before the work is checked first (`gesticulator.arguments.jobs_of`). An error of the
+Everything that can be checked before the work is checked first (`gesticulator.jobs.jobs_of`). An error of the
 command is an `InputError`; an error of one recording is stored in its `Job`, so that the others are still processed.
 """
 
@@ -12,9 +12,9 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line
-from gesticulator.arguments import infer_arguments, jobs_of, run_settings_of
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
-from gesticulator.jobs import Job, RunSettings, Worker, check_job, retargeter_for
+from gesticulator.jobs import Job, RunSettings, infer_arguments, jobs_of, run_settings_of
+from gesticulator.worker import Worker, check_job, retargeter_for
 
 EXIT_PART_FAILED = 1
 

@@ -15,8 +15,7 @@ from typing import Any
 
 from data_module.errors import InputError, one_line
 from data_module.settings import whole_number
-from gesticulator.batch import Doing, Maker, attempted
-from gesticulator.manifest import ManifestRow
+from gesticulator.batch import Doing, Maker, ManifestRow, attempted
 
 ATTEMPTS = 3
 """Attempts at a task whose worker dies: the task itself is the likelier cause (memory) than chance."""

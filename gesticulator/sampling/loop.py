@@ -28,12 +28,13 @@ from data_module.layers import without_after
 from data_module.types import Array, Blocks
 from gesticulator.body.rest import Rest, RestKnots
 from gesticulator.bundle.bundle import Bundle
-from gesticulator.bundle.features import Flags, Span, SpeechBlock, control_rows, representation_of
+from gesticulator.bundle.features import Flags, Span, SpeechBlock, SpeechFeatures, control_rows, representation_of
 from gesticulator.plan.plan import Block, BlockDraw, Flag, LexemeChoice
 from gesticulator.sampling.noise import Keys
 from interpreters.base import BlockFeatures, Interpreter, select
 
 if TYPE_CHECKING:
+    from gesticulator.sampling.cutter import BlockCutter
     from interpreters.planner import UnitDecision
 
 OnBlock = Callable[[int, int], None]
@@ -117,7 +118,7 @@ class State:
 
 @dataclass(frozen=True)
 class BlockMotion:
-    """A generated block. block: the block of the plan, without names of lexemes (`directing.record.named`). lexeme: the
+    """A generated block. block: the block of the plan, without names of lexemes (`plan.named`). lexeme: the
     one that is shown; where the hands are to rest, an edited plan may hold another. motion: [K, D_m] features with rest
     and idle motion. code: [d_z] style code. unit: the decision of the planner of gesture units; None without one."""
 
@@ -135,6 +136,18 @@ class GeneratedMotion:
     cut: Blocks
     blocks: Sequence[BlockMotion]
     motion: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Generation:
+    """A generated recording from which edits start. speech: its features; blocks: its N blocks; states: [N + 1] the
+    state before each of them, and after the last; cutters: copies of the cutter of its speech
+    (`gesticulator.editing.render.Recutter`)."""
+
+    speech: SpeechFeatures
+    blocks: Sequence[BlockMotion]
+    states: Sequence[State]
+    cutters: Sequence[BlockCutter] = ()
 
 
 # ------------------------------------------------------------------------------------------------------------ the loop
