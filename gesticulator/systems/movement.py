@@ -36,6 +36,7 @@ from gesticulator.sampling.candidates import CandidateChooser, CandidateMotion
 from gesticulator.sampling.loop import (
     CONTIGUOUS,
     BlockMotion,
+    Keys,
     Request,
     Scores,
     Setup,
@@ -49,7 +50,6 @@ from gesticulator.sampling.loop import (
     shown,
     tensor,
 )
-from gesticulator.sampling.noise import Keys
 from interpreters.base import BlockFeatures
 from interpreters.planner import CLASSES, PHASES, UnitDecision, UnitStyleInterpreter
 from lexicon.movement import MovementLexicon, MovementVqVae, basis_for, code_width
