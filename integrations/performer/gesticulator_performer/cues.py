@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gesticulator.directing.meaning_cues import meaning_cues
-from gesticulator_performer.clips import complete_rows
 from gesticulator_performer.syllables import is_function_word
+from gesticulator_performer.tables import complete_rows
 
 LANGUAGES = ("en", "de", "es")
 MEANINGS, CLIPS = "meanings.csv", "licensed_clips.csv"

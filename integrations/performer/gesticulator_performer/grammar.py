@@ -49,20 +49,19 @@ def _phrasebook(book: dict[str, Any]) -> Phrasebook:
 
 
 _WORDS = table("sentences/topics.toml")
-TRAIN_TOPICS, TEST_TOPICS = (tuple(map(_topic, _WORDS[split])) for split in ("train", "test"))
+_SPLITS = ("train", "test")
+TOPICS = {split: tuple(map(_topic, _WORDS[split])) for split in _SPLITS}
 NUMBERS, TIMES = tuple(_WORDS["shared"]["numbers"].split()), entries(_WORDS["shared"]["times"], ",")
-OPENERS, TEST_OPENERS = (entries(_WORDS["shared"][name], "/") for name in ("openers", "test_openers"))
+OPENERS = {"train": entries(_WORDS["shared"]["openers"], "/"), "test": entries(_WORDS["shared"]["test_openers"], "/")}
 PHRASEBOOKS = {(language, split): _phrasebook(table(f"sentences/{language}.toml")[split])
-               for language in ("de", "es", "cmn") for split in ("train", "test")}
+               for language in ("de", "es", "cmn") for split in _SPLITS}
 """(language, split) -> its phrasebook; English has topics and templates instead."""
-TRAIN_TEMPLATES, TEST_TEMPLATES = (templates("en", held_out) for held_out in (False, True))
-TRAIN_MEANINGS, TEST_MEANINGS = (templates("meanings", held_out) for held_out in (False, True))
-"""Templates whose words call for a gesture with captured strokes, by its label."""
-_CORE = templates("core", held_out=False)
-TRAIN_REPERTOIRE, TEST_REPERTOIRE = (
-    templates("core", held_out) | templates("more", held_out)
-    | {label: (*known[label], *lines) for label, lines in templates("further", held_out).items()}
-    for held_out, known in ((False, TRAIN_MEANINGS), (True, TEST_MEANINGS)))
+TEMPLATES, MEANINGS, _CORE, _MORE, _FURTHER = (
+    {split: templates(name, split == "test") for split in _SPLITS}
+    for name in ("en", "meanings", "core", "more", "further"))
+"""Split -> templates by kind; those of MEANINGS call for a gesture with captured strokes, by its label."""
+REPERTOIRE = {split: _CORE[split] | _MORE[split] | {
+    label: (*MEANINGS[split][label], *lines) for label, lines in _FURTHER[split].items()} for split in _SPLITS}
 """Templates for the gestures without captured strokes, and for those whose templates the detector seldom finds."""
 
 
@@ -75,12 +74,15 @@ _LABELS = {name: frozenset(words.split()) for name, words in table("words.toml")
 # Labels whose cues other sentences contain anyway are written for twice; those whose cues hardly occur elsewhere, or
 # weigh little, nine times; the others five times.
 MEANING_KINDS = _repeated({label: 2 if label in _LABELS["often_elsewhere"] else
-                           9 if label in _LABELS["seldom_elsewhere"] else 5 for label in TRAIN_MEANINGS})
+                           9 if label in _LABELS["seldom_elsewhere"] else 5 for label in MEANINGS["train"]})
 """The labels to draw a sentence's from, each as often as it needs to be."""
+MEANING_SHARE = 0.75
+"""Share of the English sentences that are written for a gesture with a meaning: with it each of the 32 gestures is
+played at least 30 times in the training split of 4.4 hours."""
 # With all named gestures: core gestures four times, the others three times, and three more for labels whose cue phrases
 # often lose against others or seldom find an arm free.
-REPERTOIRE_KINDS = _repeated({label: (4 if label in _CORE else 3) + 3 * (label in _LABELS["seldom_played"])
-                              for label in {**TRAIN_REPERTOIRE, **TRAIN_MEANINGS}})
+REPERTOIRE_KINDS = _repeated({label: (4 if label in _CORE["train"] else 3) + 3 * (label in _LABELS["seldom_played"])
+                              for label in REPERTOIRE["train"] | MEANINGS["train"]})
 """The same where every named gesture can be played."""
 REPERTOIRE_SHARE = 0.9
 """Share of its sentences that are written for a gesture with a meaning: of a hundred gestures each is to come often."""

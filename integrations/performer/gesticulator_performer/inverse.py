@@ -231,14 +231,11 @@ def _best(pool: Pool, free: NDArray[np.bool_], wanted: Wanted, rng: np.random.Ge
         return None
     chosen = rng.permutation(fitting)[:_CANDIDATES]
     if len(wanted.beats):
-        return assign(candidates_of(pool, chosen), wanted, rewards(pool, chosen, wanted))
+        candidates = Candidates(chosen, pool.durations[chosen], pool.vowels[chosen], pool.prominence[chosen])
+        return assign(candidates, wanted, rewards(pool, chosen, wanted))
     k = int(chosen[0])
     rate = float(np.clip(length[k], SLOWEST, FASTEST))
     return Match(k, 0.0, np.array([[0.0, start], [pool.durations[k], start + pool.durations[k] / rate]]), 0)
-
-
-def candidates_of(pool: Pool, chosen: NDArray[np.int64]) -> Candidates:
-    return Candidates(chosen, pool.durations[chosen], pool.vowels[chosen], pool.prominence[chosen])
 
 
 def rewards(pool: Pool, chosen: NDArray[np.int64], wanted: Wanted) -> Array:

@@ -58,7 +58,7 @@ MOVEMENTS: dict[str, tuple[tuple[str, ...], ...]] = {
     movement: tuple(_STROKES[name] for name in names.split()) for movement, names in {
         "large": "big all", "small": "small", "self": "me", "forward": "you there give", "left": "left",
         "right": "right", "sideways": "negate no"}.items()}
-"""Movement feature that a word can ask for, in the order of `movements.features_of` -> the lexemes that ask for it."""
+"""Movement feature that a word can ask for, in the order of `talks.features_of` -> the lexemes that ask for it."""
 
 
 def movements_of(words: Sequence[str]) -> list[int]:

@@ -157,11 +157,10 @@ def _about_bone(angle: Array | float) -> Array:
 @dataclass(frozen=True)
 class _Arm:
     """Directions [T, 3] of the upper arm and the forearm of a side, as seen from the chest: outward, up (vertical),
-    ahead. wrist: [T, 3] metres from the hips."""
+    ahead."""
 
     upper: Array
     fore: Array
-    wrist: Array
 
     @property
     def bend(self) -> Array:
@@ -200,8 +199,7 @@ def _ramp(values: Array, low: float, high: float) -> Array:
 
 
 def _arm(rotations: Array, side: str) -> _Arm:
-    body = rotations[:, :len(CHARACTER)]
-    world = kinematics.global_rotations(CHARACTER, body)
+    world = kinematics.global_rotations(CHARACTER, rotations[:, :len(CHARACTER)])
     across = rotation.rotate(world[:, CHARACTER.index("Spine3")], np.array([1.0, 0.0, 0.0])) * [1.0, 0.0, 1.0]
     across = across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
     ahead = np.cross(across, np.array([0.0, 1.0, 0.0]))
@@ -211,5 +209,4 @@ def _arm(rotations: Array, side: str) -> _Arm:
         bone = rotation.rotate(world[:, CHARACTER.index(side + name)], along)
         bones.append(np.stack([_OUT[side] * (bone * across).sum(axis=-1), bone[:, 1], (bone * ahead).sum(axis=-1)],
                               axis=-1))
-    places = kinematics.joint_positions(CHARACTER, body)
-    return _Arm(bones[0], bones[1], places[:, CHARACTER.index(side + "Hand")])
+    return _Arm(bones[0], bones[1])

@@ -113,10 +113,6 @@ class _Wish:
     size: float = 0.0
 
 
-def habits_of(performer: str) -> Habits:
-    return HABITS.get(performer, Habits())
-
-
 def runs_of(phrases: Sequence[Phrase], pause: float = REST_PAUSE) -> list[tuple[float, float]]:
     """Stretches of speech [(start, end)] in seconds, phrases joined across pauses shorter than `pause`."""
     runs: list[tuple[float, float]] = []
@@ -151,15 +147,13 @@ class Casting:
     style: StyleTrack = NEUTRAL
 
     def habits_of(self, performer: str) -> Habits:
-        habits = habits_of(performer)
+        habits = HABITS.get(performer, Habits())
         return replace(habits, eagerness=habits.eagerness + self.manner.eagerness)
 
 
 def cast(spoken: Spoken, performer: str, manner: Manner, style: StyleTrack, rng: np.random.Generator) -> Casting:
-    habits = habits_of(performer)
-    preferred = RIGHT if habits.hands[RIGHT] >= habits.hands[LEFT] else LEFT
-    hands = hands_of_phrases(spoken.phrases, manner, preferred, rng)
-    return Casting(manner, hands, style)
+    left, right, _ = HABITS.get(performer, Habits()).hands
+    return Casting(manner, hands_of_phrases(spoken.phrases, manner, RIGHT if right >= left else LEFT, rng), style)
 
 
 def plan(spoken: Spoken, performer: str, strokes: StrokeSet, casting: Casting, rng: np.random.Generator,
@@ -170,7 +164,9 @@ def plan(spoken: Spoken, performer: str, strokes: StrokeSet, casting: Casting, r
     habits = casting.habits_of(performer)
     known = {stroke.lexeme for stroke in usable}
     cues = strokes.cues
-    asked = cues.asked(_texts(spoken), spoken.language, _pauses(spoken)) if cues else {}
+    words = spoken.speech.words or ()
+    pauses = [max(after.start - word.end, 0.0) for word, after in zip(words, words[1:], strict=False)]
+    asked = cues.asked(_texts(spoken), spoken.language, pauses) if cues else {}
     apart, again = (cues.apart, cues.again) if cues else (0.0, 0.0)
     labels = _labels(spoken, habits, asked, ({stroke.meaning for stroke in usable}, apart, again), rng)
     wishes = _wishes(spoken, habits, known, (casting.style, labels, set(asked), apart > 0.0), rng)
@@ -240,12 +236,6 @@ def _wishes(spoken: Spoken, habits: Habits, known: set[str],
 
 def _texts(spoken: Spoken) -> list[str]:
     return [word.text for word in spoken.speech.words or ()]
-
-
-def _pauses(spoken: Spoken) -> list[float]:
-    """Seconds of silence after each word but the last."""
-    words = spoken.speech.words or ()
-    return [max(after.start - word.end, 0.0) for word, after in zip(words, words[1:], strict=False)]
 
 
 def _strongest(spoken: Spoken) -> dict[int, int]:

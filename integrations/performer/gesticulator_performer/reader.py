@@ -30,9 +30,21 @@ from data_module.corpora.base import Item, Options, split_of
 from data_module.errors import InputError
 from data_module.files import read_text
 from data_module.registry import RegistryEntry
+from data_module.speech.audio import load_speech
 from data_module.store import Recording, RecordingInfo, Split
+from data_module.text.alignment import alignment
 from gesticulator.directing import meaning_cues
-from gesticulator_performer import tables, text, voices
+from gesticulator_performer import play, styles, tables, text, voices
+from gesticulator_performer.hands import STEADY, draw_manner
+from gesticulator_performer.lending import load_borrowed, with_borrowed
+from gesticulator_performer.meant_strokes import with_meanings, with_repertoire
+from gesticulator_performer.repertoire import Repertoire, read_repertoire, write_takes
+from gesticulator_performer.sentence_pool import Pool, make_pool, phrase_texts
+from gesticulator_performer.strokes import StrokeSet, load_strokes, read_manifest
+from gesticulator_performer.syllables import find_syllables
+from gesticulator_performer.takes import Library, RealTake, list_takes, load_takes, split_of_takes
+from gesticulator_performer.talks import talk_for_motion
+from gesticulator_performer.trunk import Segment, trunk_segments
 from gesticulator_performer.types import Spoken
 
 SHARES = {"motion": 0.36, "talk": 0.46, "style": 0.18}
@@ -144,9 +156,9 @@ class Performer:
         options = options if isinstance(options, PerformerOptions) else PerformerOptions(seed=options.seed)
         source = source or options.data
         self._options = options
-        self._trunks: dict[str, tuple[Any, ...]] = {}
-        self._pools: dict[tuple[str, Split], Any] = {}
-        self._repertoire: Any = None
+        self._trunks: dict[str, tuple[Segment, ...]] = {}
+        self._pools: dict[tuple[str, Split], Pool] = {}
+        self._repertoire: Repertoire | None = None
         if source is None:
             raise InputError("--source", "is missing", "name the folder that holds strokes/ and speech/, or "
                              "set GESTICULATOR_DATA")
@@ -156,11 +168,7 @@ class Performer:
                                  "--source is the folder that holds strokes/, free_motion/, meaning/ and speech/")
         self._source = source
         if options.repertoire is not None:
-            from gesticulator_performer.repertoire import read_repertoire
-
             if not options.repertoire.exists():
-                from gesticulator_performer.gesture_takes import write_takes
-
                 count = write_takes(options.repertoire, options.seed)
                 print(f"{options.repertoire}: {count} takes of named gestures were drawn", flush=True)
             self._repertoire = read_repertoire(options.repertoire)
@@ -191,9 +199,6 @@ class Performer:
     def read(self, item: Item) -> Recording:
         if isinstance(item.content, MotionScript):
             return self._speech_for_motion(item)
-        from gesticulator_performer import play, styles
-        from gesticulator_performer.hands import STEADY, draw_manner
-
         rng = self._rng(item.index, _STYLE)
         style = styles.NEUTRAL
         if isinstance(item.content, Script) and item.content.styled:
@@ -213,8 +218,6 @@ class Performer:
         return Recording(info, replace(spoken.speech, speaker=info.speaker), played.motion, stands=True)
 
     def _speech_for_motion(self, item: Item) -> Recording:
-        from gesticulator_performer.talks import talk_for_motion
-
         script: MotionScript = item.content
         takes = [take for take in self._library.talks() if self._take_splits[take.name] == item.info.split]
         pool = self._pool(item.info.voice, item.info.split)
@@ -224,54 +227,38 @@ class Performer:
         return Recording(info, replace(spoken.speech, speaker=info.speaker), talk.motion, stands=True)
 
     def notes(self) -> Sequence[str]:
-        strokes = self._strokes.strokes
-        held_out = sum(stroke.held_out for stroke in strokes)
-        return [f"strokes: {len(strokes)} including mirror images, {held_out} of them held out for test"]
+        return ()
 
     def _rng(self, index: int, purpose: int) -> np.random.Generator:
         return np.random.default_rng([self._options.seed, index, purpose])
 
     @functools.cached_property
-    def _strokes(self) -> Any:
-        from gesticulator_performer.borrowed import load_borrowed, with_borrowed
-        from gesticulator_performer.meant_strokes import with_meanings, with_repertoire
-        from gesticulator_performer.strokes import load_strokes
-
+    def _strokes(self) -> StrokeSet:
         strokes = load_strokes(self._source / "strokes")
         strokes = with_borrowed(strokes, *load_borrowed(self._source / "free_motion"))
         strokes = with_meanings(strokes, self._source)
         return strokes if self._repertoire is None else with_repertoire(strokes, self._repertoire, self._source)
 
     @functools.cached_property
-    def _library(self) -> Any:
-        from gesticulator_performer.takes import load_takes
-
+    def _library(self) -> Library:
         return load_takes(self._source / "free_motion")
 
     @functools.cached_property
-    def _take_splits(self) -> dict[str, Split]:
-        from gesticulator_performer.takes import split_of_takes
-
-        return split_of_takes(self._takes)
-
-    @functools.cached_property
-    def _takes(self) -> list[Any]:
-        from gesticulator_performer.takes import list_takes
-
+    def _takes(self) -> list[RealTake]:
         return [take for take, _ in list_takes(self._source / "free_motion")]
 
-    def _segments(self, split: Split) -> tuple[Any, ...]:
-        if split not in self._trunks:
-            from gesticulator_performer.trunk import trunk_segments
+    @functools.cached_property
+    def _take_splits(self) -> dict[str, Split]:
+        return split_of_takes(self._takes)
 
+    def _segments(self, split: Split) -> tuple[Segment, ...]:
+        if split not in self._trunks:
             self._trunks[split] = trunk_segments(self._library, self._take_splits, split)
         return self._trunks[split]
 
-    def _pool(self, voice: str, split: Split) -> Any:
+    def _pool(self, voice: str, split: Split) -> Pool:
         """The phrase pool of a voice in a split, spoken once per process."""
         if (voice, split) not in self._pools:
-            from gesticulator_performer.sentence_pool import make_pool
-
             self._pools[voice, split] = make_pool(voice, self._phrases[0][voice, split])
         return self._pools[voice, split]
 
@@ -279,8 +266,6 @@ class Performer:
     def _phrases(self) -> tuple[dict[tuple[str, Split], tuple[str, ...]], dict[str, set[str]]]:
         """The phrases of part A by voice and split, and their sentences by grammar; no sentence is used by two voices
         or in two splits."""
-        from gesticulator_performer.sentence_pool import phrase_texts
-
         out: dict[tuple[str, Split], tuple[str, ...]] = {}
         used: dict[str, set[str]] = {"train": set(), "test": set()}
         for number, (split, speakers) in enumerate(MOTION_VOICES.items()):
@@ -292,8 +277,6 @@ class Performer:
 
     @functools.cached_property
     def _performers(self) -> tuple[str, ...]:
-        from gesticulator_performer.strokes import read_manifest
-
         return tuple(sorted({row["speaker"] for row in read_manifest(self._source / "strokes")}))
 
     @functools.cached_property
@@ -374,10 +357,6 @@ class Performer:
 
     def _reading(self, item: Item) -> Spoken:
         """A real reading with its syllables; word times are known for English only."""
-        from data_module.speech.audio import load_speech
-        from data_module.text import alignment as transcripts
-        from gesticulator_performer.syllables import find_syllables
-
         reading: Reading = item.content
         speech = load_speech(self._source / "speech" / f"{reading.stem}.flac")
         if reading.part != "whole":
@@ -386,7 +365,7 @@ class Performer:
             speech = replace(speech, samples=np.ascontiguousarray(samples))
         if item.info.language == "en":
             transcript = read_text(self._source / "speech" / f"{reading.stem}.txt", "save it as text in UTF-8")
-            speech = replace(speech, words=transcripts.alignment(speech, transcript).words)
+            speech = replace(speech, words=alignment(speech, transcript).words)
         return find_syllables(speech, item.info.language)
 
 

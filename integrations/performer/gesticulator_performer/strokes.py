@@ -10,9 +10,8 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -22,9 +21,12 @@ from data_module.errors import InputError, shown
 from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
 from data_module.types import Array, Motion, Skeleton
-from gesticulator_performer.clips import read_clips
 from gesticulator_performer.cues import Cues, mirrored
-from gesticulator_performer.shoulders import with_rhythm
+from gesticulator_performer.joints import with_rhythm
+from gesticulator_performer.tables import read_clips
+
+if TYPE_CHECKING:
+    from gesticulator_performer.repertoire import Repertoire
 
 LEFT, RIGHT = 0, 1
 SIDES = ("Left", "Right")
@@ -83,10 +85,6 @@ class PerformerBody:
     trunk: tuple[int, ...]
     home: Array
 
-    @cached_property
-    def forearm(self) -> float:
-        return float(np.linalg.norm(self.skeleton.offsets[self.skeleton.index("LeftHand")]))
-
 
 @dataclass(frozen=True)
 class Stroke:
@@ -144,16 +142,6 @@ class Stroke:
         return self._splines[key](np.clip(seconds, 0.0, (len(track) - 1) / self.fps))
 
 
-class ScriptedTakes(Protocol):
-    """Takes that were drawn from scripts; see `repertoire.Repertoire`."""
-
-    def usable(self, strokes: Sequence[Stroke], split: str) -> tuple[Stroke, ...]:
-        """Strokes without their motion that add to the captured strokes of a performer."""
-
-    def played(self, outline: Stroke, body: PerformerBody) -> Stroke:
-        """One of them with its motion on a body."""
-
-
 @dataclass(frozen=True)
 class StrokeSet:
     """Strokes, the bodies of the performers by name, the cues that call for the strokes that have a meaning, and takes
@@ -162,7 +150,7 @@ class StrokeSet:
     strokes: tuple[Stroke, ...]
     figures: Mapping[str, PerformerBody]
     cues: Cues | None = None
-    repertoire: ScriptedTakes | None = None
+    repertoire: Repertoire | None = None
 
     @property
     def performers(self) -> tuple[str, ...]:
@@ -182,13 +170,13 @@ class StrokeSet:
         return self.repertoire.played(stroke, self.figures[performer])
 
 
-def arrivals(speed: Array, fps: float, depth: float = 0.0) -> tuple[Array, Array]:
+def arrivals(speed: Array, fps: float) -> tuple[Array, Array]:
     """Strong decelerations of a speed [T]: times in seconds (between frames, by a parabola) and depths, m/s^2. A motion
     beat is a minimum of the derivative of the speed, smoothed over 50 ms (`motion_beats`, mode A)."""
     smooth = gaussian_filter1d(speed, _SMOOTH * fps / 2.0, mode="nearest")
     slope = np.gradient(smooth) * fps
     middle = slope[1:-1]
-    at = np.flatnonzero((middle < slope[:-2]) & (middle <= slope[2:]) & (middle < -depth)) + 1
+    at = np.flatnonzero((middle < slope[:-2]) & (middle <= slope[2:]) & (middle < 0.0)) + 1
     a, b, c = slope[at - 1], slope[at], slope[at + 1]
     bend = a - 2.0 * b + c
     shift = np.where(bend > 0, 0.5 * (a - c) / np.where(bend > 0, bend, 1.0), 0.0)

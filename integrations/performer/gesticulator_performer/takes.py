@@ -27,11 +27,10 @@ from data_module.motion.skeletons import CHARACTER, FINGERED
 from data_module.store import Split
 from data_module.types import Array, Motion
 from gesticulator_performer import mended_arms
-from gesticulator_performer.clips import read_clips
-from gesticulator_performer.shoulders import with_rhythm
+from gesticulator_performer.joints import with_loose_wrists, with_rhythm
 from gesticulator_performer.strokes import arm_joints
+from gesticulator_performer.tables import read_clips
 from gesticulator_performer.torso import FPS, facing_positions, torso_depth
-from gesticulator_performer.wrists import with_loose_wrists
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "conversation": ("cmu_18_", "cmu_19_"),

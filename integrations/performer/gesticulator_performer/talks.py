@@ -13,7 +13,7 @@ from data_module.motion import rotation
 from data_module.motion.kinematics import minimum_jerk
 from data_module.motion.skeletons import CHARACTERS, FINGERED, HIP_HEIGHT
 from data_module.types import Array, Motion
-from gesticulator_performer import inverse, movements
+from gesticulator_performer import inverse
 from gesticulator_performer.chaining import Chain, chain, seam_ratio
 from gesticulator_performer.sentence_pool import Pool
 from gesticulator_performer.takes import (
@@ -57,6 +57,11 @@ ENERGY = inverse.Energy(0.41, 0.66)
 """Mean and spread of the mean log speed (`inverse.log_speed`) of the stretches of all takes, as measured; 0.2 is added
 to the spread so that the variation within a talk counts more."""
 
+# Point near the chest that a hand moves to for "me", metres from the hips.
+_HEART = np.array([0.0, 0.38, 0.12])
+# Least height over the hips, metres, of a hand that counts as raised.
+_GESTURING = 0.05
+
 
 @dataclass(frozen=True)
 class MadeTalk:
@@ -79,7 +84,7 @@ def talk_for_motion(group: str, seconds: float, library: Library, takes: Sequenc
         turned = bool(rng.random() < 0.5) if mixed else flip
         pieces.append(_slowed(_one_handed(library, mirrored(logs) if turned else logs, rng), slower))
     joined, places = _smoothest(library, pieces, seconds, rng)
-    spoken = inverse.speech_for(places, pool, ENERGY, movements.features_of(places), rng)
+    spoken = inverse.speech_for(places, pool, ENERGY, features_of(places), rng)
     logs = with_life(joined.logs, spoken, rng)
     rotations = library.rotations(logs)
     root = np.tile([0.0, HIP_HEIGHT, 0.0], (len(rotations), 1))
@@ -88,6 +93,21 @@ def talk_for_motion(group: str, seconds: float, library: Library, takes: Sequenc
     motion = Motion(CHARACTERS[rotations.shape[1]], rotations, root, FPS,
                     filled=tuple(joint for joint in FINGERED.names if joint in lacking))
     return MadeTalk(motion, spoken, used)
+
+
+def features_of(places: Array) -> Array:
+    """[T, 7] z-scores, clipped to [-2, 2.5], of the features in `meaning.MOVEMENTS`, from facing positions [T, 16, 3].
+    """
+    left, right = (places[:, wrist] for wrist in WRISTS)
+    apart = np.linalg.norm(right - left, axis=1)
+    up = np.maximum(left[:, 1], right[:, 1]) > _GESTURING
+    near = -np.minimum(np.linalg.norm(left - _HEART, axis=1), np.linalg.norm(right - _HEART, axis=1))
+    ahead = np.maximum(left[:, 2], right[:, 2])
+    side = 0.5 * (left[:, 0] + right[:, 0])
+    across = sum(np.abs(np.gradient(gaussian_filter1d(hand[:, 0], 0.05 * FPS))) for hand in (left, right))
+    sideways = gaussian_filter1d(across, 0.17 * FPS)
+    raw = np.stack([apart * up, -apart * up, near, ahead, side, -side, sideways], axis=1)
+    return np.clip((raw - raw.mean(axis=0)) / (raw.std(axis=0) + 1e-6), -2.0, 2.5)
 
 
 def _smoothest(library: Library, pieces: Sequence[Array], seconds: float,

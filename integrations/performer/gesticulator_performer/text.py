@@ -19,10 +19,8 @@ CHARACTERS_PER_SECOND = {"cmn": 7.5}
 _LETTERS_PER_SECOND = 17.0
 # The longest pause in seconds, and the share of sentence ends with a pause of a second or more.
 LONG_PAUSE, LONG_SHARE = 6.0, 0.21
-MEANING_SHARE = 0.75
-"""Share of the English sentences that are written for a gesture with a meaning: with it each of the 32 gestures is
-played at least 30 times in the training split of 4.4 hours."""
 _VOWELS = "aeiou"
+_PLURALS = {"wolf": "wolves", "shelf": "shelves", "goose": "geese"}
 _PARTICIPLES = {"threw": "thrown", "drew": "drawn", "stole": "stolen", "hid": "hidden"}
 _T = TypeVar("_T")
 
@@ -57,10 +55,8 @@ def compose(rng: np.random.Generator, seconds: float, split: str, used: set[str]
     all named gestures, not only for those with captured strokes. Effort drifts from sentence to
     sentence (AR(1), 0.7) and varies from phrase to phrase. Same generator state, same text.
     """
-    if split not in SPLITS:
-        raise InputError(f"split {split!r}", "is not known", f"choose one of {', '.join(SPLITS)}")
     used = set() if used is None else used
-    source = _English(split, repertoire) if language == "en" else _phrasebook(split, language)
+    source = _English(split, repertoire) if language == "en" else _Phrases(PHRASEBOOKS[language, split])
     pace = CHARACTERS_PER_SECOND.get(language, _LETTERS_PER_SECOND)
     utterances: list[Utterance] = []
     mood = float(rng.normal(0, 0.5))
@@ -82,17 +78,13 @@ def sentence_key(utterance: Utterance) -> str:
 class _English:
     """Draws English sentences; consecutive ones share a topic."""
 
-    def __init__(self, split: str, repertoire: bool = False) -> None:
-        train = split == "train"
-        self.topics = grammar.TRAIN_TOPICS if train else grammar.TEST_TOPICS
-        self.templates = grammar.TRAIN_TEMPLATES if train else grammar.TEST_TEMPLATES
-        self.meanings = dict(grammar.TRAIN_MEANINGS if train else grammar.TEST_MEANINGS)
-        self.kinds: Sequence[str] = grammar.MEANING_KINDS
-        self.share = MEANING_SHARE
+    def __init__(self, split: str, repertoire: bool) -> None:
+        self.topics, self.templates = grammar.TOPICS[split], grammar.TEMPLATES[split]
+        self.meanings, self.openers = grammar.MEANINGS[split], grammar.OPENERS[split]
+        self.kinds, self.share = grammar.MEANING_KINDS, grammar.MEANING_SHARE
         if repertoire:
-            self.meanings |= grammar.TRAIN_REPERTOIRE if train else grammar.TEST_REPERTOIRE
+            self.meanings = self.meanings | grammar.REPERTOIRE[split]
             self.kinds, self.share = grammar.REPERTOIRE_KINDS, grammar.REPERTOIRE_SHARE
-        self.openers: Sequence[str] = grammar.OPENERS if train else grammar.TEST_OPENERS
         self._topic, self._left = self.topics[0], 0
 
     def draw(self, rng: np.random.Generator) -> tuple[str, str]:
@@ -124,13 +116,6 @@ def _one(rng: np.random.Generator, entries: Sequence[_T]) -> _T:
     return entries[int(rng.integers(len(entries)))]
 
 
-def _phrasebook(split: str, language: str) -> _Phrases:
-    if (language, split) not in PHRASEBOOKS:
-        known = sorted({"en"} | {name for name, _ in PHRASEBOOKS})
-        raise InputError(f"language {language!r}", "has no grammar here", f"choose one of {', '.join(known)}")
-    return _Phrases(PHRASEBOOKS[language, split])
-
-
 def _new_sentence(rng: np.random.Generator, source: _English | _Phrases, used: set[str]) -> tuple[str, list[str]]:
     """(kind, phrases) of a sentence not in `used`, to which it is added without its opener."""
     for _ in range(2000):
@@ -148,10 +133,8 @@ def _new_sentence(rng: np.random.Generator, source: _English | _Phrases, used: s
 
 def _fill(rng: np.random.Generator, topic: Topic, template: str) -> str:
     """The template with words of the topic in its slots; no word occurs twice."""
-    things = [topic.things[i] for i in rng.permutation(len(topic.things))[:4]]
-    people = [topic.people[i] for i in rng.permutation(len(topic.people))[:2]]
-    places = [topic.places[i] for i in rng.permutation(len(topic.places))[:2]]
-    numbers = [grammar.NUMBERS[i] for i in rng.permutation(len(grammar.NUMBERS))[:2]]
+    things, people, places, numbers = ([words[i] for i in rng.permutation(len(words))[:4]] for words in (
+        topic.things, topic.people, topic.places, grammar.NUMBERS))
     base, past, running = _one(rng, topic.verbs)
     return template.format(
         thing=things[0], other=things[1], things=plural(things[2]), things2=plural(things[3]),
@@ -161,9 +144,8 @@ def _fill(rng: np.random.Generator, topic: Topic, template: str) -> str:
 
 
 def plural(noun: str) -> str:
-    irregular = {"wolf": "wolves", "shelf": "shelves", "goose": "geese"}
-    if noun in irregular:
-        return irregular[noun]
+    if noun in _PLURALS:
+        return _PLURALS[noun]
     if noun.endswith("y") and noun[-2] not in _VOWELS:
         return noun[:-1] + "ies"
     return noun + ("es" if noun.endswith(("s", "x", "sh", "ch")) else "s")

@@ -1,4 +1,4 @@
-"""Lifelike motion of trunk and head: real people's leaning, turning and nodding, selected phrase by phrase.
+"""Lifelike motion of trunk, head and fingers: real people's leaning, turning and nodding, selected phrase by phrase.
 
 Bends are log rotations [T, 3 parts, 3] of the hips, of the whole spine and of neck and head together, so that they fit
 every skeleton. Segments of real takes in which the head moves on the stresses of the speech are joined by quintics and
@@ -53,6 +53,16 @@ _ACCENT, _ACCENT_MOST = np.radians(0.5), 6.0
 _ACCENT_RISE, _ACCENT_FALL = 0.22, 0.5
 # Yaw of the head in the room (the sum of its joints' yaws), radians, that 95 % of the frames stay within.
 _MOST_YAW = np.radians(20.0)
+# Soft limit of the bend of a joint against the hanging hand: bends of overlapping strokes add up.
+_FARTHEST_FINGER = np.radians(95.0)
+# Standard deviation of the low pass, seconds: in some clips the fingers jump from frame to frame.
+_SMOOTH_FINGERS = 0.05
+# Amplitude (radians) and period (seconds) with which a finger closes and opens at rest.
+_FINGER_FIDGET, _FINGER_SECONDS = np.radians(2.0), 5.3
+# What the middle joint of each finger, the thumb first, is bent more: a relaxed hand closes towards the little finger.
+_CASCADE = np.radians([0.0, -4.0, 1.0, 6.0, 10.0])
+# Axes about which the fingers of the left and the right hand close.
+_CLOSING = (np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0]))
 
 
 @dataclass(frozen=True)
@@ -173,7 +183,8 @@ def _fitting(segments: tuple[Segment, ...], before: Array, count: int, quiet: bo
     for _ in range(_TRIES):
         segment = able[int(rng.integers(len(able)))]
         at = int(rng.integers(3, max(4, len(segment.bends) - count)))
-        piece = _piece(segment.bends, at, count)
+        # From three frames before; the last frame is repeated if the segment is too short.
+        piece = segment.bends[np.minimum(np.arange(at - 3, at + count), len(segment.bends) - 1)]
         cost = _accent_cost(piece[3:, 2], stressed)
         if len(before) >= 3:
             cost += 4.0 * float(np.abs(piece[3] - before[-1]).sum())
@@ -189,12 +200,6 @@ def _fitting(segments: tuple[Segment, ...], before: Array, count: int, quiet: bo
     return best[1], piece
 
 
-def _piece(bends: Array, at: int, count: int) -> Array:
-    """[3 + count, 3, 3] from three frames before `at`; the last frame is repeated if the segment is too short."""
-    rows = np.minimum(np.arange(at - 3, at + count), len(bends) - 1)
-    return bends[rows]
-
-
 def _accent_cost(head: Array, stressed: Array) -> float:
     """A cost that is lower if the head [T, 3] moves fast at the stresses and dips towards them."""
     if not len(stressed) or len(head) < 20:
@@ -206,16 +211,18 @@ def _accent_cost(head: Array, stressed: Array) -> float:
 
 def calm(bends: Array, speaking: Array, vigour: Array | float = 1.0) -> Array:
     """Scale the fast part of bends [T, ...]: smaller in pauses, larger in vigorous phrases."""
-    slow = gaussian_filter1d(bends, _CALMER_SPAN * FPS, axis=0, mode="nearest")
-    share = (_CALM + (1.0 - _CALM) * gaussian_filter1d(speaking, 0.35 * FPS, mode="nearest")) * vigour
-    return slow + (bends - slow) * share.reshape(-1, *[1] * (bends.ndim - 1))
+    return _quickened(bends, (_CALM + (1.0 - _CALM) * gaussian_filter1d(speaking, 0.35 * FPS, mode="nearest")) * vigour)
 
 
 def with_activity(bends: Array, activity: Array) -> Array:
     """Bends [T, ...] whose fast part is larger where the hands are active ([T], 0 to 1): trunk and head move with them.
     """
+    return _quickened(bends, _WITHOUT_HANDS + (_WITH_HANDS - _WITHOUT_HANDS) * activity)
+
+
+def _quickened(bends: Array, share: Array) -> Array:
+    """Bends [T, ...] whose fast part is scaled by a share [T]."""
     slow = gaussian_filter1d(bends, _CALMER_SPAN * FPS, axis=0, mode="nearest")
-    share = _WITHOUT_HANDS + (_WITH_HANDS - _WITHOUT_HANDS) * activity
     return slow + (bends - slow) * share.reshape(-1, *[1] * (bends.ndim - 1))
 
 
@@ -241,3 +248,16 @@ def spread(bends: Array, counts: tuple[int, int, int]) -> tuple[Array, Array, Ar
     """Log rotations [T, 3] for one joint of each part, given the joints per part; the eyes stay on the listener."""
     head = bends[:, 2] * [1.0, _HEAD_YAW, 1.0] - bends[:, 1] * [0.0, _EYES, 0.0]
     return bends[:, 0] / counts[0], bends[:, 1] / counts[1], head / counts[2]
+
+
+def living_fingers(logs: Array, side: int) -> Array:
+    """Log rotations [T, F, 3] (60 fps) of one hand's finger joints, limited, smoothed and with a slow fidget. side: 0
+    left, 1 right."""
+    joints = np.arange(logs.shape[1])
+    times = np.arange(len(logs))[:, None] / FPS
+    # The three joints of a finger move in phase; the fingers and the hands do not.
+    period = _FINGER_SECONDS * (1.0 + 0.13 * (joints // 3))
+    phase = 2.0 * np.pi * (times / period + 0.21 * (joints // 3) + 0.37 * side)
+    smooth = gaussian_filter1d(soft_limit(logs, _FARTHEST_FINGER), _SMOOTH_FINGERS * FPS, axis=0, mode="nearest")
+    more = np.where(joints % 3 == 1, _CASCADE[joints // 3], 0.0)
+    return smooth + (more + _FINGER_FIDGET * np.sin(phase))[..., None] * _CLOSING[side]

@@ -72,21 +72,23 @@ def sound_all(parts: Sequence[Part], voice: Voice) -> list[Sounded]:
     if voice.engine == "espeak":
         # espeak's pitch unit is about a sixth of a semitone; its range 50 is normal.
         return espeak.sound_phrases([espeak.Line(
-            voice.base, part.text, round(165 * voice.rate * _faster(part.effort)), round(voice.pitch + 6 * part.effort),
-            round(min(99, voice.spread * _wider(part.effort)))) for part in parts])
+            voice.base, part.text, round(165 * voice.rate * np.exp(FASTER * part.effort)),
+            round(voice.pitch + 6 * part.effort), round(min(99, voice.spread * np.exp(WIDER * part.effort))))
+            for part in parts])
     return [_flite_phrase(part, voice) for part in parts]
 
 
 def _flite_phrase(part: Part, voice: Voice) -> Sounded:
     pitch = voice.pitch * 2 ** (HIGHER * part.effort / 12)
     # The tract is changed by the playing speed; flite's rate and pitch are changed the other way to compensate.
-    stretch = voice.tract / (voice.rate * _faster(part.effort))
-    deviation = voice.spread * _wider(part.effort)
+    stretch = voice.tract / (voice.rate * np.exp(FASTER * part.effort))
+    wider = float(np.exp(WIDER * part.effort))
+    deviation = voice.spread * wider
     sounded = flite.sound_phrase(voice.base, part.text, pitch / voice.tract, deviation / voice.tract, stretch)
     speed = np.full(len(sounded.samples), voice.tract)
     if voice.base == "rms":
         # This voice ignores the pitch settings; its contour is widened and raised by a varying playing speed.
-        speed = speed * _widened(sounded.samples, _wider(part.effort)) * 2 ** (HIGHER * part.effort / 24)
+        speed = speed * _widened(sounded.samples, wider) * 2 ** (HIGHER * part.effort / 24)
     if np.ptp(speed) == 0 and speed[0] == 1:
         return sounded
     samples, phones = read_at(sounded.samples, speed, sounded.phones)
@@ -103,14 +105,6 @@ def _widened(samples: Samples, times: float) -> Array:
     frames = np.interp(np.arange(len(track)), voiced, height)
     smooth = np.convolve(np.pad(frames, 4, mode="edge"), np.hanning(11)[1:-1] / np.hanning(11).sum(), "valid")
     return np.exp((times - 1) * np.interp(np.arange(len(samples)) / 160, np.arange(len(smooth)), smooth))
-
-
-def _faster(effort: float) -> float:
-    return float(np.exp(FASTER * effort))
-
-
-def _wider(effort: float) -> float:
-    return float(np.exp(WIDER * effort))
 
 
 def on_the_clock(parts: Sequence[Part], spoken: Sequence[Sounded], voice: Voice,

@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 import torch
 from gesticulator_performer.face.known_phones import VisemeSpan, labels, of_ipa, spans
-from gesticulator_performer.face.training import FaceTraining, LabelledRows, fit, with_long_pause
-from gesticulator_performer.face.viseme_net import VisemeNet, rows_of, stacked
+from gesticulator_performer.face.training import (
+    FaceTraining,
+    LabelledRows,
+    VisemeNet,
+    fit,
+    rows_of,
+    stacked,
+    with_long_pause,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gesticulator_performer import inverse, movements
+from gesticulator_performer import inverse
 from gesticulator_performer.inverse import Candidates, Energy, Wanted, Window, assign, phrase_windows
 from gesticulator_performer.sentence_pool import NO_VOWEL, Pool, make_pool, phrase_texts
 from gesticulator_performer.sound import RATE
 from gesticulator_performer.takes import arms_speed
+from gesticulator_performer.talks import features_of
 from gesticulator_performer.torso import FPS, facing_positions
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -102,7 +103,7 @@ def test_speech_for_motion_stresses_its_beats_and_pauses_in_its_rests(pool: Pool
     at = clock / clock[-1] * (len(logs) - 1)
     logs = np.stack([np.interp(at, np.arange(len(logs)), column) for column in logs.reshape(len(logs), -1).T], axis=-1)
     places = facing_positions(lib.rotations(logs.reshape(-1, 16, 3)))
-    made, again = (inverse.speech_for(places, pool, Energy(0.4, 0.6), movements.features_of(places),
+    made, again = (inverse.speech_for(places, pool, Energy(0.4, 0.6), features_of(places),
                                       np.random.default_rng(3)) for _ in range(2))
     assert np.array_equal(made.speech.samples, again.speech.samples)
     assert len(made.speech.samples) == round(len(places) / FPS * RATE)

@@ -9,34 +9,23 @@ import pytest
 from gesticulator_performer import mended_arms, takes
 from gesticulator_performer.takes import MotionRange
 from gesticulator_performer.torso import FPS, facing_positions, torso_depth
+from test_takes import hanging
 
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER, FINGERED
-from data_module.types import Array, Motion
+from data_module.types import Motion
 from eval.metrics.eye import posture
 from eval.metrics.eye.body import common_body
 
-SIDES = ("Left", "Right")
-
-
-def hanging(azimuth: float, seconds: float = 4.0, bend: float = 25.0, lift: float = 8.0) -> Array:
-    """Local rotations [T, 16, 4] of arms lifted sideways by `lift` degrees whose elbows, bent by `bend` and a little
-    more or less, point `azimuth` degrees outward about the upper arm."""
-    frames = round(seconds * FPS)
-    out = np.tile([1.0, 0.0, 0.0, 0.0], (frames, 16, 1))
-    bends = np.radians(bend + np.sin(np.arange(frames) / 40.0))
-    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
-        down = rotation.from_exponential_map(np.array([0.0, 0.0, -sign * np.radians(90.0 - lift)]))
-        turn = rotation.from_exponential_map(np.array([-np.radians(azimuth), 0.0, 0.0]))
-        fold = rotation.from_exponential_map(bends[:, None] * np.array([0.0, -sign, 0.0]))
-        out[:, CHARACTER.index(side + "Arm")] = rotation.multiply(down, turn)
-        out[:, CHARACTER.index(side + "ForeArm")] = fold
-    return out
-
 
 def test_a_hand_in_the_trunk_comes_out_of_it_and_other_hands_stay() -> None:
-    rotations = hanging(-75.0, bend=75.0, lift=2.0)
-    rotations[:, CHARACTER.index("RightForeArm")] = [1.0, 0.0, 0.0, 0.0]
+    rotations = np.tile(hanging(), (round(4.0 * FPS), 1, 1))
+    bends = np.radians(75.0 + np.sin(np.arange(len(rotations)) / 40.0))
+    left = CHARACTER.index("LeftArm")
+    # The left elbow points inward.
+    inward = rotation.from_exponential_map(np.array([np.radians(75.0), 0.0, 0.0]))
+    rotations[:, left] = rotation.multiply(rotations[:, left], inward)
+    rotations[:, left + 1] = rotation.from_exponential_map(bends[:, None] * np.array([0.0, -1.0, 0.0]))
     before, after = (facing_positions(q) for q in (rotations, mended_arms.freed(rotations)))
     assert torso_depth(before).max() > 0.02 and torso_depth(after).max() < 1e-9
     wrist = CHARACTER.index("RightHand")

@@ -18,7 +18,7 @@ from data_module.types import Array
 LEFT_ARM, RIGHT_ARM = CHARACTER.index("LeftArm"), CHARACTER.index("RightArm")
 
 
-def _hanging() -> Array:
+def hanging() -> Array:
     """[16, 4] arms down from the T-pose."""
     rest = np.tile([1.0, 0.0, 0.0, 0.0], (16, 1))
     rest[LEFT_ARM] = rotation.from_exponential_map(np.array([0.0, 0.0, -1.4]))
@@ -44,7 +44,7 @@ def moving(seconds: float, seed: int, size: float = 0.8) -> Array:
 
 def library(count: int = 6, group: str = "conversation") -> Library:
     own = tuple(RealTake(f"take_{k}", "ann", group, "none", moving(8.0, k)) for k in range(count))
-    return Library(own, _hanging(), np.zeros((8, 3)))
+    return Library(own, hanging(), np.zeros((8, 3)))
 
 
 def test_a_mirror_image_swaps_the_hands_and_twice_is_nothing() -> None:
