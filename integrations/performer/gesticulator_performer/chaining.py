@@ -26,15 +26,9 @@ _BEST = 3
 _FADE, _LONGEST_FADE = 0.45, 0.9
 # Square root of the cost at which the longest fade is used (weighted radians).
 _FAR = 3.0
-
-
-def _weights() -> Array:
-    weights = {"Hips": 0.7, "LeftArm": 2.0, "RightArm": 2.0, "LeftForeArm": 1.5, "RightForeArm": 1.5, "LeftHand": 0.3,
-               "RightHand": 0.3}
-    return np.array([weights.get(name, 1.0) for name in CHARACTER.names])
-
-
-_WEIGHTS = _weights()
+# Weights of the joints in the cost of a seam.
+_WEIGHTS = np.array([{"Hips": 0.7, "LeftArm": 2.0, "RightArm": 2.0, "LeftForeArm": 1.5, "RightForeArm": 1.5,
+                      "LeftHand": 0.3, "RightHand": 0.3}.get(name, 1.0) for name in CHARACTER.names])
 
 
 @dataclass(frozen=True)

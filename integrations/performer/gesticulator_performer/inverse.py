@@ -55,6 +55,9 @@ _MOVED_SHARE, _MOVED = 0.4, (0.35, 0.9)
 # Effort = .3 tanh(.55 (local + global energy)) + .6 noise; energy is the z-score of the phrase's mean log speed. Size
 # goes with effort mildly: two of three real speakers show no correlation of loudness with hand speed.
 _EFFORT_OF_ENERGY, _EFFORT_NOISE = 0.3, 0.6
+# Mean and spread of the mean log speed of the stretches of all takes, as measured; 0.2 is added to the spread so that
+# the variation within a talk counts more.
+_ENERGY, _ENERGY_SPREAD = 0.41, 0.66
 # Effort that hands carried a standard deviation and more above the talk's mean add, at full strength of that link.
 _EFFORT_OF_CARRIAGE = 0.5
 # DB of loudness per unit of local log speed.
@@ -100,20 +103,12 @@ class Match:
     beats: int
 
 
-@dataclass(frozen=True)
-class Energy:
-    """Mean and standard deviation of mean log speed over the takes, for the global part of effort."""
-
-    mean: float
-    spread: float
-
-
 def log_speed(speed: Array) -> Array:
     """[T] log of the arms' speed smoothed over 0.1 s, with a floor of 0.1 m/s."""
     return np.log(gaussian_filter1d(speed, 0.1 * FPS, mode="nearest") + 0.1)
 
 
-def speech_for(places: Array, pool: Pool, energy: Energy, movements: Array,
+def speech_for(places: Array, pool: Pool, movements: Array,
                rng: np.random.Generator) -> Spoken:
     """Speech for the joint positions [T, 16, 3] (60 fps, facing frame) of a talk. movements: [T, M] z-score of each of
     `meaning.MOVEMENTS` at each frame. InputError comes from the voice's program. Same arguments and generator state,
@@ -123,7 +118,7 @@ def speech_for(places: Array, pool: Pool, energy: Energy, movements: Array,
     beats = beats_of_speed(speed, FPS)
     strength = _strengths(speed, beats)
     targets = beats + np.clip(rng.normal(_LEAD, _LOOSENESS, len(beats)), _LEAD - _LOOSEST, _LEAD + _LOOSEST)
-    efforts = _efforts(log_speed(speed), windows, energy, _carried(places), rng)
+    efforts = _efforts(log_speed(speed), windows, _carried(places), rng)
     features = movements[np.minimum((beats * FPS).astype(int) + 6, len(movements) - 1)]
     free = np.ones(len(pool), dtype=bool)
     laid: list[tuple[Match, Sounded, float]] = []
@@ -209,14 +204,14 @@ def _means(track: Array, windows: Sequence[Window]) -> Array:
                      for w in windows])
 
 
-def _efforts(level: Array, windows: Sequence[Window], energy: Energy, carried: Array,
+def _efforts(level: Array, windows: Sequence[Window], carried: Array,
              rng: np.random.Generator) -> list[float]:
     """The effort of each window, -1 to 1, from the energy of its motion, and from how its hands are `carried` [T]."""
     if not windows:
         return []
     means = _means(level, windows)
     local = (means - means.mean()) / (means.std() + 1e-6)
-    whole = (means - energy.mean) / energy.spread
+    whole = (means - _ENERGY) / _ENERGY_SPREAD
     effort = _EFFORT_OF_ENERGY * np.tanh(0.55 * (local + whole))
     effort = effort + rng.normal(0.0, _EFFORT_NOISE, len(means))
     effort = effort + _EFFORT_OF_CARRIAGE * np.tanh(_means(carried, windows))

@@ -14,10 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh
 from data_module.types import Motion
-from gesticulator_performer.cues import CLIPS, Cues, MeantClip, read_cues
+from gesticulator_performer.cues import Cues, MeantClip, read_cues
 from gesticulator_performer.lending import lent
 from gesticulator_performer.repertoire import Repertoire
 from gesticulator_performer.strokes import (
@@ -88,9 +87,6 @@ def _further_clips(source: Path, cues: Cues, strokes: StrokeSet) -> list[tuple[M
     for clip in cues.clips.values():
         able = clip.person in _PEOPLE or (clip.label not in there and clip.person in strokes.figures)
         if clip.phases and able and clip.stem not in known | _UNFIT and Path(clip.file).parts[0] in folders:
-            if not (source / clip.file).is_file():
-                raise InputError(source / clip.file, f"does not exist, but {CLIPS} lists it",
-                                 "take the clips that came with the tables")
             out.append((clip, read_bvh(source / clip.file, unit=1.0)))
     return out
 

@@ -47,6 +47,8 @@ _LARGEST = 1.75
 _SIZE_OF_TAKES, _SPREAD_OF_TAKES = np.array([0.35, 0.3]), 0.3
 # Earliest and latest apex of a gesture under a budget, seconds from the stressed vowel.
 _APEX = (-0.16, 0.02)
+# Under a budget: seconds between two gestures with a meaning, and until a label comes again.
+_BUDGET = (3.0, 20.0)
 # Least share of its preparation and stroke that a take from a script is given.
 _HURRIED = 0.6
 # Seconds before such a gesture in which no beat is placed, so that its preparation has room.
@@ -159,7 +161,7 @@ def cast(spoken: Spoken, performer: str, manner: Manner, style: StyleTrack, rng:
 def plan(spoken: Spoken, performer: str, strokes: StrokeSet, casting: Casting, rng: np.random.Generator,
          split: str = "train") -> tuple[Planned, ...]:
     """The strokes that `performer` plays on `spoken`, in order of their beats, without overlap on one arm. Held-out
-    strokes are used in the split "test" only. InputError for an unknown performer."""
+    strokes are used in the split "test" only."""
     usable = strokes.of(performer, split)
     habits = casting.habits_of(performer)
     known = {stroke.lexeme for stroke in usable}
@@ -167,7 +169,7 @@ def plan(spoken: Spoken, performer: str, strokes: StrokeSet, casting: Casting, r
     words = spoken.speech.words or ()
     pauses = [max(after.start - word.end, 0.0) for word, after in zip(words, words[1:], strict=False)]
     asked = cues.asked(_texts(spoken), spoken.language, pauses) if cues else {}
-    apart, again = (cues.apart, cues.again) if cues else (0.0, 0.0)
+    apart, again = _BUDGET if cues and cues.detected else (0.0, 0.0)
     labels = _labels(spoken, habits, asked, ({stroke.meaning for stroke in usable}, apart, again), rng)
     wishes = _wishes(spoken, habits, known, (casting.style, labels, set(asked), apart > 0.0), rng)
     chosen: list[Planned] = []

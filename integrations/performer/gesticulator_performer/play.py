@@ -196,7 +196,7 @@ def perform(spoken: Spoken, performer: str, strokes: StrokeSet, staging: Staging
     """Perform `spoken` with the body and the strokes of `performer`: 60 fps on the performer's skeleton.
 
     The hands act independently, and the trunk is a real person's. The result depends on the arguments and the state of
-    `rng` alone. Held-out strokes are played in the split "test" only. InputError for an unknown performer.
+    `rng` alone. Held-out strokes are played in the split "test" only.
     """
     casting = planning.cast(spoken, performer, staging.manner, staging.style, rng)
     planned = planning.plan(spoken, performer, strokes, casting, rng, split)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -53,28 +52,16 @@ _DIP_RISE, _DIP_FALL, _DIP_LATE = 0.24, 0.4, 0.03
 _HOLD_SHARE, _HOLD_SECONDS, _HOLD_OF = 0.3, (0.5, 0.9), 0.24
 # Seconds between such moments at least; the speed below which a hand may be held, m/s; metres over the hips.
 _HOLDS_APART, _HELD_FROM, _RAISED = 0.9, 0.45, 0.06
-ENERGY = inverse.Energy(0.41, 0.66)
-"""Mean and spread of the mean log speed (`inverse.log_speed`) of the stretches of all takes, as measured; 0.2 is added
-to the spread so that the variation within a talk counts more."""
-
 # Point near the chest that a hand moves to for "me", metres from the hips.
 _HEART = np.array([0.0, 0.38, 0.12])
 # Least height over the hips, metres, of a hand that counts as raised.
 _GESTURING = 0.05
 
 
-@dataclass(frozen=True)
-class MadeTalk:
-    """Motion with speech synthesised for it. takes: names of those used."""
-
-    motion: Motion
-    spoken: Spoken
-    takes: tuple[str, ...]
-
-
 def talk_for_motion(group: str, seconds: float, library: Library, takes: Sequence[RealTake], pool: Pool,
-                    rng: np.random.Generator) -> MadeTalk:
-    """A talk from the given takes alone, with speech for it from `pool`. group: its manner, a key of `takes.GROUPS`."""
+                    rng: np.random.Generator) -> tuple[Motion, Spoken, tuple[str, ...]]:
+    """A talk from the given takes alone, with speech for it from `pool`, and the names of the takes used. group: its
+    manner, a key of `takes.GROUPS`."""
     limits = MotionRange(float(rng.uniform(*_HEIGHTS)), float(rng.uniform(*_TRUNKS)))
     slower = 1.0 if group == _SLOW_GROUP else float(rng.uniform(*_SLOWER))
     named = _named_stretches(library, takes, group, limits, rng)
@@ -84,7 +71,7 @@ def talk_for_motion(group: str, seconds: float, library: Library, takes: Sequenc
         turned = bool(rng.random() < 0.5) if mixed else flip
         pieces.append(_slowed(_one_handed(library, mirrored(logs) if turned else logs, rng), slower))
     joined, places = _smoothest(library, pieces, seconds, rng)
-    spoken = inverse.speech_for(places, pool, ENERGY, features_of(places), rng)
+    spoken = inverse.speech_for(places, pool, features_of(places), rng)
     logs = with_life(joined.logs, spoken, rng)
     rotations = library.rotations(logs)
     root = np.tile([0.0, HIP_HEIGHT, 0.0], (len(rotations), 1))
@@ -92,7 +79,7 @@ def talk_for_motion(group: str, seconds: float, library: Library, takes: Sequenc
     lacking = {joint for take in takes if take.name in used for joint in take.filled}
     motion = Motion(CHARACTERS[rotations.shape[1]], rotations, root, FPS,
                     filled=tuple(joint for joint in FINGERED.names if joint in lacking))
-    return MadeTalk(motion, spoken, used)
+    return motion, spoken, used
 
 
 def features_of(places: Array) -> Array:
