@@ -1,4 +1,4 @@
-"""Joints that were not recorded or hardly move: clavicles with a rhythm, and loose wrists.
+"""Joints of the character: where they are, how deep arms are in the trunk, and what was not recorded or is rigid.
 
 The rhythm of the shoulder: the clavicle rises with the arm and goes forward with its reach.
 
@@ -30,8 +30,12 @@ from scipy.ndimage import gaussian_filter1d
 from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Skeleton
-from gesticulator_performer.torso import FPS, facing_positions
 
+FPS = 60.0
+"""Frames per second of the performer's motion: twice that of the clips, so that a beat can be moved by half a frame."""
+TORSO_RADIUS, ELBOW_RADIUS = 0.115, 0.13
+"""Radius of the capsule from hips to chest that a hand (half the depth of an adult's chest) or an elbow may not enter,
+metres."""
 # Elevation from which the shoulder takes part, degrees; its share; degrees over which that sets in.
 _SETTING, _THIRD, _ROUND = 30.0, 1.0 / 3.0, 6.0
 # Degrees for a metre of the hand's height; height of a hanging hand under the shoulder, metres.
@@ -49,9 +53,32 @@ _DRAG, _SWING, _ASIDE = 20.0, 4.0, 10.0
 # Soft limits, degrees.
 _BENT, _EXTENDED, _DEVIATED = 45.0, 50.0, 18.0
 # Height over the hips of a hand that is half raised, and the scale of the transition, metres.
-_LIFTED, _LIFT_WIDTH = 0.1, 0.07
+_HALF_RAISED, _LIFT_WIDTH = 0.1, 0.07
 # Standard deviation of the low pass of velocity and acceleration, seconds.
 _SMOOTH_HAND = 0.07
+
+
+def facing_positions(rotations: Array) -> Array:
+    """Joint positions [T, 16, 3] in metres from the hips, in the facing frame, of rotations [T, 16 or more, 4]."""
+    faced = rotations[:, :len(CHARACTER)].copy()
+    faced[:, 0] = rotation.remove_yaw(faced[:, 0])
+    return kinematics.joint_positions(CHARACTER, faced)
+
+
+def torso_depth(places: Array) -> Array:
+    """[T] depth of the deepest wrist or elbow inside the torso (a capsule from hips to chest), metres, 0 outside."""
+    chest = places[:, CHARACTER.index("Spine3")]
+    hips = np.zeros_like(chest)
+    return np.maximum.reduce([
+        capsule_depth(places[:, CHARACTER.index(side + name)], hips, chest, radius)
+        for name, radius in (("Hand", TORSO_RADIUS), ("ForeArm", ELBOW_RADIUS)) for side in ("Left", "Right")])
+
+
+def capsule_depth(point: Array, low: Array, high: Array, radius: float) -> Array:
+    """[T] depth in metres of points [T, 3] inside a capsule between two points [T, 3], 0 outside."""
+    axis = high - low
+    share = np.clip(np.sum((point - low) * axis, axis=-1) / np.sum(axis * axis, axis=-1), 0.0, 1.0)
+    return np.maximum(0.0, radius - np.linalg.norm(point - low - share[:, None] * axis, axis=-1))
 
 
 def with_rhythm(skeleton: Skeleton, rotations: Array, fps: float, share: float = 1.0) -> Array:
@@ -107,7 +134,7 @@ def bends(wrist: Array, hand: Array) -> tuple[Array, Array]:
     velocity = np.gradient(smooth, 1.0 / FPS, axis=0) if len(wrist) > 1 else np.zeros_like(wrist)
     acceleration = np.gradient(velocity, 1.0 / FPS, axis=0) if len(wrist) > 1 else velocity
     palm, thumb = (rotation.rotate(hand, np.array(axis)) for axis in ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)))
-    lifted = 1.0 / (1.0 + np.exp(-(smooth[:, 1] - _LIFTED) / _LIFT_WIDTH))
+    lifted = 1.0 / (1.0 + np.exp(-(smooth[:, 1] - _HALF_RAISED) / _LIFT_WIDTH))
     down = np.clip(-palm[:, 1], 0.0, 1.0)
     posture = gaussian_filter1d(_HANGING * (1.0 - lifted) + _RAISED * lifted * down, _SMOOTH_HAND * FPS, mode="nearest")
     flexion = posture - _DRAG * (velocity * palm).sum(axis=1) - _SWING * (acceleration * palm).sum(axis=1)

@@ -17,18 +17,11 @@ from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.types import Array, Skeleton
 from gesticulator_performer.strokes import SIDES, PerformerBody, Stroke, StrokeSet, held_out_keys, speaker_strokes
-from gesticulator_performer.tables import read_clips
+from gesticulator_performer.tables import read_clips, table
 
 _NONE = np.array([1.0, 0.0, 0.0, 0.0])
 LENDER = "pn"
-# Part of a clip's name between "pn_" and its version -> names of lexemes, the best first.
-_LEXEMES: dict[str, tuple[str, ...]] = {
-    "bigger": ("EmptyLarge", "BeatHigh"), "inclusivity": ("InclusivityPos", "BeatMid"), "me": ("Me",),
-    "negation": ("Negate", "NegateForwardMid"), "pointcenter": ("Point", "BeatForward"),
-    "pointhere": ("Here", "BeatPointMid"), "pointleft": ("YouLeft",), "pointright": ("YouRight",),
-    "question": ("Shrug", "BeatFlip"), "stop": ("StopForward", "Stop"), "us": ("We", "BeatMid"), "we": ("We",),
-    "you": ("YouForward", "You"),
-}
+_LEXEMES = table("clips.toml")["borrowed"]
 
 
 def lent(stroke: Stroke, lender: PerformerBody, borrower: PerformerBody, head: bool = False, trunk: bool = False
@@ -90,7 +83,7 @@ def _hand(lender: Skeleton, borrower: Skeleton, side: str, turn: Array) -> Array
 
 def lexemes_of_clip(stem: str) -> tuple[str, ...]:
     """Lexemes of a clip by its file's stem ("pn_bigger_intense2"); () for one that is no stroke ("pn_idle")."""
-    return _LEXEMES.get(stem.removeprefix(LENDER + "_").rstrip("0123456789").removesuffix("_intense"), ())
+    return tuple(_LEXEMES.get(stem.removeprefix(LENDER + "_").rstrip("0123456789").removesuffix("_intense"), ()))
 
 
 def load_borrowed(folder: str | Path) -> tuple[PerformerBody, tuple[Stroke, ...]]:

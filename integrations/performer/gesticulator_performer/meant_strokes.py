@@ -19,28 +19,14 @@ from data_module.types import Motion
 from gesticulator_performer.cues import Cues, MeantClip, read_cues
 from gesticulator_performer.lending import lent
 from gesticulator_performer.repertoire import Repertoire
-from gesticulator_performer.strokes import (
-    PerformerBody,
-    Stroke,
-    StrokeSet,
-    measured_stroke,
-    mirror,
-    standing_body,
-)
+from gesticulator_performer.strokes import PerformerBody, Stroke, StrokeSet, measured_stroke, mirror, standing_body
+from gesticulator_performer.tables import table
 
 FOLDER = "meaning"
-# Whose clips of free motion are made into strokes.
-_PEOPLE = ("rocketbox_f", "rocketbox_m")
+_CLIPS = table("clips.toml")["meanings"]
 # Seconds from the start of such a stroke to its beat, to the end of its hold and to its end, at most: some clap for a
 # quarter of a minute.
 _LONGEST_PREPARATION, _LONGEST_HOLD, _RETRACTION = 1.2, 0.9, 0.7
-# Labels that are lent with the head's motion.
-_HEAD = frozenset({"nod", "head_shake"})
-# Labels in which a hand touches the head or the other hand.
-_FAITHFUL = frozenset({"chin_think", "head_scratch", "clap"})
-# Clips of people who listen for long and whose hands move for another reason; wild clips; a hand on the hip.
-_UNFIT = frozenset({"m_gestic_listen_accept_05", "f_gestic_listen_deny_05", "m_gestic_listen_deny_06", "f_wave_02",
-                    "f_cheer_02", "brad_Idle01_Think01"})
 
 
 def with_meanings(strokes: StrokeSet, source: Path) -> StrokeSet:
@@ -56,7 +42,7 @@ def with_meanings(strokes: StrokeSet, source: Path) -> StrokeSet:
         known = {stroke.meaning for stroke in own if stroke.speaker == performer} | {""}
         # A label that is made of further clips may be the performer's own.
         foreign = [stroke for stroke in own if stroke.speaker != performer]
-        out += [lent(stroke, bodies[stroke.speaker], bodies[performer], stroke.meaning in _HEAD)
+        out += [lent(stroke, bodies[stroke.speaker], bodies[performer], stroke.meaning in _CLIPS["head"])
                 for stroke in (*further, *foreign) if stroke.meaning not in known]
     return replace(strokes, strokes=_playable(out), cues=cues)
 
@@ -73,20 +59,20 @@ def _labelled(stroke: Stroke, cues: Cues) -> Stroke:
     if clip is None:
         return stroke
     if stroke.clip == stroke.base:
-        return replace(stroke, meaning=clip.label, faithful=clip.label in _FAITHFUL)
+        return replace(stroke, meaning=clip.label, faithful=clip.label in _CLIPS["faithful"])
     return replace(stroke, meaning=mirror(replace(stroke, meaning=clip.label)).meaning,
-                   faithful=clip.label in _FAITHFUL)
+                   faithful=clip.label in _CLIPS["faithful"])
 
 
 def _further_clips(source: Path, cues: Cues, strokes: StrokeSet) -> list[tuple[MeantClip, Motion]]:
-    """The clips with phases that are no strokes yet: those of `_PEOPLE`, and those of labels that have none."""
+    """The clips with phases that are no strokes yet: those of the listed people, and those of labels that have none."""
     known = {stroke.base for stroke in strokes.strokes}
     there = {clip.label for clip in cues.clips.values() if clip.stem in known}
     folders = {folder for folder in ("strokes", "free_motion") if (source / folder / "manifest.csv").is_file()}
     out = []
     for clip in cues.clips.values():
-        able = clip.person in _PEOPLE or (clip.label not in there and clip.person in strokes.figures)
-        if clip.phases and able and clip.stem not in known | _UNFIT and Path(clip.file).parts[0] in folders:
+        able = clip.person in _CLIPS["people"] or (clip.label not in there and clip.person in strokes.figures)
+        if clip.phases and able and clip.stem not in known.union(_CLIPS["unfit"]) and Path(clip.file).parts[0] in folders:
             out.append((clip, read_bvh(source / clip.file, unit=1.0)))
     return out
 
@@ -94,7 +80,7 @@ def _further_clips(source: Path, cues: Cues, strokes: StrokeSet) -> list[tuple[M
 def _lenders(clips: Iterable[tuple[MeantClip, Motion]]) -> dict[str, PerformerBody]:
     motions: dict[str, list[Motion]] = defaultdict(list)
     for clip, motion in clips:
-        if clip.person in _PEOPLE:
+        if clip.person in _CLIPS["people"]:
             motions[clip.person].append(motion)
     return {person: standing_body(person, own) for person, own in motions.items()}
 
@@ -112,7 +98,7 @@ def _made(bodies: dict[str, PerformerBody], clip: MeantClip, motion: Motion) -> 
     hold_end = min(stroke.hold_end, stroke.beat + _LONGEST_HOLD)
     stroke = replace(stroke, start=max(stroke.start, stroke.beat - _LONGEST_PREPARATION), hold_end=hold_end,
                      end=min(stroke.end, hold_end + _RETRACTION), meaning=clip.label,
-                     faithful=clip.label in _FAITHFUL, steady=True)
+                     faithful=clip.label in _CLIPS["faithful"], steady=True)
     stroke = _cut(stroke)
     return [stroke, mirror(stroke)]
 

@@ -27,21 +27,14 @@ from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array
-from gesticulator_performer.torso import FPS, TORSO_RADIUS, capsule_depth, facing_positions
+from gesticulator_performer.joints import FPS, TORSO_RADIUS, capsule_depth, facing_positions
+from gesticulator_performer.tables import table
 
 SIDES = ("Left", "Right")
 # Sign of x away from the body.
 _OUT = {"Left": 1.0, "Right": -1.0}
-
-
-SUBJECTS: dict[str, dict[str, float]] = {
-    "cmu_13": {"Left": 28.0, "Right": 26.0}, "cmu_14": {"Left": 28.0, "Right": 27.0},
-    "cmu_18": {"Left": 28.0, "Right": 24.0}, "cmu_19": {"Left": 28.0, "Right": 28.0},
-    "cmu_80": {"Left": 26.0, "Right": 31.0}, "cmu_138": {"Left": 26.0, "Right": 23.0},
-}
-"""Subject of CMU -> side -> degrees by which the plane of the elbow is turned inward: by how much its median forearm
-points farther outward than those of Rocketbox and SmartBody, over arms that hang at rest and arms that gesture.
-Subjects who seldom rest are drawn towards the mean of all. Fitted on all takes (28 November 2026, commit 75833046)."""
+SUBJECTS: dict[str, dict[str, float]] = table("clips.toml")["takes"]["elbows"]
+"""Subject of CMU -> side -> degrees by which the plane of the elbow is turned inward."""
 # Degrees up to which the upper arm may be lifted sideways, and the forearm be turned outward about it, as they were
 # recorded; and degrees that they never reach.
 _LIFT, _OUTWARD = (9.0, 35.0), (-2.0, 27.0)

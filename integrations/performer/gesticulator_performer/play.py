@@ -23,12 +23,10 @@ from data_module.motion.motion_beats import acting_speed, beats_of_speed
 from data_module.types import Array, Motion
 from gesticulator_performer import plan as planning
 from gesticulator_performer.carriage import carriage
-from gesticulator_performer.hands import Levels, Manner, PhraseHands, waiting_levels
-from gesticulator_performer.plan import BRAKE, Casting, Habits, Planned
+from gesticulator_performer.joints import FPS, TORSO_RADIUS, capsule_depth
+from gesticulator_performer.plan import BRAKE, Casting, Habits, Levels, Manner, PhraseHands, Planned, waiting_levels
 from gesticulator_performer.strokes import LEFT, RIGHT, SIDES, PerformerBody, StrokeSet
-from gesticulator_performer.styles import NEUTRAL, StyleTrack
 from gesticulator_performer.takes import MIRROR
-from gesticulator_performer.torso import FPS, TORSO_RADIUS, capsule_depth
 from gesticulator_performer.trunk import (
     Segment,
     idle_arms,
@@ -42,6 +40,7 @@ from gesticulator_performer.trunk import (
     yaw_scale,
 )
 from gesticulator_performer.types import Spoken
+from gesticulator_performer.voices import NEUTRAL, StyleTrack
 
 # Fitting the motion to its plan.
 # Most renderings of both arms that bring the measured beats to the planned ones.

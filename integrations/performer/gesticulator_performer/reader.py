@@ -1,7 +1,7 @@
 """The scripted performer as a data set: real motion combined with speech by rule.
 
 Part A ("motion"): continuous real motion with speech synthesised for it. Part B ("talk"): synthetic speech performed
-with real strokes by independent hands, over a real person's trunk. Part C ("style"): the same in audible styles. Real
+with real strokes by independent hands, over a real person's trunk. Part C ("style"): the same in audible voices. Real
 readings ("reading") are performed as B. Without the folder `free_motion` there are only B and C, over a trunk that
 sways by formula.
 
@@ -34,12 +34,12 @@ from data_module.speech.audio import load_speech
 from data_module.store import Recording, RecordingInfo, Split
 from data_module.text.alignment import alignment
 from gesticulator.directing import meaning_cues
-from gesticulator_performer import play, styles, tables, text, voices
-from gesticulator_performer.hands import STEADY, draw_manner
+from gesticulator_performer import play, tables, text, voices
+from gesticulator_performer.inverse import Pool, make_pool, phrase_texts
 from gesticulator_performer.lending import load_borrowed, with_borrowed
 from gesticulator_performer.meant_strokes import with_meanings, with_repertoire
+from gesticulator_performer.plan import STEADY, draw_manner
 from gesticulator_performer.repertoire import Repertoire, read_repertoire, write_takes
-from gesticulator_performer.sentence_pool import Pool, make_pool, phrase_texts
 from gesticulator_performer.strokes import StrokeSet, load_strokes, read_manifest
 from gesticulator_performer.syllables import find_syllables
 from gesticulator_performer.takes import Library, RealTake, list_takes, load_takes, split_of_takes
@@ -179,14 +179,14 @@ class Performer:
         if item.info.part == "motion":
             return self._speech_for_motion(item)
         rng, sound = self._rng(item.index, _STYLE), self._rng(item.index, _VOICE)
-        style = styles.NEUTRAL
+        style = voices.NEUTRAL
         if item.info.part == "reading":
             spoken = self._reading(item)
         elif item.info.part == "talk":
             spoken = voices.speak(item.content, item.info.voice, sound)
         else:
-            style = styles.draw_style(2.0 * LONGEST, rng)
-            spoken = styles.styled_speech(item.content, item.info.voice, style, sound)
+            style = voices.draw_style(2.0 * LONGEST, rng)
+            spoken = voices.styled_speech(item.content, item.info.voice, style, sound)
         manner = STEADY if item.info.part == "style" else draw_manner(rng)
         staging = play.Staging(manner, self._segments(item.info.split), style)
         played = play.perform(spoken, item.info.speaker, self._strokes, staging, self._rng(item.index, _PLAY),

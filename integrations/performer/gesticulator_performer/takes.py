@@ -27,24 +27,14 @@ from data_module.motion.skeletons import CHARACTER, FINGERED
 from data_module.store import Split
 from data_module.types import Array, Motion
 from gesticulator_performer import mended_arms
-from gesticulator_performer.joints import with_loose_wrists, with_rhythm
+from gesticulator_performer.joints import FPS, facing_positions, torso_depth, with_loose_wrists, with_rhythm
 from gesticulator_performer.strokes import arm_joints
-from gesticulator_performer.tables import read_clips
-from gesticulator_performer.torso import FPS, facing_positions, torso_depth
+from gesticulator_performer.tables import read_clips, table
 
-GROUPS: dict[str, tuple[str, ...]] = {
-    "conversation": ("cmu_18_", "cmu_19_"),
-    "story": ("cmu_138_",),
-    "traffic": ("cmu_13_", "cmu_14_"),
-    "lesson": ("cmu_80_",),
-    "presenter": ("f_gestic_presentation", "m_gestic_presentation", "m_idle_angry", "m_idle_nervous", "f_invite"),
-}
+_CLIPS = table("clips.toml")["takes"]
+GROUPS: dict[str, tuple[str, ...]] = {group: tuple(beginnings) for group, beginnings in _CLIPS["groups"].items()}
 """Activity in a take -> prefixes of its file names."""
-IDLING = ("gestic_listen", "idle_neutral", "idle_breathe", "idle_look_around")
-"""Parts of the file names of takes of people who stand and listen or wait."""
-_HANGING = ("idle_neutral", "idle_breathe")
-# Duplicates of other takes.
-_TWINS = frozenset({"f_gestic_listen_sad_01"})
+_HANGING = tuple(_CLIPS["standing"])
 TEST_SHARE, VALIDATION_SHARE = 0.2, 0.1
 """Shares of the takes of each group."""
 
@@ -151,7 +141,7 @@ def list_takes(folder: str | Path) -> list[tuple[RealTake, Path]]:
     for row in read_clips(folder, {"file", "person", "licence"}):
         stem = Path(row["file"]).stem
         group = group_of(stem)
-        if group and stem not in _TWINS:
+        if group and stem not in _CLIPS["twins"]:
             take = RealTake(stem, row["person"], group, row["licence"], np.zeros((0, len(FINGERED), 3)))
             listed.append((take, Path(folder) / row["file"]))
     if not any(any(part in take.name for part in _HANGING) for take, _ in listed):
@@ -165,7 +155,7 @@ def group_of(stem: str) -> str:
     for group, beginnings in GROUPS.items():
         if stem.startswith(beginnings):
             return group
-    return "idling" if any(part in stem for part in IDLING) else ""
+    return "idling" if any(part in stem for part in (*_CLIPS["listening"], *_HANGING)) else ""
 
 
 def library_of(read: Sequence[tuple[RealTake, Array]]) -> Library:

@@ -16,8 +16,8 @@ from scipy.ndimage import gaussian_filter1d
 
 from data_module.motion.kinematics import minimum_jerk, quintic_offset
 from data_module.types import Array
+from gesticulator_performer.joints import FPS
 from gesticulator_performer.takes import ARM_SIDES, GROUPS, HIPS, MIRROR, SKULL, SPINE, Library, soft_limit
-from gesticulator_performer.torso import FPS
 from gesticulator_performer.types import Spoken, Syllable
 
 _PARTS = (HIPS, SPINE, SKULL)

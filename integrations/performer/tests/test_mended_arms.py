@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gesticulator_performer import mended_arms, takes
+from gesticulator_performer.joints import FPS, facing_positions, torso_depth
 from gesticulator_performer.takes import MotionRange
-from gesticulator_performer.torso import FPS, facing_positions, torso_depth
 from test_takes import hanging
 
 from data_module.motion import rotation
