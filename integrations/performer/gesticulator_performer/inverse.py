@@ -20,10 +20,9 @@ from data_module.types import Array, Samples, Speech, Word
 from gesticulator_performer import meaning, text, voices
 from gesticulator_performer.joints import FPS
 from gesticulator_performer.sound import RATE, Sounded, decibels, recorded, with_tilt
-from gesticulator_performer.syllables import Nucleus, listen
+from gesticulator_performer.syllables import Nucleus, Phrase, Spoken, listen
 from gesticulator_performer.takes import WRISTS, arms_speed
 from gesticulator_performer.text import Part
-from gesticulator_performer.types import Phrase, Spoken
 
 _LEAST_LETTERS, _LONGEST_LETTERS = 6, 70
 # Probability that a phrase is joined with the next of its sentence, because motion has phrases of up to 6 s.

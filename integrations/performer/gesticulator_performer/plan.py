@@ -15,7 +15,7 @@ from data_module.types import Array
 from gesticulator_performer import meaning
 from gesticulator_performer.cues import Asked
 from gesticulator_performer.strokes import LEFT, RIGHT, Stroke, StrokeSet
-from gesticulator_performer.types import Phrase, Spoken, Syllable
+from gesticulator_performer.syllables import Phrase, Spoken, Syllable
 from gesticulator_performer.voices import NEUTRAL, StyleTrack
 
 HANG, LOW, STAY = "hang", "low", "stay"

@@ -22,13 +22,14 @@ from data_module.motion.kinematics import minimum_jerk, quintic_offset
 from data_module.motion.motion_beats import acting_speed, beats_of_speed
 from data_module.types import Array, Motion
 from gesticulator_performer import plan as planning
-from gesticulator_performer.carriage import carriage
 from gesticulator_performer.joints import FPS, TORSO_RADIUS, capsule_depth
 from gesticulator_performer.plan import BRAKE, Casting, Habits, Levels, Manner, PhraseHands, Planned, waiting_levels
 from gesticulator_performer.strokes import LEFT, RIGHT, SIDES, PerformerBody, StrokeSet
+from gesticulator_performer.syllables import Spoken
 from gesticulator_performer.takes import MIRROR
 from gesticulator_performer.trunk import (
     Segment,
+    carriage,
     idle_arms,
     living_fingers,
     pitch_accents,
@@ -39,7 +40,6 @@ from gesticulator_performer.trunk import (
     with_activity,
     yaw_scale,
 )
-from gesticulator_performer.types import Spoken
 from gesticulator_performer.voices import NEUTRAL, StyleTrack
 
 # Fitting the motion to its plan.

@@ -36,16 +36,14 @@ from data_module.text.alignment import alignment
 from gesticulator.directing import meaning_cues
 from gesticulator_performer import play, tables, text, voices
 from gesticulator_performer.inverse import Pool, make_pool, phrase_texts
-from gesticulator_performer.lending import load_borrowed, with_borrowed
-from gesticulator_performer.meant_strokes import with_meanings, with_repertoire
+from gesticulator_performer.meant_strokes import load_borrowed, with_borrowed, with_meanings, with_repertoire
 from gesticulator_performer.plan import STEADY, draw_manner
 from gesticulator_performer.repertoire import Repertoire, read_repertoire, write_takes
 from gesticulator_performer.strokes import StrokeSet, load_strokes, read_manifest
-from gesticulator_performer.syllables import find_syllables
+from gesticulator_performer.syllables import Spoken, find_syllables
 from gesticulator_performer.takes import Library, RealTake, list_takes, load_takes, split_of_takes
 from gesticulator_performer.talks import talk_for_motion
 from gesticulator_performer.trunk import Segment, trunk_segments
-from gesticulator_performer.types import Spoken
 
 SHARES = {"motion": 0.36, "talk": 0.46, "style": 0.18}
 """Shares of the hours of synthetic speech. Part A has 10 minutes of real motion, so more of it would be repetition."""

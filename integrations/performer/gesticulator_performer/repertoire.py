@@ -27,10 +27,9 @@ from gesticulator.directing.named_gestures import GestureDraw, drawn_gesture, la
 from gesticulator.plan.gestures import REPERTOIRE, NamedGesture
 from gesticulator.plan.plan import GestureCue
 from gesticulator_performer import strokes as performed
-from gesticulator_performer.lending import lent
-from gesticulator_performer.strokes import PerformerBody, Stroke, logs_against, mirror
+from gesticulator_performer.meant_strokes import lent
+from gesticulator_performer.strokes import SCRIPTED, PerformerBody, Stroke, logs_against, mirror
 from gesticulator_performer.tables import complete_rows
-from gesticulator_performer.types import SCRIPTED
 
 ENOUGH = 3
 """Captured strokes of a label, mirror images apart, from which on its scripted takes are not played."""

@@ -28,6 +28,8 @@ from gesticulator_performer.tables import read_clips, table
 if TYPE_CHECKING:
     from gesticulator_performer.repertoire import Repertoire
 
+SCRIPTED = "script_"
+"""Beginning of the name of a clip that was drawn from a script; all others were captured from people."""
 LEFT, RIGHT = 0, 1
 SIDES = ("Left", "Right")
 ACTING_SIDES: dict[str, tuple[int, ...]] = {"left": (LEFT,), "right": (RIGHT,), "both": (LEFT, RIGHT), "none": ()}
@@ -264,8 +266,6 @@ def home_pose(strokes: Iterable[Stroke], share: float = 0.9) -> Array:
         times = np.linspace(stroke.beat, stroke.hold_end, 5)
         for side in stroke.sides:
             holds[side].append(stroke.arm_at(side, times).mean(axis=0))
-    if not holds[LEFT] or not holds[RIGHT]:
-        raise ValueError("no stroke of one of the arms")
     joints = stroke.arms.shape[2]
     return share * np.stack([np.mean(holds[side], axis=0).reshape(joints, 3) for side in (LEFT, RIGHT)])
 
@@ -314,18 +314,22 @@ def speaker_strokes(folder: Path, speaker: str, rows: list[dict[str, str]]) -> t
         if not motion.skeleton.same_joints(skeleton):
             raise InputError(folder / row["file"], f"has other joints than {rows[0]['file']}",
                              "take the clips that came with the manifest")
-    try:
-        if speaker in _CLIPS["outward"]:
-            motions = [replace(motion, rotations=_turned_in(skeleton, motion.rotations, _CLIPS["outward"][speaker]))
-                       for motion in motions]
-        if speaker in _CLIPS["rigid"]:
-            motions = [replace(motion, rotations=with_rhythm(skeleton, motion.rotations, motion.fps, _CLIPS["rigid"][speaker]))
-                       for motion in motions]
-        return _figure_and_strokes(speaker, rows, motions)
-    except (KeyError, ValueError) as error:
-        raise InputError(folder / rows[0]["file"],
-                         f"and the other clips of {shown(speaker)} make no performer ({error})",
-                         "take the clips that came with the manifest") from None
+    if speaker in _CLIPS["outward"]:
+        motions = [replace(motion, rotations=_turned_in(skeleton, motion.rotations, _CLIPS["outward"][speaker]))
+                   for motion in motions]
+    if speaker in _CLIPS["rigid"]:
+        share = _CLIPS["rigid"][speaker]
+        motions = [replace(motion, rotations=with_rhythm(skeleton, motion.rotations, motion.fps, share))
+                   for motion in motions]
+    standing = [m for m, row in zip(motions, rows, strict=True) if row["posture"] == _CLIPS["posture"].get(speaker, "")]
+    figure = standing_body(speaker, standing or motions)
+    measured = [measured_stroke(figure, row, motion.rotations, motion.fps)
+                for row, motion in zip(rows, motions, strict=True)]
+    strokes = [one for stroke in measured if stroke is not None for one in (stroke, mirror(stroke))]
+    if {side for stroke in strokes for side in stroke.sides} != {LEFT, RIGHT}:
+        raise InputError(folder / rows[0]["file"], f"and the other clips of {shown(speaker)} move one arm alone",
+                         "take the clips that came with the manifest")
+    return replace(figure, home=home_pose(strokes)), strokes
 
 
 def _turned_in(skeleton: Skeleton, rotations: Array, degrees: float) -> Array:
@@ -337,18 +341,6 @@ def _turned_in(skeleton: Skeleton, rotations: Array, degrees: float) -> Array:
         joint = skeleton.index(side + "Arm")
         out[:, joint] = rotation.multiply(out[:, joint], turn)
     return out
-
-
-def _figure_and_strokes(speaker: str, rows: list[dict[str, str]], motions: Sequence[Motion]
-                        ) -> tuple[PerformerBody, list[Stroke]]:
-    standing = [m for m, row in zip(motions, rows, strict=True) if row["posture"] == _CLIPS["posture"].get(speaker, "")]
-    figure = standing_body(speaker, standing or motions)
-    strokes = []
-    for row, motion in zip(rows, motions, strict=True):
-        stroke = measured_stroke(figure, row, motion.rotations, motion.fps)
-        if stroke is not None:
-            strokes += [stroke, mirror(stroke)]
-    return replace(figure, home=home_pose(strokes)), strokes
 
 
 def standing_body(speaker: str, motions: Sequence[Motion]) -> PerformerBody:

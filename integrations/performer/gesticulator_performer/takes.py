@@ -26,7 +26,7 @@ from data_module.motion.relaxed_hands import with_relaxed_hands
 from data_module.motion.skeletons import CHARACTER, FINGERED
 from data_module.store import Split
 from data_module.types import Array, Motion
-from gesticulator_performer import mended_arms
+from gesticulator_performer import joints as anatomy
 from gesticulator_performer.joints import FPS, facing_positions, torso_depth, with_loose_wrists, with_rhythm
 from gesticulator_performer.strokes import arm_joints
 from gesticulator_performer.tables import read_clips, table
@@ -183,8 +183,8 @@ def on_character(file: Path) -> Motion:
 
 def _read(take: RealTake, file: Path) -> tuple[RealTake, Array]:
     motion = on_character(file)
-    if mended_arms.subject_of(take.name):
-        motion = replace(motion, rotations=with_loose_wrists(mended_arms.mended(take.name, motion.rotations)))
+    if anatomy.subject_of(take.name):
+        motion = replace(motion, rotations=with_loose_wrists(anatomy.mended(take.name, motion.rotations)))
     motion = with_relaxed_hands(motion)
     rotations = rotation.continuous(rotation.normalise(motion.rotations))
     yaw = rotation.continuous(rotation.yaw_of(rotations[:, 0])[:, None])[:, 0]
@@ -281,15 +281,15 @@ def _chest_travel(library: Library, logs: Array) -> float:
 def stretches(library: Library, take: RealTake, limits: MotionRange) -> list[Array]:
     """The usable stretches [T, 46, 3] of a take: hands in range and outside the torso, without long idling."""
     for gain in _GAINS:
-        rotations = mended_arms.narrowed(library.rotations(calmed(library, take, gain, limits.trunk)))
-        places, wide = facing_positions(rotations), mended_arms.wide(rotations)
+        rotations = anatomy.narrowed(library.rotations(calmed(library, take, gain, limits.trunk)))
+        places, wide = facing_positions(rotations), anatomy.wide(rotations)
         high = places[:, list(WRISTS), 1].max(axis=1)
         if np.percentile(high, _HIGH_PERCENTILE) <= limits.height and wide.mean() <= _WIDE_SHARE:
             break
     bad = (high > limits.height + _TOO_HIGH) | (torso_depth(places) > _GRAZE) | idling(places) | hanging(places)
     bad |= gaussian_filter1d(wide.astype(float), 0.5 * FPS) > _WIDE_STAY
     bad = gaussian_filter1d(bad.astype(float), 0.1 * FPS) > 0.35
-    share = _RHYTHM[bool(mended_arms.subject_of(take.name))]
+    share = _RHYTHM[bool(anatomy.subject_of(take.name))]
     logs = library.logs(with_rhythm(FINGERED if rotations.shape[1] > len(CHARACTER) else CHARACTER, rotations, FPS,
                                     share))
     return [logs[a:b] for a, b in runs(~bad) if b - a >= _LEAST_STRETCH * FPS]

@@ -16,6 +16,7 @@ from data_module.types import Array, Motion
 from gesticulator_performer import inverse
 from gesticulator_performer.inverse import Pool
 from gesticulator_performer.joints import FPS, facing_positions
+from gesticulator_performer.syllables import Spoken
 from gesticulator_performer.takes import (
     ARM_SIDES,
     HIPS,
@@ -29,7 +30,6 @@ from gesticulator_performer.takes import (
     stretches,
 )
 from gesticulator_performer.trunk import calm, pitch_accents, postures, sway, yaw_scale
-from gesticulator_performer.types import Spoken
 
 # Seconds: a difference in velocity costs as much as the difference in pose that it makes in this time.
 _VELOCITY = 0.12

@@ -17,10 +17,9 @@ from scipy.signal import butter, lfilter
 from data_module.types import Array, Samples, Speech, Word
 from gesticulator_performer import espeak, flite
 from gesticulator_performer.sound import RATE, Phone, Sounded, decibels, read_at, recorded, with_tilt, word_spans
-from gesticulator_performer.syllables import Nucleus, listen, pitch_track
+from gesticulator_performer.syllables import Nucleus, Phrase, Spoken, listen, pitch_track
 from gesticulator_performer.tables import table
 from gesticulator_performer.text import Part, Utterance
-from gesticulator_performer.types import Phrase, Spoken
 
 # At effort 1: decibels louder, log factors on rate and pitch range, semitones higher. At -1 the reverse.
 LOUDER, FASTER, WIDER, HIGHER = 9.0, 0.10, 0.55, 1.5

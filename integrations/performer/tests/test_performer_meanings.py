@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gesticulator_performer.cues import Cues, mirrored, plain, read_cues
-from gesticulator_performer.lending import lent
+from gesticulator_performer.meant_strokes import lent
 from gesticulator_performer.plan import HABITS
 from gesticulator_performer.strokes import PerformerBody, Stroke, StrokeSet, mirror
 from gesticulator_performer.text import Utterance, compose

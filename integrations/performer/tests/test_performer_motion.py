@@ -11,7 +11,7 @@ from gesticulator_performer.joints import FPS
 from gesticulator_performer.plan import Manner
 from gesticulator_performer.play import Played
 from gesticulator_performer.strokes import LEFT, RIGHT, StrokeSet, held_out_keys, load_strokes
-from gesticulator_performer.types import Phrase, Spoken, Syllable
+from gesticulator_performer.syllables import Phrase, Spoken, Syllable
 from procedural import PERFORMER, planned, procedural_strokes, said
 from procedural import played as perform_by
 

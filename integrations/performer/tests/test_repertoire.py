@@ -11,8 +11,7 @@ import pytest
 from gesticulator_performer import text
 from gesticulator_performer.cues import Cues
 from gesticulator_performer.repertoire import Repertoire, read_repertoire, write_takes
-from gesticulator_performer.strokes import StrokeSet, standing_body
-from gesticulator_performer.types import SCRIPTED
+from gesticulator_performer.strokes import SCRIPTED, StrokeSet, standing_body
 from procedural import PERFORMER, planned, played, procedural_strokes, said
 
 from data_module.errors import InputError
