@@ -65,22 +65,13 @@ class Cues:
     labels with their chances; clips: by file stem; wanted: all labels.
 
     detected: whether the detector of the product (`gesticulator.directing.meaning_cues`) calls for the labels that it
-    knows: it reads phrases with their guards, and does not fire on idioms, homonyms and negations. Then two gestures
-    with a meaning are at least `apart` seconds apart, and a label does not come again within `again` seconds.
+    knows: it reads phrases with their guards, and does not fire on idioms, homonyms and negations.
     """
 
     phrases: Mapping[str, Mapping[tuple[str, ...], Mapping[str, float]]]
     clips: Mapping[str, MeantClip]
     wanted: frozenset[str] = frozenset()
     detected: bool = False
-
-    @property
-    def apart(self) -> float:
-        return 3.0 if self.detected else 0.0
-
-    @property
-    def again(self) -> float:
-        return 20.0 if self.detected else 0.0
 
     @property
     def labels(self) -> tuple[str, ...]:

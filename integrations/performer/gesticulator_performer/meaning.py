@@ -5,9 +5,9 @@ The names are those of `data/strokes`; a performer without a stroke takes the ne
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
+from gesticulator_performer.cues import plain
 from gesticulator_performer.tables import table
 
 LOW, MID, HIGH = "low", "mid", "high"
@@ -27,11 +27,6 @@ _COMMON = frozenset(_TABLE["common"]["words"].split())
 _PHRASES = {tuple(phrase.split()): _STROKES[name] for phrase, name in _TABLE["phrases"].items()}
 _LOOKUP = {word: _STROKES[name] for name, group in _TABLE["lexemes"].items() for word in group["words"].split()}
 _LONGEST = max(map(len, _PHRASES))
-
-
-def plain(word: str) -> str:
-    """A word in the spelling of the tables: lower case, one kind of apostrophe, no punctuation."""
-    return re.sub(r"[^a-z']", "", word.lower().replace("\u2019", "'")).strip("'")
 
 
 def lexemes_of(words: Sequence[str], index: int) -> tuple[tuple[str, ...], float]:

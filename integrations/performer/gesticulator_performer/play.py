@@ -22,15 +22,14 @@ from data_module.motion.kinematics import minimum_jerk, quintic_offset
 from data_module.motion.motion_beats import acting_speed, beats_of_speed
 from data_module.types import Array, Motion
 from gesticulator_performer import plan as planning
-from gesticulator_performer.carriage import carriage
-from gesticulator_performer.hands import Levels, Manner, PhraseHands, waiting_levels
-from gesticulator_performer.plan import BRAKE, Casting, Habits, Planned
+from gesticulator_performer.joints import FPS, TORSO_RADIUS, capsule_depth
+from gesticulator_performer.plan import BRAKE, Casting, Habits, Levels, Manner, PhraseHands, Planned, waiting_levels
 from gesticulator_performer.strokes import LEFT, RIGHT, SIDES, PerformerBody, StrokeSet
-from gesticulator_performer.styles import NEUTRAL, StyleTrack
+from gesticulator_performer.syllables import Spoken
 from gesticulator_performer.takes import MIRROR
-from gesticulator_performer.torso import FPS, TORSO_RADIUS, capsule_depth
 from gesticulator_performer.trunk import (
     Segment,
+    carriage,
     idle_arms,
     living_fingers,
     pitch_accents,
@@ -41,7 +40,7 @@ from gesticulator_performer.trunk import (
     with_activity,
     yaw_scale,
 )
-from gesticulator_performer.types import Spoken
+from gesticulator_performer.voices import NEUTRAL, StyleTrack
 
 # Fitting the motion to its plan.
 # Most renderings of both arms that bring the measured beats to the planned ones.
@@ -196,7 +195,7 @@ def perform(spoken: Spoken, performer: str, strokes: StrokeSet, staging: Staging
     """Perform `spoken` with the body and the strokes of `performer`: 60 fps on the performer's skeleton.
 
     The hands act independently, and the trunk is a real person's. The result depends on the arguments and the state of
-    `rng` alone. Held-out strokes are played in the split "test" only. InputError for an unknown performer.
+    `rng` alone. Held-out strokes are played in the split "test" only.
     """
     casting = planning.cast(spoken, performer, staging.manner, staging.style, rng)
     planned = planning.plan(spoken, performer, strokes, casting, rng, split)

@@ -1,4 +1,4 @@
-"""Talks of a real person's motion with speech synthesised for it."""
+"""Talks of a real person's motion, joined where pose and velocity agree best, with speech synthesised for it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from data_module.motion import rotation
-from data_module.motion.kinematics import minimum_jerk
-from data_module.motion.skeletons import CHARACTERS, FINGERED, HIP_HEIGHT
+from data_module.motion.kinematics import minimum_jerk, quintic_offset
+from data_module.motion.skeletons import CHARACTER, CHARACTERS, FINGERED, HIP_HEIGHT
 from data_module.types import Array, Motion
 from gesticulator_performer import inverse
-from gesticulator_performer.chaining import Chain, chain, seam_ratio
-from gesticulator_performer.sentence_pool import Pool
+from gesticulator_performer.inverse import Pool
+from gesticulator_performer.joints import FPS, facing_positions
+from gesticulator_performer.syllables import Spoken
 from gesticulator_performer.takes import (
     ARM_SIDES,
     HIPS,
@@ -28,10 +29,25 @@ from gesticulator_performer.takes import (
     mirrored,
     stretches,
 )
-from gesticulator_performer.torso import FPS, facing_positions
 from gesticulator_performer.trunk import calm, pitch_accents, postures, sway, yaw_scale
-from gesticulator_performer.types import Spoken
 
+# Seconds: a difference in velocity costs as much as the difference in pose that it makes in this time.
+_VELOCITY = 0.12
+# Frames between the candidate places at which a stretch may be left or entered.
+_STEP = 3
+# A stretch is left in the last 35 % and entered in the first 40 % of its length.
+_LEAVE, _ENTER = 0.35, 0.4
+# Least seconds of a stretch that are played.
+_LEAST = 2.0
+# The next stretch is drawn at random from this many with the lowest cost.
+_BEST = 3
+# Seconds over which the offset at a seam fades, for close poses and for distant ones.
+_FADE, _LONGEST_FADE = 0.45, 0.9
+# Square root of the cost at which the longest fade is used (weighted radians).
+_FAR = 3.0
+# Weights of the joints in the cost of a seam.
+_WEIGHTS = np.array([{"Hips": 0.7, "LeftArm": 2.0, "RightArm": 2.0, "LeftForeArm": 1.5, "RightForeArm": 1.5,
+                      "LeftHand": 0.3, "RightHand": 0.3}.get(name, 1.0) for name in CHARACTER.names])
 # Ranges drawn per talk: the highest position of the hands (metres over the hips), the gain of the trunk, and the factor
 # by which the motion is slowed down.
 _HEIGHTS, _TRUNKS, _SLOWER = (0.40, 0.66), (0.9, 1.3), (1.0, 1.3)
@@ -53,10 +69,6 @@ _DIP_RISE, _DIP_FALL, _DIP_LATE = 0.24, 0.4, 0.03
 _HOLD_SHARE, _HOLD_SECONDS, _HOLD_OF = 0.3, (0.5, 0.9), 0.24
 # Seconds between such moments at least; the speed below which a hand may be held, m/s; metres over the hips.
 _HOLDS_APART, _HELD_FROM, _RAISED = 0.9, 0.45, 0.06
-ENERGY = inverse.Energy(0.41, 0.66)
-"""Mean and spread of the mean log speed (`inverse.log_speed`) of the stretches of all takes, as measured; 0.2 is added
-to the spread so that the variation within a talk counts more."""
-
 # Point near the chest that a hand moves to for "me", metres from the hips.
 _HEART = np.array([0.0, 0.38, 0.12])
 # Least height over the hips, metres, of a hand that counts as raised.
@@ -64,17 +76,95 @@ _GESTURING = 0.05
 
 
 @dataclass(frozen=True)
-class MadeTalk:
-    """Motion with speech synthesised for it. takes: names of those used."""
+class Chain:
+    """A talk made of stretches. logs: [T, J, 3]; edges: [K + 1] seconds at which stretches begin, and the end;
+    used: [K] indices of the stretches."""
 
-    motion: Motion
-    spoken: Spoken
-    takes: tuple[str, ...]
+    logs: Array
+    edges: Array
+    used: tuple[int, ...]
+
+
+def chain(stretches: Sequence[Array], seconds: float, rng: np.random.Generator, recent: int = 6) -> Chain:
+    """Join stretches [T, J, 3] at 60 fps until `seconds` are filled, without repeating any of the last `recent`. Each
+    seam is at the two places where pose and velocity are nearest; the remaining offset fades by a quintic. ValueError
+    with fewer than two stretches."""
+    if len(stretches) < 2:
+        raise ValueError("a chain needs two stretches at least")
+    recent = min(recent, len(stretches) - 1)
+    features = [_features(logs) for logs in stretches]
+    now, start = int(rng.integers(len(stretches))), 3
+    out = np.zeros((0, *stretches[0].shape[1:]))
+    used, edges, fade = [now], [0.0], 0.0
+    while True:
+        leave, following, enter, cost = _next(stretches, features, used[-recent:], now, start, rng)
+        out = _joined(out, stretches[now], start, leave, fade)
+        if len(out) >= seconds * FPS:
+            break
+        edges.append(len(out) / FPS)
+        used.append(following)
+        now, start = following, enter
+        fade = _FADE + (_LONGEST_FADE - _FADE) * min(1.0, float(np.sqrt(cost)) / _FAR)
+    frames = round(seconds * FPS)
+    return Chain(out[:frames], np.array([*edges, frames / FPS]), tuple(used))
+
+
+def _features(logs: Array) -> Array:
+    """[T, 96] weighted poses and velocities, fingers left out; the cost of a seam is the squared distance of two rows.
+    """
+    logs = logs[:, :len(_WEIGHTS)]
+    velocity = np.gradient(logs, 1.0 / FPS, axis=0) * _VELOCITY
+    both = np.concatenate([logs * _WEIGHTS[:, None], velocity * _WEIGHTS[:, None]], axis=1)
+    return both.reshape(len(logs), -1)
+
+
+def _next(stretches: Sequence[Array], features: Sequence[Array], recent: Sequence[int], now: int, start: int,
+          rng: np.random.Generator) -> tuple[int, int, int, float]:
+    """(frame at which to leave `now`, next stretch, frame at which to enter it, cost of the seam)."""
+    length = len(stretches[now])
+    first = min(max(start + round(_LEAST * FPS), round(length * (1.0 - _LEAVE))), length - 2)
+    ends = np.arange(first, length - 1, _STEP)
+    options: list[tuple[float, int, int, int]] = []
+    for k, logs in enumerate(stretches):
+        if k in recent:
+            continue
+        last = max(4, min(round(len(logs) * _ENTER), len(logs) - round(_LEAST * FPS) - 10))
+        starts = np.arange(3, last, _STEP)
+        gap = features[now][ends][:, None] - features[k][starts][None]
+        cost = np.einsum("ijk,ijk->ij", gap, gap)
+        a, b = np.unravel_index(int(cost.argmin()), cost.shape)
+        options.append((float(cost[a, b]), k, int(ends[a]), int(starts[b])))
+    options.sort()
+    cost_of, k, leave, enter = options[int(rng.integers(min(_BEST, len(options))))]
+    return leave, k, enter, cost_of
+
+
+def _joined(out: Array, logs: Array, start: int, leave: int, fade: float) -> Array:
+    piece = logs[start:leave + 1].copy()
+    if len(out) >= 3:
+        times = np.arange(len(piece)) / FPS
+        offset = quintic_offset(out[-3:].reshape(3, -1), logs[start - 3:start].reshape(3, -1), times, fade, FPS)
+        piece += offset.reshape(piece.shape)
+    return np.concatenate([out, piece])
+
+
+def seam_ratio(hands: Array, edges: Array) -> float:
+    """Mean acceleration of the faster hand within two frames of the inner edges (seconds), divided by that elsewhere.
+    hands: [T, 2, 3] metres at 60 fps. 1 without an inner edge."""
+    acceleration = np.linalg.norm(np.diff(hands, 2, axis=0), axis=-1).max(axis=1)
+    at = np.round(edges[1:-1] * FPS).astype(int)
+    at = at[(at > 2) & (at < len(acceleration) - 3)]
+    near = np.zeros(len(acceleration), dtype=bool)
+    near[(at[:, None] + np.arange(-2, 2)).ravel()] = True
+    if not near.any() or near.all():
+        return 1.0
+    return float(acceleration[near].mean() / max(acceleration[~near].mean(), 1e-9))
 
 
 def talk_for_motion(group: str, seconds: float, library: Library, takes: Sequence[RealTake], pool: Pool,
-                    rng: np.random.Generator) -> MadeTalk:
-    """A talk from the given takes alone, with speech for it from `pool`. group: its manner, a key of `takes.GROUPS`."""
+                    rng: np.random.Generator) -> tuple[Motion, Spoken, tuple[str, ...]]:
+    """A talk from the given takes alone, with speech for it from `pool`, and the names of the takes used. group: its
+    manner, a key of `takes.GROUPS`."""
     limits = MotionRange(float(rng.uniform(*_HEIGHTS)), float(rng.uniform(*_TRUNKS)))
     slower = 1.0 if group == _SLOW_GROUP else float(rng.uniform(*_SLOWER))
     named = _named_stretches(library, takes, group, limits, rng)
@@ -84,7 +174,7 @@ def talk_for_motion(group: str, seconds: float, library: Library, takes: Sequenc
         turned = bool(rng.random() < 0.5) if mixed else flip
         pieces.append(_slowed(_one_handed(library, mirrored(logs) if turned else logs, rng), slower))
     joined, places = _smoothest(library, pieces, seconds, rng)
-    spoken = inverse.speech_for(places, pool, ENERGY, features_of(places), rng)
+    spoken = inverse.speech_for(places, pool, features_of(places), rng)
     logs = with_life(joined.logs, spoken, rng)
     rotations = library.rotations(logs)
     root = np.tile([0.0, HIP_HEIGHT, 0.0], (len(rotations), 1))
@@ -92,7 +182,7 @@ def talk_for_motion(group: str, seconds: float, library: Library, takes: Sequenc
     lacking = {joint for take in takes if take.name in used for joint in take.filled}
     motion = Motion(CHARACTERS[rotations.shape[1]], rotations, root, FPS,
                     filled=tuple(joint for joint in FINGERED.names if joint in lacking))
-    return MadeTalk(motion, spoken, used)
+    return motion, spoken, used
 
 
 def features_of(places: Array) -> Array:

@@ -5,63 +5,55 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from gesticulator_performer import inverse
-from gesticulator_performer.inverse import Candidates, Energy, Wanted, Window, assign, phrase_windows
-from gesticulator_performer.sentence_pool import NO_VOWEL, Pool, make_pool, phrase_texts
+from gesticulator_performer.inverse import (
+    NO_VOWEL,
+    Candidates,
+    Wanted,
+    Window,
+    assign,
+    make_pool,
+    phrase_texts,
+    phrase_windows,
+)
+from gesticulator_performer.joints import FPS, facing_positions
 from gesticulator_performer.sound import RATE
 from gesticulator_performer.takes import arms_speed
 from gesticulator_performer.talks import features_of
-from gesticulator_performer.torso import FPS, facing_positions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_takes import library, moving
 
 from data_module.motion.motion_beats import beats_of_speed
-from data_module.types import Array
-
-
-def _bursts(spans: list[tuple[float, float]], seconds: float) -> Array:
-    """[T] speed of arms that move at about 1 m/s, a stroke each 0.4 s, in the spans and rest elsewhere."""
-    time = np.arange(round(seconds * FPS)) / FPS
-    speed = np.full(len(time), 0.02)
-    for a, b in spans:
-        inside = (time >= a) & (time < b)
-        speed[inside] += 1.0 + 0.5 * np.cos(2 * np.pi * (time[inside] - a) / 0.4)
-    return speed
 
 
 def test_phrases_of_motion_are_what_lies_between_its_rests(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inverse, "_MOVED_SHARE", 0.0)
     spans = [(0.6, 3.0), (3.8, 6.4), (7.4, 9.6), (10.3, 13.4)]
-    windows = phrase_windows(_bursts(spans, 14.0), np.random.default_rng(0))
+    # Arms that move at about 1 m/s, a stroke each 0.4 s, in the spans and rest elsewhere.
+    time = np.arange(round(14.0 * FPS)) / FPS
+    speed = np.full(len(time), 0.02)
+    for a, b in spans:
+        inside = (time >= a) & (time < b)
+        speed[inside] += 1.0 + 0.5 * np.cos(2 * np.pi * (time[inside] - a) / 0.4)
+    windows = phrase_windows(speed, np.random.default_rng(0))
     assert len(windows) == len(spans)
     for window, (a, b) in zip(windows, spans, strict=True):
         assert abs(window.start - a) < 0.3 and abs(window.end - b) < 0.3
 
 
-def _one(vowels: list[float], prominence: list[float], duration: float) -> Candidates:
-    return Candidates(np.array([7]), np.array([duration]), np.array([vowels]), np.array([prominence]))
-
-
-def _plain(candidates: Candidates, wanted: Wanted) -> Array:
-    return np.ones((*candidates.vowels.shape, len(wanted.beats)))
-
-
-def _wanted(start: float, end: float, beats: list[float]) -> Wanted:
-    return Wanted(Window(start, end), np.array(beats), np.ones(len(beats)), np.zeros((len(beats), 7)))
-
-
-def test_beats_that_fit_are_all_met_at_the_voices_own_rate() -> None:
-    candidates = _one([0.2, 0.7, 1.2, 1.7], [1.0, 1.0, 1.0, 1.0], 2.0)
-    wanted = _wanted(5.0, 7.0, [5.2, 5.7, 6.2, 6.7])
-    match = assign(candidates, wanted, _plain(candidates, wanted))
-    assert match is not None and match.phrase == 7 and match.beats == 4
-    assert match.anchors[:, 1] - match.anchors[:, 0] == pytest.approx(5.0, abs=1e-9)
-
-
-def test_a_phrase_that_cannot_end_in_its_window_is_refused() -> None:
-    candidates = _one([0.2], [1.0], 3.0)
-    wanted = _wanted(5.0, 6.0, [5.2])
-    assert assign(candidates, wanted, _plain(candidates, wanted)) is None
+@pytest.mark.parametrize(("vowels", "duration", "window", "beats"), [
+    ([0.2, 0.7, 1.2, 1.7], 2.0, (5.0, 7.0), [5.2, 5.7, 6.2, 6.7]), ([0.2], 3.0, (5.0, 6.0), [5.2])])
+def test_beats_are_met_at_the_voices_own_rate_and_what_is_too_long_is_refused(
+        vowels: list[float], duration: float, window: tuple[float, float], beats: list[float]) -> None:
+    count = len(vowels)
+    phrase = Candidates(np.array([7]), np.array([duration]), np.array([vowels]), np.ones((1, count)))
+    wanted = Wanted(Window(*window), np.array(beats), np.ones(count), np.zeros((count, 7)))
+    match = assign(phrase, wanted, np.ones((1, count, count)))
+    if duration > 2.0:
+        assert match is None
+    else:
+        assert match is not None and match.phrase == 7 and match.beats == 4
+        assert match.anchors[:, 1] - match.anchors[:, 0] == pytest.approx(5.0, abs=1e-9)
 
 
 @settings(max_examples=40, deadline=None)
@@ -88,13 +80,8 @@ def test_every_assignment_is_monotone_and_in_bounds(seed: int) -> None:
     assert len(inner) == match.beats
 
 
-@pytest.fixture(scope="module")
-def pool() -> Pool:
-    texts = phrase_texts(np.random.default_rng(5), 220, "train", set())
-    return make_pool("rms", texts)
-
-
-def test_speech_for_motion_stresses_its_beats_and_pauses_in_its_rests(pool: Pool) -> None:
+def test_speech_for_motion_stresses_its_beats_and_pauses_in_its_rests() -> None:
+    pool = make_pool("rms", phrase_texts(np.random.default_rng(5), 220, "train", set()))
     lib = library(1)
     logs = moving(40.0, 11)
     # Rests: the arms slow down to nothing every four seconds.
@@ -103,7 +90,7 @@ def test_speech_for_motion_stresses_its_beats_and_pauses_in_its_rests(pool: Pool
     at = clock / clock[-1] * (len(logs) - 1)
     logs = np.stack([np.interp(at, np.arange(len(logs)), column) for column in logs.reshape(len(logs), -1).T], axis=-1)
     places = facing_positions(lib.rotations(logs.reshape(-1, 16, 3)))
-    made, again = (inverse.speech_for(places, pool, Energy(0.4, 0.6), features_of(places),
+    made, again = (inverse.speech_for(places, pool, features_of(places),
                                       np.random.default_rng(3)) for _ in range(2))
     assert np.array_equal(made.speech.samples, again.speech.samples)
     assert len(made.speech.samples) == round(len(places) / FPS * RATE)

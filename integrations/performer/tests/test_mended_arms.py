@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gesticulator_performer import mended_arms, takes
+from gesticulator_performer import joints, takes
+from gesticulator_performer.joints import FPS, facing_positions, torso_depth
 from gesticulator_performer.takes import MotionRange
-from gesticulator_performer.torso import FPS, facing_positions, torso_depth
 from test_takes import hanging
 
 from data_module.motion import rotation
@@ -26,14 +26,14 @@ def test_a_hand_in_the_trunk_comes_out_of_it_and_other_hands_stay() -> None:
     inward = rotation.from_exponential_map(np.array([np.radians(75.0), 0.0, 0.0]))
     rotations[:, left] = rotation.multiply(rotations[:, left], inward)
     rotations[:, left + 1] = rotation.from_exponential_map(bends[:, None] * np.array([0.0, -1.0, 0.0]))
-    before, after = (facing_positions(q) for q in (rotations, mended_arms.freed(rotations)))
+    before, after = (facing_positions(q) for q in (rotations, joints.freed(rotations)))
     assert torso_depth(before).max() > 0.02 and torso_depth(after).max() < 1e-9
     wrist = CHARACTER.index("RightHand")
     assert np.allclose(before[:, wrist], after[:, wrist])
 
 
 def _pooled(library: takes.Library, subject: str) -> list[Motion]:
-    own = [take for take in library.talks() if mended_arms.subject_of(take.name) == subject]
+    own = [take for take in library.talks() if joints.subject_of(take.name) == subject]
     pieces = [logs for take in own for logs in takes.stretches(library, take, MotionRange(0.5, 1.0))]
     return [Motion(FINGERED, library.rotations(logs), np.zeros((len(logs), 3)), FPS)
             for logs in pieces]
@@ -44,7 +44,7 @@ def library(free_motion: Path) -> takes.Library:
     return takes.load_takes(free_motion)
 
 
-@pytest.mark.parametrize("subject", sorted(mended_arms.SUBJECTS))
+@pytest.mark.parametrize("subject", sorted(joints.SUBJECTS))
 def test_every_subject_holds_arms_and_hands_as_speakers_do(library: takes.Library, subject: str) -> None:
     motions = _pooled(library, subject)
     seconds = np.array([len(motion) for motion in motions])

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gesticulator_performer import cues as tables
 from gesticulator_performer.cues import Cues, mirrored, plain, read_cues
-from gesticulator_performer.lending import lent
+from gesticulator_performer.meant_strokes import lent
 from gesticulator_performer.plan import HABITS
 from gesticulator_performer.strokes import PerformerBody, Stroke, StrokeSet, mirror
 from gesticulator_performer.text import Utterance, compose
@@ -22,53 +21,28 @@ from data_module.files import read_table
 from data_module.motion import kinematics, rotation
 from data_module.types import Array
 
-MEANINGS = """label,category,cues_en,cues_de,cues_es,offensive,talk
-point_there,deictic;place,there; over there; far away,dort; da drüben,allí,no,yes
-point_left,deictic,on the left; turn left,links,a la izquierda,no,yes
-point_right,deictic,on the right; that's right,rechts,a la derecha,no,yes
-shrug,emblem,I don't know; no idea,weiß nicht,no sé,no,yes
-sweep_no,metaphoric,no; not at all,nein,no,no,yes
-nod,emblem,yes,ja,sí,no,yes
-cheer_arms,emblem;emotion,yes; hooray,hurra,hurra,no,yes
-shoo,emblem,go away,geh weg,vete,yes,yes
-walk_off,emblem,I leave,ich gehe,me voy,no,no
-unshown,emblem,hidden,geheim,secreto,no,yes
-"""
-CLIPS = "file,person,label,ready,strokeStart,emphasis,stroke,relax\n" + "".join(
-    f"strokes/{PERFORMER}/{lexeme}.bvh,{PERFORMER},{label},,,,,\n" for lexeme, label in (
-        ("Me", "shrug"), ("You", "point_there"), ("Left", "point_left"), ("Negate", "sweep_no"), ("All", "nod"),
-        ("BeatBoth", "cheer_arms"), ("BeatLow", "shoo"), ("BeatMid", "walk_off")))
-
 
 @pytest.fixture(scope="module")
-def cues(tmp_path_factory: pytest.TempPathFactory) -> Cues:
-    folder = tmp_path_factory.mktemp("meaning")
-    (folder / tables.MEANINGS).write_text(MEANINGS, encoding="utf-8")
-    (folder / tables.CLIPS).write_text(CLIPS)
-    return read_cues(folder)
+def cues(meaning_data: Path) -> Cues:
+    return read_cues(meaning_data)
 
 
 @pytest.fixture(scope="module")
 def strokes(cues: Cues) -> StrokeSet:
-    """The strokes by formula, each with the label of its lexeme in the table above."""
+    """The strokes by formula, three of them with labels."""
     own = procedural_strokes()
-    labels = {stem: clip.label for stem, clip in cues.clips.items()}
-    right = {"Right": "point_right"}
-    return replace(own, cues=cues, strokes=tuple(replace(s, meaning=(labels | right).get(s.lexeme, ""))
-                                                 for s in own.strokes))
+    labels = {"You": "point_there", "Left": "point_left", "Right": "point_right"}
+    return replace(own, cues=cues, strokes=tuple(replace(s, meaning=labels.get(s.lexeme, "")) for s in own.strokes))
 
 
-def _labels(cues: Cues, text: str, language: str = "en") -> dict[str, set[str]]:
-    words = text.split()
-    return {words[at]: set(one.labels) for at, one in cues.asked(words, language).items()}
-
-
-def test_cues_find_their_labels_at_the_last_content_word(cues: Cues) -> None:
-    assert _labels(cues, "the boy is over there today") == {"there": {"point_there"}}
-    assert _labels(cues, "Well, I don\u2019t know!") == {"know!": {"shrug"}}
-    assert _labels(cues, "it stands on the left of it") == {"left": {"point_left"}}
-    assert _labels(cues, "das liegt da drüben", "de") == {"drüben": {"point_there"}}
-    assert _labels(cues, "no sé", "es") == {"sé": {"shrug"}}
+@pytest.mark.parametrize(("text", "language", "word", "label"), [
+    ("the boy is over there", "en", 4, "point_there"), ("Well, it\u2019s on the left of it", "en", 4, "point_left"),
+    ("das liegt da drüben", "de", 3, "point_there"), ("turn right", "en", 1, "point_right"),
+    ("no sé", "es", 1, "shrug")])
+def test_cues_find_their_labels_at_the_last_content_word(cues: Cues, text: str, language: str, word: int, label: str
+                                                         ) -> None:
+    asked = cues.asked(text.split(), language)
+    assert set(asked) == {word} and set(asked[word].labels) == {label}
 
 
 @given(st.lists(st.sampled_from(["no", "idea", "over", "there", "yes", "the", "Über-"])))
@@ -138,9 +112,7 @@ def texts() -> dict[str, list[Utterance]]:
     return {split: compose(np.random.default_rng(5), 60.0 * length, split) for split, length in minutes.items()}
 
 
-def test_every_gesture_is_asked_for_often(
-        texts: dict[str, list[Utterance]], meaning_data: Path) -> None:
-    cues = read_cues(meaning_data)
+def test_every_gesture_is_asked_for_often(texts: dict[str, list[Utterance]], cues: Cues) -> None:
     assert len(cues.labels) == 32
     asked = {split: Counter[str]() for split in texts}
     for split, utterances in texts.items():

@@ -9,7 +9,7 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
-from gesticulator_performer import grammar
+from gesticulator_performer import text
 from gesticulator_performer.text import Utterance, compose, sentence_key
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -40,7 +40,7 @@ def test_the_splits_share_no_sentence_no_topic_word_and_no_template(hours: list[
     def bare(utterance: Utterance) -> str:
         """The words of a sentence without an opener of either split."""
         words = sentence_key(utterance)
-        for opener in (opener for openers in grammar.OPENERS.values() for opener in openers):
+        for opener in (opener for openers in text.OPENERS.values() for opener in openers):
             words = words.removeprefix(opener.strip(" .,") + " ")
         return words
 
@@ -51,10 +51,10 @@ def test_the_splits_share_no_sentence_no_topic_word_and_no_template(hours: list[
         table = str.maketrans("", "", string.punctuation.replace("{", "").replace("}", ""))
         return {" ".join(line.translate(table).split()) for of in tables for group in of.values() for line in group}
 
-    for tables in (lambda split: lines(grammar.TEMPLATES[split], grammar.MEANINGS[split]),
-                   lambda split: lines(grammar.REPERTOIRE[split]),
-                   lambda split: {topic.name for topic in grammar.TOPICS[split]},
-                   lambda split: {word for topic in grammar.TOPICS[split]
+    for tables in (lambda split: lines(text.TEMPLATES[split], text.MEANINGS[split]),
+                   lambda split: lines(text.REPERTOIRE[split]),
+                   lambda split: {topic.name for topic in text.TOPICS[split]},
+                   lambda split: {word for topic in text.TOPICS[split]
                                   for word in topic.things + topic.people + topic.places}):
         assert not tables("train") & tables("test")
 
@@ -69,8 +69,8 @@ def test_a_tenth_of_the_time_is_long_pauses(hours: list[Utterance]) -> None:
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), seconds=st.floats(1, 90), split=st.sampled_from(["train", "test"]))
 def test_text_is_a_function_of_the_seed_and_clean(seed: int, seconds: float, split: str) -> None:
-    text = compose(np.random.default_rng(seed), seconds, split)
-    assert text == compose(np.random.default_rng(seed), seconds, split)
-    for part in (part for utterance in text for part in utterance.parts):
+    written = compose(np.random.default_rng(seed), seconds, split)
+    assert written == compose(np.random.default_rng(seed), seconds, split)
+    for part in (part for utterance in written for part in utterance.parts):
         assert part.text and not set(part.text) & set("|{}=<>\n") and "  " not in part.text
         assert any(letter.isalpha() for letter in part.text) and part.pause > 0
