@@ -73,10 +73,6 @@ class Cues:
     wanted: frozenset[str] = frozenset()
     detected: bool = False
 
-    @property
-    def labels(self) -> tuple[str, ...]:
-        return tuple(sorted({clip.label for clip in self.clips.values()}))
-
     def asked(self, words: Sequence[str], language: str = "en", pauses: Sequence[float] = ()) -> dict[int, Asked]:
         """What the words of a speech ask for, by index. At each place the longest phrase counts; its last content word
         carries the stroke. pauses: seconds of silence after each word, for the detector."""

@@ -83,9 +83,6 @@ class Pool:
     asks: Array
     level: float
 
-    def __len__(self) -> int:
-        return len(self.texts)
-
 
 def phrase_texts(rng: np.random.Generator, count: int, split: str, used: set[str]) -> tuple[str, ...]:
     """`count` new phrases of the grammar, some of them joined; none is in `used`, to which they are added."""
@@ -209,7 +206,7 @@ def speech_for(places: Array, pool: Pool, movements: Array,
     targets = beats + np.clip(rng.normal(_LEAD, _LOOSENESS, len(beats)), _LEAD - _LOOSEST, _LEAD + _LOOSEST)
     efforts = _efforts(log_speed(speed), windows, _carried(places), rng)
     features = movements[np.minimum((beats * FPS).astype(int) + 6, len(movements) - 1)]
-    free = np.ones(len(pool), dtype=bool)
+    free = np.ones(len(pool.texts), dtype=bool)
     laid: list[tuple[Match, Sounded, float]] = []
     for window, effort in zip(windows, efforts, strict=True):
         near = np.flatnonzero((targets > window.start + 0.02) & (targets < window.end + 0.05))

@@ -23,22 +23,22 @@ _TABLE = table("words.toml")
 _STROKES: dict[str, tuple[str, ...]] = {
     name: tuple(group["strokes"].split()) for name, group in _TABLE["lexemes"].items()}
 # Words so common that a stroke on them is rare.
-_COMMON = frozenset(_TABLE["common"]["words"].split())
-_PHRASES = {tuple(phrase.split()): _STROKES[name] for phrase, name in _TABLE["phrases"].items()}
+_SELDOM = frozenset(_TABLE["common"]["words"].split())
+_ASKING = {tuple(phrase.split()): _STROKES[name] for phrase, name in _TABLE["phrases"].items()}
 _LOOKUP = {word: _STROKES[name] for name, group in _TABLE["lexemes"].items() for word in group["words"].split()}
-_LONGEST = max(map(len, _PHRASES))
+_LONGEST_PHRASE = max(map(len, _ASKING))
 
 
 def lexemes_of(words: Sequence[str], index: int) -> tuple[tuple[str, ...], float]:
     """Candidate lexemes for the word at `index`, best first, and the weight of the request (0 to 1). Phrases take
     precedence over words; the last word of a phrase carries its stroke. ((), 0) for other words."""
-    for length in range(min(_LONGEST, index + 1), 1, -1):
+    for length in range(min(_LONGEST_PHRASE, index + 1), 1, -1):
         phrase = tuple(plain(word) for word in words[index - length + 1:index + 1])
-        if phrase in _PHRASES:
-            return _PHRASES[phrase], 1.0
+        if phrase in _ASKING:
+            return _ASKING[phrase], 1.0
     word = plain(words[index])
     if word in _LOOKUP:
-        return _LOOKUP[word], 0.35 if word in _COMMON else 1.0
+        return _LOOKUP[word], 0.35 if word in _SELDOM else 1.0
     return (), 0.0
 
 

@@ -19,7 +19,8 @@ import functools
 import hashlib
 import importlib.util
 import os
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -252,53 +253,44 @@ class Performer:
 
     def _motion_talks(self) -> list[Item]:
         """Part A: in each split the groups with takes there, in turns."""
-        mean = (SHORTEST_MOTION + LONGEST_MOTION) / 2
         items = []
-        turns = dict.fromkeys(POOL, 0)
-        count = max(1, round(self._options.hours * SHARES["motion"] * 3600 / mean))
-        for place, split, lengths in self._places("motion", count, (SHORTEST_MOTION, LONGEST_MOTION)):
+        for place, split, turn, rng, seconds in self._places("motion", (SHORTEST_MOTION, LONGEST_MOTION)):
             able = {take.group for take in self._takes if self._take_splits[take.name] == split}
             groups = [group for group in MOTION_GROUPS if group in able]
-            group = groups[turns[split] % len(groups)]
-            voice = MOTION_VOICES[split][turns[split] % len(MOTION_VOICES[split])]
-            turns[split] += 1
-            index = _FIRST["motion"] + place
-            seconds = float(self._rng(index, _TEXT).uniform(*lengths))
+            group, voice = groups[turn % len(groups)], MOTION_VOICES[split][turn % len(MOTION_VOICES[split])]
             name = f"motion_{place:04d}_{group}"
             info = RecordingInfo(name, split, group, voice, "en", group=name, part="motion")
-            items.append(Item(info, index, None, seconds))
+            items.append(Item(info, _FIRST["motion"] + place, None, seconds))
         return items
 
-    def _places(self, part: str, count: int, lengths: tuple[float, float]
-                ) -> list[tuple[int, Split, tuple[float, float]]]:
-        """(place, split, range of the length in seconds) of `count` recordings of a part and of those of `ADDED`."""
+    def _places(self, part: str, lengths: tuple[float, float]
+                ) -> Iterator[tuple[int, Split, int, np.random.Generator, float]]:
+        """(place, split, turn in the split, generator of the text, seconds) of the recordings of a part and of those of
+        `ADDED`."""
+        count = max(1, round(self._options.hours * SHARES[part] * 3600 / (sum(lengths) / 2)))
         places: list[tuple[int, Split, tuple[float, float]]] = [(k, split_of(k), lengths) for k in range(count)]
         for number, (split, counts) in enumerate(ADDED.items()):
             added = round(counts[part] * min(1.0, self._options.hours / ADDED_HOURS))
             places += [((5 + number) * _ADDED + k, split, ADDED_LENGTH) for k in range(added)]
-        return places
+        turns = Counter[str]()
+        for place, split, between in places:
+            rng = self._rng(_FIRST[part] + place, _TEXT)
+            yield place, split, turns[split], rng, float(rng.uniform(*between))
+            turns[split] += 1
 
     def _talks(self, part: str, used: dict[str, set[str]]) -> list[Item]:
         """Parts B and C with their texts; no sentence of `used` (by grammar, updated) is repeated."""
-        mean = (SHORTEST + LONGEST) / 2
-        count = max(1, round(self._options.hours * SHARES[part] * 3600 / mean))
-        turns = dict.fromkeys(("train", "val", "test"), 0)
         items = []
-        for place, split, lengths in self._places(part, count, (SHORTEST, LONGEST)):
-            turn = turns[split]
-            turns[split] += 1
+        for place, split, turn, rng, seconds in self._places(part, (SHORTEST, LONGEST)):
             performer = self._performers[turn % len(self._performers)]
             choice = voices.TEST_VOICES if split == "test" else voices.TRAIN_VOICES
             # Each round of the performers begins with another voice, so that every pair occurs.
             voice = choice[(turn + turn // len(self._performers)) % len(choice)]
-            index = _FIRST[part] + place
-            rng = self._rng(index, _TEXT)
-            seconds = float(rng.uniform(*lengths))
             source = "test" if split == "test" else "train"
             written = text.compose(rng, seconds, source, used[source], repertoire=self._repertoire is not None)
             name = f"{part}_{place:04d}_{performer}"
             info = RecordingInfo(name, split, performer, voice, "en", group=name, part=part)
-            items.append(Item(info, index, tuple(written), seconds))
+            items.append(Item(info, _FIRST[part] + place, tuple(written), seconds))
         return items
 
     def _readings(self) -> list[Item]:

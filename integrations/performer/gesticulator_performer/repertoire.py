@@ -160,17 +160,12 @@ def _take(cue: GestureCue, at: float, draw: GestureDraw, seed: int) -> tuple[Mot
     begin = at - draw.phases.before - _AROUND
     frames = round((draw.phases.before + draw.phases.after + 2.0 * _AROUND) * _FPS) + 1
     times = begin + np.arange(frames) / _FPS
-    poses = laid_over(np.repeat(_hanging()[None], frames, axis=0), times, [(cue, at)], seed)
+    hanging = np.zeros((frames, len(FINGERED), 3))
+    hanging[:, FINGERED.index("LeftArm"), 2], hanging[:, FINGERED.index("RightArm"), 2] = -_ARMS_DOWN, _ARMS_DOWN
+    poses = laid_over(hanging.reshape(frames, -1), times, [(cue, at)], seed)
     turns = rotation.from_exponential_map(poses.reshape(frames, -1, 3))
     root = np.repeat([[0.0, _HIPS, 0.0]], frames, axis=0)
     return Motion(FINGERED, turns, root, _FPS), begin
-
-
-def _hanging() -> Array:
-    """[3 J] the pose of a character whose arms hang."""
-    pose = np.zeros((len(FINGERED), 3))
-    pose[FINGERED.index("LeftArm"), 2], pose[FINGERED.index("RightArm"), 2] = -_ARMS_DOWN, _ARMS_DOWN
-    return pose.reshape(-1)
 
 
 def _hand(draw: GestureDraw) -> str:

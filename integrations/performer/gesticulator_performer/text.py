@@ -43,33 +43,16 @@ _PARTICIPLES = {"threw": "thrown", "drew": "drawn", "stole": "stolen", "hid": "h
 _T = TypeVar("_T")
 
 
-@dataclass(frozen=True)
-class Phrasebook:
-    """slots: name -> entries; templates: sentences with slots; openers: words a sentence may begin with."""
-
-    slots: dict[str, tuple[str, ...]]
-    templates: tuple[str, ...]
-    openers: tuple[str, ...]
-
-
 def _topic(row: dict[str, str]) -> Topic:
     split = [tuple(verb.split("/")) for verb in row["verbs"].split()]
     return Topic(row["name"], *(tuple(row[name].split()) for name in ("things", "people", "places")),
                  tuple((base, past, running) for base, past, running in split), tuple(row["adjectives"].split()))
 
 
-def _phrasebook(book: dict[str, Any]) -> Phrasebook:
-    return Phrasebook({name: entries(line, ",") for name, line in book["slots"].items()},
-                      tuple(book["templates"].splitlines()), entries(book["openers"], "/"))
-
-
 _WORDS = table("sentences/topics.toml")
 TOPICS = {split: tuple(map(_topic, _WORDS[split])) for split in SPLITS}
 NUMBERS, TIMES = tuple(_WORDS["shared"]["numbers"].split()), entries(_WORDS["shared"]["times"], ",")
 OPENERS = {"train": entries(_WORDS["shared"]["openers"], "/"), "test": entries(_WORDS["shared"]["test_openers"], "/")}
-PHRASEBOOKS = {(language, split): _phrasebook(table(f"sentences/{language}.toml")[split])
-               for language in ("de", "es", "cmn") for split in SPLITS}
-"""(language, split) -> its phrasebook; English has topics and templates instead."""
 TEMPLATES, MEANINGS, _CORE, _MORE, _FURTHER = (
     {split: templates(name, split == "test") for split in SPLITS}
     for name in ("en", "meanings", "core", "more", "further"))
@@ -133,7 +116,7 @@ def compose(rng: np.random.Generator, seconds: float, split: str, used: set[str]
     sentence (AR(1), 0.7) and varies from phrase to phrase. Same generator state, same text.
     """
     used = set() if used is None else used
-    source = _English(split, repertoire) if language == "en" else _Phrases(PHRASEBOOKS[language, split])
+    source = _English(split, repertoire) if language == "en" else _Phrases(split, language)
     pace = CHARACTERS_PER_SECOND.get(language, _LETTERS_PER_SECOND)
     utterances: list[Utterance] = []
     mood = float(rng.normal(0, 0.5))
@@ -176,17 +159,19 @@ class _English:
 
 
 class _Phrases:
-    """Draws sentences of a phrasebook."""
+    """Draws sentences of the phrasebook of another language than English."""
 
-    def __init__(self, book: Phrasebook) -> None:
-        self.book, self.openers = book, book.openers
+    def __init__(self, split: str, language: str) -> None:
+        book = table(f"sentences/{language}.toml")[split]
+        self.slots = {name: entries(line, ",") for name, line in book["slots"].items()}
+        self.templates, self.openers = tuple(book["templates"].splitlines()), entries(book["openers"], "/")
 
     def draw(self, rng: np.random.Generator) -> tuple[str, str]:
         slots: dict[str, str] = {}
-        for name, words in self.book.slots.items():
+        for name, words in self.slots.items():
             order = rng.permutation(len(words))
             slots |= {f"{name}{rank + 1 if rank else ''}": words[i] for rank, i in enumerate(order[:3])}
-        return "phrase", _one(rng, self.book.templates).format(**slots)
+        return "phrase", _one(rng, self.templates).format(**slots)
 
 
 def _one(rng: np.random.Generator, entries: Sequence[_T]) -> _T:
