@@ -17,7 +17,7 @@ from scipy.signal import find_peaks
 
 from data_module.motion.motion_beats import beats_of_speed
 from data_module.types import Array, Samples, Speech, Word
-from gesticulator_performer import meaning, text, voices
+from gesticulator_performer import cues, text, voices
 from gesticulator_performer.joints import FPS
 from gesticulator_performer.sound import RATE, Sounded, decibels, recorded, with_tilt
 from gesticulator_performer.syllables import Nucleus, Phrase, Spoken, listen
@@ -72,7 +72,7 @@ _BESIDE = 0.25
 @dataclass(frozen=True)
 class Pool:
     """The phrases of a voice. texts: [B]; durations: [B] seconds; vowels: [B, I] seconds of vowel onsets from each
-    phrase's first sample, infinite beyond the last; prominence: [B, I]; asks: [B, I] index in `meaning.MOVEMENTS` of
+    phrase's first sample, infinite beyond the last; prominence: [B, I]; asks: [B, I] index in `cues.MOVEMENTS` of
     the movement that the vowel's word asks for, -1 for none; level: the RMS over all phrases."""
 
     voice: str
@@ -128,7 +128,7 @@ def make_pool(voice: str, texts: Sequence[str]) -> Pool:
         inside = syllables[starts[k]:starts[k + 1]]
         vowels[k, :len(inside)] = [s.vowel - phrase.start for s in inside]
         prominence[k, :len(inside)] = [s.prominence for s in inside]
-        wanted = meaning.movements_of([w.text for w in one.words])
+        wanted = cues.movements_of([w.text for w in one.words])
         for place, syllable in enumerate(inside):
             best = max(s.prominence for s in inside if s.word == syllable.word)
             if syllable.prominence == best:
@@ -161,7 +161,7 @@ class Window:
 @dataclass(frozen=True)
 class Wanted:
     """The requirements of a window on its phrase. beats: [n] seconds, rising, at which vowels should fall; strength:
-    [n]; movement: [n, M] z-scores of the features of motion (`meaning.MOVEMENTS`) at each beat."""
+    [n]; movement: [n, M] z-scores of the features of motion (`cues.MOVEMENTS`) at each beat."""
 
     window: Window
     beats: Array
@@ -197,7 +197,7 @@ def log_speed(speed: Array) -> Array:
 def speech_for(places: Array, pool: Pool, movements: Array,
                rng: np.random.Generator) -> Spoken:
     """Speech for the joint positions [T, 16, 3] (60 fps, facing frame) of a talk. movements: [T, M] z-score of each of
-    `meaning.MOVEMENTS` at each frame. InputError comes from the voice's program. Same arguments and generator state,
+    `cues.MOVEMENTS` at each frame. InputError comes from the voice's program. Same arguments and generator state,
     same bytes."""
     speed = arms_speed(places)
     windows = phrase_windows(speed, rng)
@@ -320,7 +320,7 @@ def _best(pool: Pool, free: NDArray[np.bool_], wanted: Wanted, rng: np.random.Ge
 
 
 def rewards(pool: Pool, chosen: NDArray[np.int64], wanted: Wanted) -> Array:
-    """[B, I, n] the reward for each vowel on each beat: stress on strong beats, words on motion of their meaning."""
+    """[B, I, n] the reward for each vowel on each beat: stress on strong beats, words on motion of their cues."""
     stress = 0.8 + _STRESS_REWARD * np.clip(pool.prominence[chosen], -1.2, 2.0)
     asks = pool.asks[chosen]
     fits = np.where(asks >= 0, 1.0, 0.0)[..., None] * wanted.movement.T[np.maximum(asks, 0)]

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data_module.types import Array
-from gesticulator_performer import meaning
-from gesticulator_performer.cues import Asked
+from gesticulator_performer.cues import BEATS, Asked, beat_level, lexemes_of
 from gesticulator_performer.strokes import LEFT, RIGHT, Stroke, StrokeSet
 from gesticulator_performer.syllables import Phrase, Spoken, Syllable
 from gesticulator_performer.voices import NEUTRAL, StyleTrack
@@ -350,9 +349,9 @@ def _wishes(spoken: Spoken, habits: Habits, known: set[str],
         if budgeted and any(0.0 <= times[j] - times[i] < _READIED for j in labels):
             continue
         if i not in taken and near >= gaps[i] and draws[i] < chance[i]:
-            level = meaning.beat_level(syllable.prominence + 0.5 * strength[i] + moods[i])
-            taken[i] = tuple(name for name in meaning.BEATS[level] if name in known) or tuple(
-                name for names in meaning.BEATS.values() for name in names if name in known)
+            level = beat_level(syllable.prominence + 0.5 * strength[i] + moods[i])
+            taken[i] = tuple(name for name in BEATS[level] if name in known) or tuple(
+                name for names in BEATS.values() for name in names if name in known)
     if budgeted:
         loose[list(labels)] = np.clip(loose[list(labels)], *_APEX)
     sizes = np.column_stack([strength, style.at(times)[:, 0]]) @ _SIZE_OF_TAKES
@@ -409,7 +408,7 @@ def _meaningful(spoken: Spoken, habits: Habits, known: set[str], settled: tuple[
     out: dict[int, tuple[str, ...]] = {}
     times = [spoken.syllables[i].vowel for i in taken]
     for word, i in sorted(_strongest(spoken).items()):
-        lexemes, strength = meaning.lexemes_of(texts, word)
+        lexemes, strength = lexemes_of(texts, word)
         lexemes = tuple(name for name in lexemes if name in known and word not in cued)
         at = spoken.syllables[i].vowel
         near = min((abs(at - time) for time in times), default=np.inf)

@@ -254,7 +254,7 @@ class Performer:
     def _motion_talks(self) -> list[Item]:
         """Part A: in each split the groups with takes there, in turns."""
         items = []
-        for place, split, turn, rng, seconds in self._places("motion", (SHORTEST_MOTION, LONGEST_MOTION)):
+        for place, split, turn, _, seconds in self._places("motion", (SHORTEST_MOTION, LONGEST_MOTION)):
             able = {take.group for take in self._takes if self._take_splits[take.name] == split}
             groups = [group for group in MOTION_GROUPS if group in able]
             group, voice = groups[turn % len(groups)], MOTION_VOICES[split][turn % len(MOTION_VOICES[split])]

@@ -22,7 +22,7 @@ from data_module.files import lock, new_folder, write_text
 from data_module.motion import rotation
 from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.motion.skeletons import FINGERED
-from data_module.types import Array, Motion
+from data_module.types import Motion
 from gesticulator.directing.named_gestures import GestureDraw, drawn_gesture, laid_over
 from gesticulator.plan.gestures import REPERTOIRE, NamedGesture
 from gesticulator.plan.plan import GestureCue

@@ -186,7 +186,7 @@ def talk_for_motion(group: str, seconds: float, library: Library, takes: Sequenc
 
 
 def features_of(places: Array) -> Array:
-    """[T, 7] z-scores, clipped to [-2, 2.5], of the features in `meaning.MOVEMENTS`, from facing positions [T, 16, 3].
+    """[T, 7] z-scores, clipped to [-2, 2.5], of the features in `cues.MOVEMENTS`, from facing positions [T, 16, 3].
     """
     left, right = (places[:, wrist] for wrist in WRISTS)
     apart = np.linalg.norm(right - left, axis=1)
