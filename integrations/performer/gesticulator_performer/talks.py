@@ -14,21 +14,11 @@ from data_module.motion.kinematics import minimum_jerk, quintic_offset
 from data_module.motion.skeletons import CHARACTER, CHARACTERS, FINGERED, HIP_HEIGHT
 from data_module.types import Array, Motion
 from gesticulator_performer import inverse
+from gesticulator_performer import takes as real
 from gesticulator_performer.inverse import Pool
 from gesticulator_performer.joints import FPS, facing_positions
 from gesticulator_performer.syllables import Spoken
-from gesticulator_performer.takes import (
-    ARM_SIDES,
-    HIPS,
-    SKULL,
-    SPINE,
-    WRISTS,
-    Library,
-    MotionRange,
-    RealTake,
-    mirrored,
-    stretches,
-)
+from gesticulator_performer.takes import Library, MotionRange, RealTake
 from gesticulator_performer.trunk import calm, pitch_accents, postures, sway, yaw_scale
 
 # Seconds: a difference in velocity costs as much as the difference in pose that it makes in this time.
@@ -172,7 +162,7 @@ def talk_for_motion(group: str, seconds: float, library: Library, takes: Sequenc
     pieces = []
     for _, logs in named:
         turned = bool(rng.random() < 0.5) if mixed else flip
-        pieces.append(_slowed(_one_handed(library, mirrored(logs) if turned else logs, rng), slower))
+        pieces.append(_slowed(_one_handed(library, real.mirrored(logs) if turned else logs, rng), slower))
     joined, places = _smoothest(library, pieces, seconds, rng)
     spoken = inverse.speech_for(places, pool, features_of(places), rng)
     logs = with_life(joined.logs, spoken, rng)
@@ -188,7 +178,7 @@ def talk_for_motion(group: str, seconds: float, library: Library, takes: Sequenc
 def features_of(places: Array) -> Array:
     """[T, 7] z-scores, clipped to [-2, 2.5], of the features in `cues.MOVEMENTS`, from facing positions [T, 16, 3].
     """
-    left, right = (places[:, wrist] for wrist in WRISTS)
+    left, right = (places[:, wrist] for wrist in real.WRISTS)
     apart = np.linalg.norm(right - left, axis=1)
     up = np.maximum(left[:, 1], right[:, 1]) > _GESTURING
     near = -np.minimum(np.linalg.norm(left - _HEART, axis=1), np.linalg.norm(right - _HEART, axis=1))
@@ -208,7 +198,7 @@ def _smoothest(library: Library, pieces: Sequence[Array], seconds: float,
     for _ in range(_CHAINS):
         joined = chain(pieces, seconds, rng, recent=len(pieces))
         joined, places = _held(library, joined, facing_positions(library.rotations(joined.logs)), rng)
-        ratio = seam_ratio(places[:, list(WRISTS)], joined.edges)
+        ratio = seam_ratio(places[:, list(real.WRISTS)], joined.edges)
         if best is None or ratio < best[0]:
             best = ratio, joined, places
         if ratio <= _ROUGHEST:
@@ -233,7 +223,7 @@ def hold_times(places: Array, rng: np.random.Generator) -> Array:
     A hold begins where the speed of a raised hand has a minimum. For D seconds the pace is 1 - c h(u) at the share u
     of them, with h rising and falling as sin^2 over a quarter each and c such that D seconds show `_HOLD_OF`.
     """
-    hands = gaussian_filter1d(places[:, list(WRISTS)], 0.05 * FPS, axis=0, mode="nearest")
+    hands = gaussian_filter1d(places[:, list(real.WRISTS)], 0.05 * FPS, axis=0, mode="nearest")
     speed = np.linalg.norm(np.gradient(hands, 1.0 / FPS, axis=0), axis=-1).max(axis=1)
     minima = find_peaks(-speed, distance=round(_HOLDS_APART * FPS), prominence=0.1)[0]
     raised = hands[minima, :, 1].max(axis=1) >= _RAISED
@@ -261,14 +251,14 @@ def _named_stretches(library: Library, takes: Sequence[RealTake], group: str, li
     for take in sorted(order, key=lambda t: t.group != group):
         if len(out) >= _STRETCHES:
             break
-        out += [(take.name, logs) for logs in stretches(library, take, limits)]
+        out += [(take.name, logs) for logs in real.stretches(library, take, limits)]
     return out
 
 
 def _one_handed(library: Library, logs: Array, rng: np.random.Generator) -> Array:
     """A stretch whose hands do the same, now and then with one of them resting; any other as it is."""
-    side, draw = ARM_SIDES[int(rng.random() < 0.5)], rng.random()
-    heights = facing_positions(library.rotations(logs))[:, list(WRISTS), 1]
+    side, draw = real.ARM_SIDES[int(rng.random() < 0.5)], rng.random()
+    heights = facing_positions(library.rotations(logs))[:, list(real.WRISTS), 1]
     alike = np.asarray(np.corrcoef(heights.T))[0, 1] if heights.std(axis=0).min() > 1e-6 else 0.0
     if draw >= _ONE_HANDED or alike < _ALIKE:
         return logs
@@ -290,13 +280,13 @@ def with_life(logs: Array, spoken: Spoken, rng: np.random.Generator) -> Array:
     speaking = np.zeros(frames)
     for phrase in spoken.phrases:
         speaking[round(phrase.start * FPS):round(phrase.end * FPS)] = 1.0
-    out[:, list(SKULL)] = calm(out[:, list(SKULL)], speaking)
-    out[:, list(SKULL), 0] += (_dips(spoken, frames, rng) / len(SKULL))[:, None]
+    out[:, list(real.SKULL)] = calm(out[:, list(real.SKULL)], speaking)
+    out[:, list(real.SKULL), 0] += (_dips(spoken, frames, rng) / len(real.SKULL))[:, None]
     posture = postures(frames, rng)
     weight = sway(frames, rng) + pitch_accents(spoken.syllables, frames, rng)
-    for joints, bends in ((SPINE, posture[:, 0] + weight), (SKULL, posture[:, 1])):
+    for joints, bends in ((real.SPINE, posture[:, 0] + weight), (real.SKULL, posture[:, 1])):
         out[:, list(joints)] += (bends / len(joints))[:, None]
-    trunk = [*HIPS, *SPINE, *SKULL]
+    trunk = [*real.HIPS, *real.SPINE, *real.SKULL]
     out[:, trunk, 1] *= yaw_scale(out[:, trunk, 1].sum(axis=1))
     return out
 
