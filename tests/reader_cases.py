@@ -445,7 +445,7 @@ def _read_request(file: Path) -> object:
 
 
 def _manifest(folder: Path) -> Path:
-    from gesticulator.manifest import ManifestRow, opened_manifest
+    from gesticulator.batch import ManifestRow, opened_manifest
 
     with opened_manifest(folder / "m.jsonl") as manifest:
         manifest.add(ManifestRow("a.wav", "12", 3.25, ("x.bvh", "y.glb"), "cut short", 0.125, "1", "2", "3", "h"))
@@ -455,7 +455,7 @@ def _manifest(folder: Path) -> Path:
 
 def _read_manifest(file: Path) -> object:
     """The rows as they would be written."""
-    from gesticulator.manifest import read_manifest
+    from gesticulator.batch import read_manifest
 
     return [row.line for row in read_manifest(file).values()]
 
@@ -506,8 +506,8 @@ def _read_words_of_a_command(file: Path) -> object:
     """Each line of the file as what a user writes on a command line."""
     from data_module import controls
     from data_module.settings import with_settings
-    from gesticulator.arguments import _cue, _seconds
     from gesticulator.batch import parse_shard
+    from gesticulator.jobs import _cue, _seconds
     from gesticulator.live.vmc import read_target
     from gesticulator.options import RANGES
     from interpreters.settings import LstmConfig

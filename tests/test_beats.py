@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from data_module.speech import onsets
 from data_module.speech.audio import load_speech
 from data_module.speech.beats import RULES, BeatSettings, BeatTracker, find_beats, next_beat
-from data_module.speech.onsets import (
-    LOOK_AHEAD,
-    OnsetTracker,
-    detect_onsets,
-    merged,
-)
+from data_module.speech.mel import mel_bands
+from data_module.speech.onsets import LOOK_AHEAD, OnsetTracker, detect_onsets, merged
 from data_module.speech.silence import LoudnessTracker, frame_levels
 from data_module.types import Array, BeatFlag, Beats, Samples, Speech
 
@@ -240,3 +237,15 @@ def test_spectra_and_their_rise_are_librosas_to_the_last_bit() -> None:
     sound = np.random.default_rng(0).standard_normal(4 * 160 + 2048).astype(np.float32)
     spectra = onsets._spectra(sound, 2048, 160)
     np.testing.assert_array_equal(spectra, librosa.stft(sound, n_fft=2048, hop_length=160, center=False))
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.sampled_from([8000, 16000, 22050, 48000]), st.integers(64, 1200), st.integers(1, 128),
+       st.none() | st.floats(300.0, 4000.0), st.booleans())
+def test_mel_bands_are_librosas_to_the_last_bit(rate: int, half: int, bands: int, top: float | None, area: bool
+                                                ) -> None:
+    import librosa
+
+    with warnings.catch_warnings(action="ignore", category=UserWarning):  # some of so many bands are empty
+        theirs = librosa.filters.mel(sr=rate, n_fft=2 * half, n_mels=bands, fmax=top, norm="slaney" if area else None)
+    np.testing.assert_array_equal(mel_bands(rate, 2 * half, bands, top, equal_area=area), theirs)

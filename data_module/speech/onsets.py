@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.speech.mel import mel_bands
 from data_module.speech.silence import FRAME, QUIETEST, LoudnessStep, frame_levels, loudness
 from data_module.types import Array, Samples
 
@@ -83,7 +84,7 @@ class RiseTracker:
     def __init__(self, sample_rate: int) -> None:
         self._rate = sample_rate
         self._hop, self._window = round(_HOP * sample_rate), 2 * round(_WINDOW * sample_rate / 2)
-        self._bands = _bands(sample_rate, self._window)
+        self._bands = mel_bands(sample_rate, self._window, _BANDS)
         self._covered = _covered(self._window, self._hop)
         # Sound from the start of the next tile's first window on; silence lies before the recording.
         self._sound = np.zeros(self._window // 2, np.float32)
@@ -227,14 +228,6 @@ class OnsetTracker:
 @lru_cache(maxsize=4)
 def _hann(window: int) -> Array:
     return 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, window + 1))[:-1]
-
-
-@lru_cache(maxsize=4)
-def _bands(sample_rate: int, window: int) -> NDArray[np.float32]:
-    import librosa
-
-    bands: NDArray[np.float32] = librosa.filters.mel(sr=sample_rate, n_fft=window, n_mels=_BANDS, fmax=sample_rate / 2)
-    return bands
 
 
 @lru_cache(maxsize=4)

@@ -36,6 +36,7 @@ from gesticulator.sampling.candidates import CandidateChooser, CandidateMotion
 from gesticulator.sampling.loop import (
     CONTIGUOUS,
     BlockMotion,
+    Keys,
     Request,
     Scores,
     Setup,
@@ -49,7 +50,6 @@ from gesticulator.sampling.loop import (
     shown,
     tensor,
 )
-from gesticulator.sampling.noise import Keys
 from interpreters.base import BlockFeatures
 from interpreters.planner import CLASSES, PHASES, UnitDecision, UnitStyleInterpreter
 from lexicon.movement import MovementLexicon, MovementVqVae, basis_for, code_width
@@ -92,7 +92,7 @@ def movement_lexicon(settings: LexiconConfig, frames: int, parts: Mapping[str, t
 
 def generator(sizes: Sizes) -> FlowGenerator:
     """The generator of RG 5.2 with a head that samples by conditional flow matching (`generator.flow`)."""
-    from generator.model import GeneratorWidths
+    from generator.settings import GeneratorWidths
 
     config = sizes.config
     widths = GeneratorWidths(sizes.frames, sizes.motion, sizes.low, codebook_shape(config)[1], CONTROL_WIDTH,

@@ -18,7 +18,7 @@ from torch.nn import functional
 from generator.model import Generator
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
-from gesticulator.systems import system_of
+from gesticulator.bundle.models import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.corpus import Corpus
