@@ -49,7 +49,8 @@ from data_module.layers import (
     without_after,
 )
 from data_module.motion.movement import PAST, MovementBasis, Pasts
-from generator.model import GROUP_WIDTH, GeneratorConfig, GeneratorWidths, GumbelCodes, State, positional_block
+from generator.model import GumbelCodes, State
+from generator.settings import GROUP_WIDTH, GeneratorConfig, GeneratorWidths, positional_block
 
 __all__ = ["FlowGenerator", "FlowHead", "FlowInputs"]
 
@@ -153,8 +154,8 @@ class FlowGenerator(nn.Module):
         self.register_buffer("present", torch.ones(widths.motion) if present is None else present, persistent=False)
         self.register_buffer("deviation", torch.ones(basis.width))
         self.register_buffer("centres", torch.zeros(widths.lexemes + 1, basis.width))  # u of each lexeme; 0 for none
-        self.register_buffer("position", positional_block(frames, c.position_width)
-                             if c.position_width else torch.zeros(frames, 0), persistent=False)
+        position = torch.as_tensor(positional_block(frames, c.position_width))
+        self.register_buffer("position", position, persistent=False)
         self.control_width = widths.control if c.use_control else 0
         self.encode_motion = convolutions((widths.motion, *[c.motion_features] * 3), norm=False)
         self.encode_audio = BlockLinear(frames, widths.audio, c.audio_features, bottleneck=c.audio_bottleneck)

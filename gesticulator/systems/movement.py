@@ -92,7 +92,7 @@ def movement_lexicon(settings: LexiconConfig, frames: int, parts: Mapping[str, t
 
 def generator(sizes: Sizes) -> FlowGenerator:
     """The generator of RG 5.2 with a head that samples by conditional flow matching (`generator.flow`)."""
-    from generator.model import GeneratorWidths
+    from generator.settings import GeneratorWidths
 
     config = sizes.config
     widths = GeneratorWidths(sizes.frames, sizes.motion, sizes.low, codebook_shape(config)[1], CONTROL_WIDTH,
