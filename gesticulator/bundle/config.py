@@ -28,7 +28,7 @@ from data_module.settings import (
 )
 from data_module.speech.beats import BeatSettings
 from data_module.speech.front_ends import EncoderConfig
-from generator.model import GeneratorConfig
+from generator.settings import GeneratorConfig
 from interpreters.settings import (
     CriticConfig,
     EpisodeConfig,
