@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError
 
-__all__ = ["BlockDense", "Conv", "Convolutions", "Dense", "Floats", "Gru", "Lstm", "Norm", "Tensors", "gelu",
-           "leaky_relu", "log_softmax", "normed", "repeat_frames", "side_by_side", "sigmoid", "softmax"]
+__all__ = ["BlockDense", "Conv", "Convolutions", "Dense", "Floats", "Gru", "Lstm", "Norm", "Tensors", "attention",
+           "gelu", "leaky_relu", "log_softmax", "normed", "repeat_frames", "side_by_side", "sigmoid", "softmax"]
 
 Floats = NDArray[np.float32]
 
@@ -234,6 +234,15 @@ class BlockDense:
             windows = self._narrow(windows)
         return self._linear(windows.reshape(*windows.shape[:-2], -1)).reshape(*windows.shape[:-2], self._frames,
                                                                               self._width)
+
+
+def attention(query: Floats, key: Floats, value: Floats, heads: int, mask: Floats | None = None) -> Floats:
+    """softmax(Q K^T / sqrt(C / heads) + M) V [n, C], heads side by side, of queries [n, C], keys and values [m, C] and
+    the mask [n, m] (RACER Eq. 12)."""
+    query, key, value = (rows.reshape(len(rows), heads, -1).swapaxes(0, 1) for rows in (query, key, value))
+    scores = query @ key.swapaxes(1, 2) / np.float32(math.sqrt(query.shape[-1]))
+    attended = softmax(scores if mask is None else scores + mask) @ value
+    return attended.swapaxes(0, 1).reshape(attended.shape[1], -1)
 
 
 def repeat_frames(vector: Floats, frames: int) -> Floats:

@@ -20,7 +20,6 @@ from data_module.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from torch import nn
 
 __all__ = [
     "BlockFeatures",
@@ -208,7 +207,7 @@ class InterpreterParts:
     entry's section; beta: that of the bundle.
     """
 
-    model: nn.Module | None
+    model: Any
     prior: Interpreter | None
     frequencies: NDArray[np.float64]
     transitions: NDArray[np.float64]

@@ -165,6 +165,12 @@ class QConfig:
     """The online network selects the next action and the target values it (Double DQN); else the target does both."""
 
 
+CRITICS = 2
+"""J; the least of their advantages is used."""
+GAMMA = 0.9
+"""Discount per block. A lexeme affects the rewards of `reward.window` blocks."""
+
+
 @dataclass(frozen=True)
 class CriticConfig:
     """Sizes of the critics of the advantage interpreter, and their training data."""

@@ -236,7 +236,7 @@ def cluster() -> Iterator[None]:
 
 def on_ray(make: Callable[[], Callable[[str], float]], *names: str) -> list[ManifestRow]:
     """The rows of recordings that a cluster has processed."""
-    from gesticulator.ray_pool import done_on_ray
+    from gesticulator.batch import done_on_ray
 
     return list(done_on_ray("local:2", make, [ManifestRow(name) for name in names]))
 

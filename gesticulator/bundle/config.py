@@ -89,7 +89,7 @@ class TextConfig:
     """Encoding of the words."""
 
     encoder: str = ""
-    """Word encoder: "minilm", any BERT by name or folder, or empty for audio only."""
+    """Word encoder: "minilm", a folder with a BERT in the format of transformers, or empty for audio only."""
 
 
 @dataclass(frozen=True)

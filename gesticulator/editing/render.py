@@ -33,13 +33,13 @@ from gesticulator.sampling.loop import (
     BlockMotion,
     GeneratedMotion,
     Generation,
+    Keys,
     OnBlock,
     Request,
     Setup,
     State,
     controls_at,
 )
-from gesticulator.sampling.noise import Keys
 
 BLEND = 0.6
 """Seconds after an edited run in which the difference fades out: a hand half a metre off returns at 1.3 m/s at most."""

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 from data_module.errors import InputError, complain
 from data_module.files import write_text
 from gesticulator.cli import Command, limited_threads, our_warnings
+from gesticulator.infer import Worker, load
 from gesticulator.jobs import Job, RunSettings, performance_arguments, run_settings_of, settings_of
-from gesticulator.worker import Worker, load
 
 if TYPE_CHECKING:
     from gesticulator.characters.rig import Character

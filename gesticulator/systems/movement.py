@@ -38,6 +38,7 @@ from gesticulator.sampling.candidates import CandidateChooser, CandidateMotion
 from gesticulator.sampling.loop import (
     CONTIGUOUS,
     BlockMotion,
+    Keys,
     Request,
     Scores,
     Setup,
@@ -51,7 +52,6 @@ from gesticulator.sampling.loop import (
     shown,
     tensor,
 )
-from gesticulator.sampling.noise import Keys
 from interpreters.base import BlockFeatures
 from interpreters.planner import UnitStyleInterpreter
 from interpreters.units import CLASSES, PHASES, UnitDecision

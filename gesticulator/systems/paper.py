@@ -27,6 +27,7 @@ from torch import Tensor
 from gesticulator.bundle.features import CONTROL_WIDTH
 from gesticulator.sampling.loop import (
     BlockMotion,
+    Keys,
     Request,
     Setup,
     State,
@@ -39,7 +40,6 @@ from gesticulator.sampling.loop import (
     shown,
     tensor,
 )
-from gesticulator.sampling.noise import Keys
 from interpreters.base import BlockFeatures
 
 if TYPE_CHECKING:
