@@ -213,7 +213,8 @@ def same_interpreter(module: LstmInterpreter, sizes: InterpreterSizes, seed: int
     states = runner.start(speaker, 0), runner.start(speaker, 0)
     alone = states[0]
     for n in range(BLOCKS):
-        given = features(sound[n], text=text[n], control=control[n], past=past[n], durations=tuple(durations[n].tolist()))
+        given = features(sound[n], text=text[n], control=control[n], past=past[n],
+                         durations=tuple(durations[n].tolist()))
         (with_sound, first), (without, second) = runner.step_with_and_without_sound(states, given, int(previous[n]))
         scores, alone = runner.step(alone, given, int(previous[n]))
         states = first, second
