@@ -17,11 +17,10 @@ from eval.baselines import controls
 from eval.clip.excerpts import excerpt
 from eval.metrics.eye import VoiceActivity, hear
 from eval.metrics.eye.pitch import pitch_track
-from gesticulator.assembly import Assembler
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.gesticulator import Gesticulator
-from gesticulator.performance import Performance
+from gesticulator.performance import Assembler, Performance
 from gesticulator.sampling.loop import GeneratedMotion
 
 TAKE, TEST, DERIVED = "take", "test", "derived"

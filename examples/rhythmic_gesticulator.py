@@ -22,7 +22,7 @@ from gesticulator.bundle.features import front_end_for
 from gesticulator.bundle.files import NAMED
 from gesticulator.options import InferenceOptions
 from gesticulator.sampling.cutter import encode_speech
-from gesticulator.sampling.noise import Keys
+from gesticulator.sampling.loop import Keys
 from interpreters.base import BlockFeatures, select
 
 

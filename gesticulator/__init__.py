@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from gesticulator.version import __version__
+from gesticulator.cli import __version__
 
 if TYPE_CHECKING:
     from data_module.controls import Controls, Curve

@@ -23,6 +23,8 @@ from data_module.registry import Registry, RegistryEntry
 __all__ = ["Command", "main"]
 
 PROGRAM = "gesticulator"
+__version__ = "0.1.0"
+"""As it stands in pyproject.toml."""
 DEFAULT = "infer"
 """The verb used if the first word is not a verb: `gesticulator speech.wav -o gesture.bvh`."""
 
@@ -153,8 +155,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     steady_streams()
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["--version"]:
-        from gesticulator.version import __version__
-
         print(f"{PROGRAM} {__version__}")
         return 0
     with one_line_errors(PROGRAM):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import warnings
 from dataclasses import replace
@@ -12,27 +13,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from data_module.errors import InputError
+from data_module.controls import FEATURES, Controls, Curve, parse
+from data_module.errors import InputError, shown
 from data_module.speech.audio import SAMPLE_RATE, SpeechInput, amplified, as_speech, resample
 from data_module.types import Blocks, Speech
-from gesticulator.assembly import Assembler
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.bundle import load as load_bundle
 from gesticulator.bundle.features import SpeechFeatures, front_end_for
 from gesticulator.bundle.files import bundle_folder
-from gesticulator.options import InferenceOptions
-from gesticulator.performance import Performance
-from gesticulator.plan.plan import sound_hash
+from gesticulator.options import HandControl, InferenceOptions
+from gesticulator.performance import Assembler, Performance
+from gesticulator.plan.plan import ENERGIES, named, sound_hash, words_of
 from gesticulator.sampling import loop
 from gesticulator.sampling.cutter import BlockCutter, encode_speech
-from gesticulator.sampling.loop import BlockMotion, GeneratedMotion, Request, Setup, controls_at
-from gesticulator.setup import SetupResolver
+from gesticulator.sampling.loop import BlockMotion, GeneratedMotion, Generation, Request, Setup, controls_at
+from interpreters import INTERPRETERS
+from interpreters.base import as_interpreter
 
 if TYPE_CHECKING:
     from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
     from gesticulator.directing.lexeme_names import LexemeName
-    from gesticulator.editing.render import Generation, PlanRenderer
+    from gesticulator.editing.render import PlanRenderer
     from gesticulator.editing.retiming import Retimed
     from gesticulator.plan.plan import GesturePlan
     from gesticulator.stream import Stream
@@ -184,8 +186,6 @@ class Gesticulator:
         performance = self.assemble(Assembler(self.bundle, speech, options, setup), generated)
         if not self.keeps_generations:
             return performance
-        from gesticulator.editing.render import Generation
-
         return replace(performance, generation=Generation(encoded, blocks, states, cutters or ()))
 
     def _requests(self, speech: Speech, options: InferenceOptions, setup: Setup, encoded: SpeechFeatures
@@ -267,7 +267,6 @@ class Gesticulator:
         `InputError` for a sound that has too little of the old speech, and for a plan of another bundle.
         """
         from gesticulator.directing import directions as directing
-        from gesticulator.directing.record import named, words_of
         from gesticulator.editing import retiming
 
         directing.check_bundle_of(self.bundle, plan)
@@ -330,3 +329,81 @@ class Gesticulator:
 def _prepared(speech: Speech, options: InferenceOptions) -> Speech:
     """The speech as the models need it: amplified by the gain, resampled to `SAMPLE_RATE`."""
     return resample(amplified(speech, options.gain), SAMPLE_RATE)
+
+
+# --------------------------------------------------------------------------------------------------------- the setup
+
+class InterpreterWarning(UserWarning):
+    """An interpreter was chosen that is no better than another, or worse (`InterpreterEntry.doubt`)."""
+
+
+class SetupResolver:
+    """Resolves options for one bundle."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        self._bundle = bundle
+
+    def speaker(self, name: str | None) -> int:
+        """The index of a performer, or of the default one for None; `InputError` lists the known names."""
+        speakers = self._bundle.speakers
+        if name is None:
+            # A bundle of other data may not have the performer that the preset names.
+            preferred = self._bundle.config.default_speaker
+            return speakers.index(preferred) if preferred in speakers else 0
+        if name not in speakers:
+            near = difflib.get_close_matches(name, speakers, 1)
+            raise InputError(f"speaker {shown(name)}", "is not in the bundle",
+                             (f"did you mean {near[0]}? " if near else "") + f"choose among {', '.join(speakers)}")
+        return speakers.index(name)
+
+    def setup(self, options: InferenceOptions, text: bool) -> Setup:
+        """The setup of a performance. text: its words are read. `InputError` for options that the bundle cannot
+        follow."""
+        bundle, defaults = self._bundle, self._bundle.config.selection
+        activity = (defaults.activity if options.activity is None else options.activity) * ENERGIES[options.energy][1]
+        # With rest by phrases (silence.rest=life) activity works without a gate, which would only rank the phrases.
+        if 0 < activity < 1 and "gate" not in bundle.parts and not bundle.config.rests_by_phrase:
+            raise InputError(f"activity {activity:g}", "needs a gate, and this bundle has none", "use 0 or 1")
+        if options.variation and not bundle.system.VARIES:
+            raise InputError(f"variation {options.variation}", "needs a generator that samples, and this bundle's is "
+                             "deterministic", "leave it out, or choose another seed")
+        chosen = options.interpreter or bundle.interpreters[0]
+        # An object may have `start` and `step` alone, and gets defaults for the rest.
+        interpreter = as_interpreter(bundle.interpreter_named(chosen, text) if isinstance(chosen, str) else chosen)
+        known = INTERPRETERS.get(interpreter.name)
+        temperature = options.temperature
+        if temperature is None and known is not None:
+            temperature = known.temperature
+        if temperature is None:
+            # Q values and log-probabilities have different scales, so each has a default of its own.
+            temperature = defaults.q_temperature if interpreter.gives_values else defaults.temperature
+        # beta depends on the temperature: it is a weight on scores that are divided by it.
+        interpreter = interpreter.steered(options.beta, temperature)
+        # Interpreters of other packages have no figures of ours, so there is nothing to warn of.
+        if known is not None and known.doubt:
+            warnings.warn(InterpreterWarning(known.doubt), stacklevel=2)
+        return Setup(interpreter, self.speaker(options.speaker), temperature, int(options.seed), activity,
+                     hand_controls(bundle, options), int(options.variation), interpreter.beta, text)
+
+
+def hand_controls(bundle: Bundle, options: InferenceOptions) -> Controls:
+    """The hand controls of the options as numbers: "low", "mid" and "high" by the bundle's levels, curves as they
+    are. `InputError` for an invalid control, or if the bundle was trained without style editing."""
+    controls = options.controls or Controls.free()
+    if controls == Controls.free() and not any(hand is not None for hand in options.hands):
+        return controls
+    levels = bundle.levels
+    if levels is None:
+        raise InputError(f"the control of {', '.join(FEATURES)}", "is not supported by this bundle",
+                         "use a bundle trained with generator.use_control")
+    if options.controls is not None:
+        return controls
+
+    def number(feature: str, value: HandControl) -> float | Curve | None:
+        if value is None or isinstance(value, Curve):
+            return value
+        # The same parser as on the command line, so a level and a number mean the same.
+        text = value if isinstance(value, str) else repr(float(value))
+        return parse(f"--hand-{feature}", text, feature, levels)
+
+    return Controls(**{name: number(name, hand) for name, hand in zip(FEATURES, options.hands, strict=True)})

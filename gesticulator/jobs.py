@@ -1,38 +1,41 @@
-"""The recordings to process and the files to write for each (`jobs_for`), and how one is processed (`Worker`): read,
-generate, write.
+"""From the command line to jobs: the arguments, and the recordings to process with the files to write for each.
 
-Names, suffixes, folders and permissions are checked before any work. An error of the command is an `InputError`; an
-error of one recording is stored in its `Job`.
+`jobs_of` makes the jobs, `run_settings_of` the rest; after them no argparse namespace is read. Names, suffixes, folders
+and permissions are checked before any work. An error of the command is an `InputError`; an error of one recording is
+stored in its `Job`.
 """
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import os
-import sys
-import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import Field, dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from data_module.errors import InputError, complain, printable
-from gesticulator.cli import PROGRAM
-from gesticulator.export.clip import ClipLayout
-from gesticulator.export.writers import suffix_of
-from gesticulator.options import InferenceOptions
+from data_module.errors import InputError, printable
+from data_module.settings import field_docs, whole_number
+from gesticulator.cli import PROGRAM, __version__
+from gesticulator.export.writers import WRITERS, check_output, suffix_of
+from gesticulator.options import RANGES, InferenceOptions, OptionFlag
+from interpreters import INTERPRETERS
 
 if TYPE_CHECKING:
-    from data_module.types import Speech
-    from gesticulator.characters.retarget import Retargeter
-    from gesticulator.gesticulator import Gesticulator
-    from gesticulator.performance import Performance
+    from gesticulator.export.clip import ClipLayout
+    from gesticulator.plan.plan import GestureCue
 
 STDIN = "-"
 """The name of standard input on the command line."""
 TRANSCRIPTS = (".TextGrid", ".json", ".srt", ".vtt", ".txt")
 """File suffixes that a folder of transcripts is searched for, in this order."""
+FORMAT = "bvh"
+"""The format written to a folder if --format is not given."""
+_OUTPUTS = {"preview": ".html", "plan_out": ".json"}
+"""Argument for an output file of one format -> its suffix; --output takes every format."""
 
 
 @dataclass(frozen=True)
@@ -222,86 +225,248 @@ def _check_place(target: Path) -> None:
         raise InputError(target, "cannot be written", "choose another output or change its rights")
 
 
-def check_job(job: Job) -> None:
-    """`InputError` if the recording cannot be processed, as far as can be known without reading it."""
-    from data_module.speech.audio import check_file
+# --------------------------------------------------------------------------------------------------- the command line
 
-    if job.fault is not None:
-        raise job.fault
-    if job.source is not None:
-        check_file(job.source, any_length=True)
-    elif sys.stdin is None or sys.stdin.isatty():
-        raise InputError("standard input", "holds no recording", f"pipe one into {PROGRAM}, or name a file")
+def number(name: str) -> Callable[[str], float]:
+    """A parser of the argument --NAME that checks its range in `gesticulator.options.RANGES`."""
+    return lambda text: RANGES[name].parse(f"--{name}", text)
 
 
-def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> Retargeter | None:
-    """The retargeter for the requested character; None for the default skeleton. quiet: print no remarks about it.
+def _seconds(text: str) -> tuple[float, float]:
+    """A range of seconds such as 3.2-5.0."""
+    begin, _, stop = text.partition("-")
+    try:
+        return float(begin), float(stop)
+    except ValueError:
+        raise InputError(f"--hold-still {text[:40]}", "is not a range of seconds", "write it as 3.2-5.0") from None
 
-    The mapping is saved before it is checked, so that an unusable one can be corrected.
-    """
-    if character is None:
+
+def _cue(text: str) -> GestureCue:
+    """A cue such as hello=wave, hello:2=wave or 2.5=shrug."""
+    from gesticulator.plan.plan import GestureCue
+
+    at, mark, gesture = text.rpartition("=")
+    if not mark or not at or not gesture:
+        raise InputError(f"--cue {text[:40]}", "is not a cue", "write WORD=GESTURE (hello=wave) or SECONDS=GESTURE")
+    try:
+        return GestureCue(gesture, time=float(at))
+    except ValueError:
+        # Not a number of seconds: a word, with its occurrence after a colon.
+        word, _, count = at.rpartition(":")
+    occurrence = whole_number(count, 10**6)
+    if word and occurrence:
+        return GestureCue(gesture, word, occurrence)
+    return GestureCue(gesture, at)
+
+
+def _keys(text: str) -> float:
+    from gesticulator.export.clip import parse_keys
+
+    return parse_keys(text)
+
+
+_PARSERS: Mapping[str, Callable[[str], object]] = {"hold_still": _seconds, "cues": _cue}
+"""Field -> parser of its value, for values that are neither numbers nor words."""
+_GROUPS = {
+    "audio and transcript": "",
+    "motion": "VALUE is low, mid or high, or a number.",
+}
+"""Title of a group of options -> its description."""
+
+
+def performance_arguments(p: argparse.ArgumentParser) -> None:
+    """Add the options of a performance (the fields of `InferenceOptions` that have a flag), of the character and of
+    the run."""
+    groups = {name: p.add_argument_group(name, about or None) for name, about in _GROUPS.items()}
+    audio = groups["audio and transcript"]
+    audio.add_argument("--text", metavar="FILE", help="transcript, in which cue phrases choose gestures with a meaning "
+                       "(--meaning): plain text, TextGrid, SRT, VTT, TSV or JSON with word times; or a folder of "
+                       "transcripts named like the recordings")
+    # The help of an option is its docstring, so that both say the same.
+    docs = field_docs(InferenceOptions)
+    for option in fields(InferenceOptions):
+        if "flag" in option.metadata:
+            flag: OptionFlag = option.metadata["flag"]
+            _add_option(groups[flag.group], option, flag, _help_of(docs[option.name], option, flag))
+    body = p.add_argument_group("character", "Your own character, from Mixamo, VRM, Unreal, Blender or "
+                                "elsewhere; see gesticulator character --help.")
+    body.add_argument("--character", metavar="FILE",
+                      help="animate this character: .bvh, .glb, .gltf, .vrm, or .fbx if Blender is installed "
+                      "(FILE#NAME: one of several in the file); it stands unless --seated "
+                      "is given")
+    body.add_argument("--mapping", metavar="FILE.json",
+                      help="which nodes are which joints, if they are not identified automatically")
+    body.add_argument("--save-mapping", metavar="FILE.json", help="write the joint mapping, to check or correct it")
+    body.add_argument("--no-contacts", action="store_true", help="do not keep the hands outside the trunk")
+    p.add_argument("--bundle", metavar="NAME|DIR", help="trained weights: default, paper (both papers in their own "
+                   "form), or a folder (default: default)")
+    # One thread: blocks are small, and threads that wait for each other cost more than they gain.
+    p.add_argument("--threads", type=number("threads"), default=1, metavar="N",
+                   help="number of torch threads; it affects the last bits of the output (default 1, usually the "
+                   "fastest)")
+    p.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
+    p.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
+
+
+def _help_of(doc: str, field: Field[Any], flag: OptionFlag) -> str:
+    """The help of an option: the first sentence of its docstring, with its default."""
+    # References in backticks mean nothing on a command line.
+    sentence = re.sub(r" \(`[^)]*`\)|`", "", re.split(r"\.(?: |$)", doc, maxsplit=1)[0])
+    if flag.many:
+        sentence += "; can be repeated"
+    if flag.metavar is not None and field.default not in (None, ()):
+        sentence += f" (default {field.default})" if isinstance(field.default, str) else f" (default {field.default:g})"
+    return sentence[0].lower() + sentence[1:]
+
+
+def _add_option(group: argparse._ArgumentGroup, field: Field[Any], flag: OptionFlag, text: str) -> None:
+    name = f"--{(flag.name or field.name).replace('_', '-')}"
+    # A list that can be appended to, not the tuple of the field's default.
+    more = dict[str, Any](dest=field.name, default=[] if flag.many else field.default)
+    if flag.metavar is None:
+        group.add_argument(name, action="store_true", help=text, **more)
+        return
+    if field.name == "interpreter":
+        more["choices"] = tuple(INTERPRETERS)
+        text += ": " + ", ".join(f"{key} ({entry.about})" for key, entry in INTERPRETERS.items())
+    elif flag.choices:
+        more["choices"] = flag.choices
+    else:
+        more["metavar"] = flag.metavar
+    if field.name in _PARSERS:
+        more["type"] = _PARSERS[field.name]
+    elif field.name in RANGES:
+        more["type"] = number(field.name)
+    if flag.many:
+        more["action"] = "append"
+    group.add_argument(name, help=text, **more)
+
+
+def infer_arguments(p: argparse.ArgumentParser) -> None:
+    """Add the arguments of `gesticulator infer`."""
+    p.usage = f"{p.prog} SPEECH [SPEECH ...] -o FILE [options]"
+    p.add_argument("speech", nargs="*", metavar="SPEECH",
+                   help="audio files (WAV, FLAC, OGG, MP3; M4A, MP4, WebM and other video with PyAV; 0.3 s or "
+                   "longer), folders of them, or - for standard input")
+    out = p.add_argument_group(
+        "output (at least one is required)", "A path that ends in / or is a folder receives one file per recording, "
+        "named\nafter it; any other path is the file itself. Missing folders are created.")
+    out.add_argument("-o", "--output", metavar="FILE", action="append", help="motion, in the format given by the "
+                     "suffix: " + ", ".join(sorted(set(WRITERS) - {".html", ".json"})) + "; can be repeated")
+    out.add_argument("--format", metavar="SUFFIX", help=f"format of -o if it is a folder (default {FORMAT})")
+    out.add_argument("--preview", metavar="FILE.html", help="a page that plays the motion in a browser")
+    out.add_argument("--plan-out", "--explain", metavar="FILE.json",
+                     help="the gesture plan: every decision, to read, edit and render again with --plan")
+    _clip_arguments(p)
+    many = p.add_argument_group("many recordings", "A manifest records what was done; a second run processes only "
+                                                   "what is missing or changed.")
+    many.add_argument("--manifest", metavar="FILE.jsonl",
+                      help="the manifest, JSON lines; default with --shard and --ray: manifest.jsonl in the folder of "
+                      "-o")
+    many.add_argument("--shard", metavar="I/N", help="process shard I of N, of equal duration")
+    many.add_argument("--ray", metavar="WHERE",
+                      help="process on a Ray cluster: auto, its address, or local:N for N workers on this machine")
+    performance_arguments(p)
+
+
+def _clip_arguments(p: argparse.ArgumentParser) -> None:
+    clip = p.add_argument_group("clips for animation tools", "See docs/clips.md.")
+    clip.add_argument("--clip-name", metavar="NAME", help="name of the animation in the file (default gesture)")
+    clip.add_argument("--keys", metavar="DEGREES", type=_keys, help="leave out keys that interpolation restores "
+                      "within so many degrees in .glb, .vrma and .fbx, or all to write every frame (default 0.1)")
+    clip.add_argument("--loop", action="store_true", help="the end passes into the beginning without a seam")
+    clip.add_argument("--mask", choices=("upper",), help="upper: animate the upper body alone; hips and legs have no "
+                      "tracks")
+    clip.add_argument("--layer", choices=("additive",), help="additive: the upper body relative to its resting pose, "
+                      "to be added to an idle clip of the file")
+
+
+def run_settings_of(args: argparse.Namespace) -> RunSettings:
+    """The settings of a run from its arguments; a command may lack those of a batch."""
+    values: dict[str, Any] = {field.name: getattr(args, field.name, field.default) for field in fields(RunSettings)}
+    return RunSettings(**values)
+
+
+def settings_of(args: argparse.Namespace, upper: bool = False) -> Job:
+    """A job without recording and files, with the settings of all jobs of a command: the arguments of
+    `performance_arguments`. upper: only the upper body is written. `InputError` for options that exclude each other."""
+    # Two sources of words could contradict each other.
+    if args.transcribe is not None and args.text is not None:
+        raise InputError("--transcribe", "hears words, and --text gives them", "leave one of them out")
+    values = {field.name: getattr(args, field.name) for field in fields(InferenceOptions) if "flag" in field.metadata}
+    # argparse collects repeated options in lists; options are frozen and hashed.
+    values.update({name: tuple(value) for name, value in values.items() if isinstance(value, list)})
+    if args.plan is not None:
+        from gesticulator.plan.plan_file import read_plan
+
+        values["plan"] = read_plan(args.plan)
+    options = InferenceOptions(**values)
+    if options.cues and options.face != "full":
+        from gesticulator.plan.gestures import EXPRESSIONS
+
+        # Without a face the cue would have no effect, which no message would tell.
+        if any(cue.gesture in EXPRESSIONS for cue in options.cues):
+            raise InputError("--cue", "names an expression of the face", "add --face full, or leave it out")
+    return Job(None, options=options, character=_character_of(args, upper))
+
+
+def _character_of(args: argparse.Namespace, upper: bool) -> CharacterRequest | None:
+    if args.character is None:
         return None
-    from gesticulator.characters.reading import choose
-    from gesticulator.characters.retarget import Retargeter
-    from gesticulator.characters.rig import note_of
-
-    # An unclear rig is an error here, before any sound is read.
-    rig, mapping = choose(character.file, character.mapping, character.save_mapping)
-    retargeter = Retargeter(rig, mapping, contacts=character.contacts, legs=character.legs)
-    note = note_of(rig, mapping.joints["Hips"])
-    remarks = [note] if note else []
-    remarks += [f"{doubt}; look at the result" for doubt in retargeter.doubts]
-    for remark in () if quiet else remarks:
-        complain(f"{PROGRAM}: {character.file}: {remark}")
-    return retargeter
+    return CharacterRequest(args.character, args.mapping, args.save_mapping, not args.no_contacts,
+                            not (args.seated or upper))
 
 
-@dataclass(frozen=True)
-class Worker:
-    """What the jobs of a command are processed with. retargeter: None for the default skeleton."""
+def jobs_of(args: argparse.Namespace) -> list[Job]:
+    """The jobs of `gesticulator infer`; `InputError` for what can be found wrong before any work."""
+    if not args.speech:
+        raise InputError("speech", "is missing", f"name a sound file; see {PROGRAM} infer --help")
+    outputs = _output_files(args)
+    clip = _clip_of(args)
+    if clip is not None:
+        from gesticulator.export.clip import check_clip_outputs
 
-    gesticulator: Gesticulator
-    retargeter: Retargeter | None = None
-
-    def perform(self, job: Job) -> tuple[float, str]:
-        """Process one recording: read it, generate its gestures and write the files. Returns seconds of sound, and the
-        summary for the user."""
-        check_job(job)
-        speech = load(job)
-        # Without reading: the factor compares computing with the duration.
-        begin = time.perf_counter()
-        performance = self._laid_out(job, self.performed(job, speech))
-        factor = (time.perf_counter() - begin) / speech.duration
-        # Files appear whole, so what is there after an error can be used.
-        written = [performance.save(target) for target in job.targets]
-        pages = [f"open {page} in a browser to watch it" for page in written if page.suffix.lower() == ".html"]
-        lexemes = performance.lexemes.tolist()
-        line = (f"{job.name}: {speech.duration:.1f} s, {len(lexemes) - 1} beats, {len(set(lexemes))} of "
-                f"{len(self.gesticulator.bundle.vectors)} lexemes, real-time factor {factor:.3f} -> "
-                f"{printable(', '.join(map(str, written)))}")
-        return speech.duration, "\n  ".join([line, *performance.decided.notes, *pages])
-
-    def performed(self, job: Job, speech: Speech) -> Performance:
-        """The performance of a recording, on the default skeleton; with legs, too, where the character stands."""
-        # Legs cost time, so they are generated only where something shows them.
-        stands = self.retargeter is not None and self.retargeter.mapping.legs and self.retargeter.legs
-        options: dict[str, Any] = {**vars(job.options), "legs": job.options.legs or stands}
-        performance = self.gesticulator(speech, text=job.text, **options)
-        return performance.labelled(job.name, performance.decided.notes)
-
-    def _laid_out(self, job: Job, performance: Performance) -> Performance:
-        """The performance as the clip of the job, on the character."""
-        if job.clip is not None:
-            performance = performance.as_clip(job.clip)
-        return performance if self.retargeter is None else performance.moved_by(self.retargeter)
+        check_clip_outputs(clip, outputs)
+    jobs = jobs_for(args.speech, outputs, args.text)
+    if ".glb" in outputs and (args.character or "").lower().endswith(".fbx"):
+        raise InputError("-o *.glb", "cannot hold a character from FBX", "write .fbx, or convert the character to GLB")
+    if args.plan is not None:
+        if len(jobs) > 1:
+            raise InputError("--plan", f"is for one recording, and {len(jobs)} are given", "give one")
+        if args.text is not None and not args.retime:
+            raise InputError("--text", "is already in the plan", "leave it out")
+    like = settings_of(args, clip is not None and clip.bare)
+    return [replace(job, options=like.options, clip=clip, character=like.character) for job in jobs]
 
 
-def load(job: Job) -> Speech:
-    """The recording; warns if it is too quiet even after the requested gain."""
-    from data_module.speech.audio import amplified, level_note, load_speech
+def _clip_of(args: argparse.Namespace) -> ClipLayout | None:
+    """The layout of clips; None if no option of clips is given."""
+    # Without any of these options files are laid out as they always were, byte for byte.
+    if not any((args.clip_name, args.loop, args.mask, args.layer, args.keys is not None)):
+        return None
+    from gesticulator.export.clip import NAME, ClipLayout
 
-    speech = load_speech(job.source or sys.stdin.buffer, any_length=True)
-    note = level_note(amplified(speech, job.options.gain))
-    if note is not None:
-        complain(f"{PROGRAM}: warning: {job.name}: {note}")
-    return speech
+    keys = ClipLayout().keys if args.keys is None else args.keys
+    return ClipLayout(args.clip_name or NAME, keys, args.loop, args.mask == "upper", args.layer == "additive")
+
+
+def _output_files(args: argparse.Namespace) -> dict[str, str]:
+    """Suffix -> the file or folder to write to. `InputError` if it cannot be written or a format is given twice."""
+    given = [(_suffix_of(name, args.format), name) for name in args.output or ()]
+    given += [(suffix, getattr(args, name)) for name, suffix in _OUTPUTS.items() if getattr(args, name) is not None]
+    outputs: dict[str, str] = {}
+    for suffix, name in given:
+        if suffix in outputs:
+            raise InputError(name, f"is a second {suffix} beside {outputs[suffix]}", "name one of them")
+        check_output(Path(name) / f"gesture{suffix}" if is_folder(name) else name)
+        outputs[suffix] = name
+    return outputs
+
+
+def _suffix_of(name: str, chosen: str | None) -> str:
+    """The suffix of an output; chosen: the value of --format."""
+    if is_folder(name):
+        return "." + (chosen or FORMAT).lower().lstrip(".")
+    if chosen is not None:
+        raise InputError("--format", f"is for folders, and {name} is a file", "leave it out")
+    return suffix_of(name) or f".{FORMAT}"

@@ -10,11 +10,10 @@ import soundfile
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, BeatFlag, Blocks, Motion, Skeleton, Speech, Word
-from gesticulator.directing.record import Origin, plan_of
 from gesticulator.export import writers
 from gesticulator.export.clip import ClipLayout
 from gesticulator.options import InferenceOptions
-from gesticulator.performance import Performance
+from gesticulator.performance import Origin, Performance, plan_of
 from gesticulator.plan.plan import Block, BlockDraw, LexemeChoice
 from gesticulator.sampling.loop import BlockMotion
 

@@ -17,8 +17,7 @@ import soundfile
 
 from data_module.errors import InputError
 from gesticulator import infer
-from gesticulator.batch import done_here, parse_shard, run_batch, sharded
-from gesticulator.manifest import ManifestRow, opened_manifest, read_manifest
+from gesticulator.batch import ManifestRow, done_here, opened_manifest, parse_shard, read_manifest, run_batch, sharded
 
 EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 
@@ -60,7 +59,7 @@ def test_a_manifest_is_read_as_it_was_written_and_those_of_shards_one_after_the_
 def test_what_a_killed_process_noted_is_there_and_half_a_line_is_not(tmp_path: Path) -> None:
     path = tmp_path / "m.jsonl"
     write_manifest(path, ManifestRow("a.wav"))
-    code = ("import os, sys; from pathlib import Path; from gesticulator.manifest import ManifestRow, opened_manifest\n"
+    code = ("import os, sys; from pathlib import Path; from gesticulator.batch import ManifestRow, opened_manifest\n"
             f"with opened_manifest(Path({str(path)!r})) as manifest:\n"
             "    manifest.add(ManifestRow('b.wav')); manifest.add(ManifestRow('a.wav', error='cut'))\n"
             "    os.kill(os.getpid(), 9)")
@@ -237,7 +236,7 @@ def cluster() -> Iterator[None]:
 
 def on_ray(make: Callable[[], Callable[[str], float]], *names: str) -> list[ManifestRow]:
     """The rows of recordings that a cluster has processed."""
-    from gesticulator.ray_pool import done_on_ray
+    from gesticulator.batch import done_on_ray
 
     return list(done_on_ray("local:2", make, [ManifestRow(name) for name in names]))
 

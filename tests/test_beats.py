@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
+import warnings
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_module.errors import InputError
 from data_module.speech import onsets
 from data_module.speech.audio import load_speech
 from data_module.speech.beats import RULES, BeatSettings, BeatTracker, find_beats, next_beat
-from data_module.speech.onsets import (
-    LOOK_AHEAD,
-    OnsetTracker,
-    detect_onsets,
-    merged,
-)
+from data_module.speech.mel import mel_bands
+from data_module.speech.onsets import LOOK_AHEAD, OnsetTracker, RiseTracker, detect_onsets, merged
 from data_module.speech.silence import LoudnessTracker, frame_levels
 from data_module.types import Array, BeatFlag, Beats, Samples, Speech
 
@@ -213,6 +211,19 @@ def test_beats_of_sound_that_arrives_are_those_of_the_recording(rule: str, secon
     assert [int(flag) for _, flag in found] == whole.flags.tolist()
 
 
+@given(cuts=st.lists(st.integers(0, 2 * RATE), max_size=12).map(sorted))
+@settings(max_examples=20, deadline=None)
+def test_onset_strengths_do_not_depend_on_the_pieces_of_sound(cuts: list[int]) -> None:
+    sound, ground = babble(2.0, 4), np.linspace(-60.0, -40.0, 200)
+    tracker, strengths = RiseTracker(RATE), []
+    for start, end in pairwise([0, *cuts, len(sound)]):
+        # The noise floor is known for every whole 10 ms of sound.
+        strengths.append(tracker.step(sound[start:end], ground[start // 160:end // 160]))
+    whole = RiseTracker(RATE)
+    expected = np.concatenate([whole.step(sound, ground), whole.finish()])
+    np.testing.assert_array_equal(np.concatenate([*strengths, tracker.finish()]), expected)
+
+
 def test_settings_that_cannot_hold_are_refused() -> None:
     for wrong in ({"d_min": 0.3, "d_max": 0.5}, {"d_min": 0.0}, {"d_max": float("inf")}, {"d_max": 0.1},
                   {"merge": -1.0}, {"d_min": float("nan")}, {"d_max": float("nan")}, {"d_min": -0.2}):
@@ -240,3 +251,15 @@ def test_spectra_and_their_rise_are_librosas_to_the_last_bit() -> None:
     sound = np.random.default_rng(0).standard_normal(4 * 160 + 2048).astype(np.float32)
     spectra = onsets._spectra(sound, 2048, 160)
     np.testing.assert_array_equal(spectra, librosa.stft(sound, n_fft=2048, hop_length=160, center=False))
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.sampled_from([8000, 16000, 22050, 48000]), st.integers(64, 1200), st.integers(1, 128),
+       st.none() | st.floats(300.0, 4000.0), st.booleans())
+def test_mel_bands_are_librosas_to_the_last_bit(rate: int, half: int, bands: int, top: float | None, area: bool
+                                                ) -> None:
+    import librosa
+
+    with warnings.catch_warnings(action="ignore", category=UserWarning):  # some of so many bands are empty
+        theirs = librosa.filters.mel(sr=rate, n_fft=2 * half, n_mels=bands, fmax=top, norm="slaney" if area else None)
+    np.testing.assert_array_equal(mel_bands(rate, 2 * half, bands, top, equal_area=area), theirs)

@@ -16,7 +16,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("data_module", "lexicon", "interpreters", "generator", "gesticulator", "eval")
 TABLES = {"data_module.corpora.table", "interpreters", "gesticulator.characters.reading", "gesticulator.export.writers",
-          "gesticulator.systems", "eval.commands", "eval.pictures"}
+          "eval.commands", "eval.pictures"}
 """Tables of plug-ins name their modules by strings; the modules may import what stands beside the table."""
 
 

@@ -21,11 +21,10 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import FINGERED, LEG_JOINTS, WHOLE_BODY
 from data_module.motion.standing_legs import with_standing_legs
 from data_module.types import Array, Motion
-from gesticulator.arguments import infer_arguments, jobs_of
 from gesticulator.body.clips import added_to_rest, looped, upper_alone
 from gesticulator.export.clip import ClipLayout, parse_keys
 from gesticulator.export.key_reduction import METRES_PER_DEGREE, SPAN, STEADY_SHARE, kept_frames, rotation_errors
-from gesticulator.jobs import Job
+from gesticulator.jobs import Job, infer_arguments, jobs_of
 
 FPS = 60.0
 

@@ -7,9 +7,8 @@ import warnings
 import pytest
 
 from gesticulator.bundle import bundle as bundles
-from gesticulator.gesticulator import Gesticulator
+from gesticulator.gesticulator import Gesticulator, InterpreterWarning
 from gesticulator.options import InferenceOptions
-from gesticulator.setup import InterpreterWarning
 from gesticulator.training.presets import preset
 
 

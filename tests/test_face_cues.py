@@ -18,12 +18,12 @@ from data_module.errors import InputError
 from data_module.text.marks import marked_text
 from data_module.types import Array, Speech, Word
 from gesticulator import Gesticulator
-from gesticulator.arguments import infer_arguments, settings_of
 from gesticulator.directing.cues import stroke_of_word
 from gesticulator.directing.marks import MarkWarning, expression_of_mark, gesture_of_mark, mark_cues, warn_of_unknown
 from gesticulator.face.motion import FaceMotion
 from gesticulator.face.phones import PhonesWarning
 from gesticulator.face.track import FaceCues, FaceTrack
+from gesticulator.jobs import infer_arguments, settings_of
 from gesticulator.options import InferenceOptions
 from gesticulator.plan.gestures import EXPRESSIONS, GESTURES
 from gesticulator.plan.plan import GestureCue

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from gesticulator.sampling.noise import Keys
+from gesticulator.sampling.loop import Keys
 from gesticulator.systems.movement import FADES, Offset, first_pose
 
 NAMES = ["Spine", "LeftArm", "RightArm"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gesticulator.sampling.noise import Keys
+from gesticulator.sampling.loop import Keys
 from interpreters.base import select
 
 LEXEMES = 60

@@ -16,7 +16,8 @@ from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import Retargeter
 from gesticulator.characters.rig import Character, decomposed
 from gesticulator.characters.soundness import probe_motion
-from gesticulator.jobs import CharacterRequest, retargeter_for
+from gesticulator.infer import retargeter_for
+from gesticulator.jobs import CharacterRequest
 from tests.rigs import PLACES, Rig, as_glb, draw, placed
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from browser import OpenedPage, chromium
 from performances import write_example
 
-from gesticulator.arguments import run_settings_of
 from gesticulator.export import html
+from gesticulator.jobs import run_settings_of
 from gesticulator.page.command import COMMAND, _job, _prepare
 from gesticulator.page.server import PageServer
 from gesticulator.page.session import EditSession

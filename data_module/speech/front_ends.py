@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.settings import Width
+from data_module.speech.mel import mel_bands
 from data_module.speech.silence import TYPICAL_LEVEL
 from data_module.types import Array, Samples
 
@@ -94,11 +95,8 @@ class MelFrontEnd:
     @cached_property
     def _filters(self) -> Features:
         """[window / 2 + 1, bands]: power of a spectrum to mean power per band; white noise of RMS r gives r^2."""
-        import librosa
-
-        # Without librosa's norm: each band is scaled to the mean power below.
-        bank = librosa.filters.mel(sr=self.sample_rate, n_fft=self._window, n_mels=self.bands, norm=None,
-                                   fmax=_ROBUST_TOP if self.robust else None)
+        bank = mel_bands(self.sample_rate, self._window, self.bands, _ROBUST_TOP if self.robust else None,
+                         equal_area=False)
         scale = np.maximum(bank.sum(axis=1, keepdims=True), 1e-6) * np.sum(self._taper.astype(np.float64) ** 2)
         return np.ascontiguousarray((bank / scale).T, dtype=np.float32)
 

@@ -33,7 +33,7 @@ Two sets of features, one moved by (3, 4):
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -150,19 +150,9 @@ def measure(generated: Sequence[Array], real: Sequence[Array], *, paired: bool =
     return Figure(interval.mean, interval, sampling_bias(gaussian(_joined(real)), *counts), counts, needed)
 
 
-def difference(first: Sequence[Array], second: Sequence[Array], real: Sequence[Array]) -> Interval:
-    """FGD of the first clips' features [n, E] less that of the second's, clips redrawn together; NaN for one clip.
-
-    The interval is the basic bootstrap's, as in `measure`, for the same reason.
-    """
-    # A clip counts if all three have windows of it: the two systems must be compared on the same speech.
-    whole = np.flatnonzero([min(map(len, clips)) > 0 for clips in zip(first, second, real, strict=True)])
-
-    def apart(chosen: stats.Indices) -> float:
-        one, other, truth = ([clips[k] for k in whole[chosen]] for clips in (first, second, real))
-        return of_clips(one, truth) - of_clips(other, truth)
-
-    return stats.of_set(apart, len(whole), draws=DRAWS) if len(whole) > 1 else Interval.undefined(len(whole))
+def of_chosen(first: Sequence[Array], second: Sequence[Array]) -> Callable[[stats.Indices], float]:
+    """`of_clips` for the clips with these numbers, of features [n, E] of the same clips on both sides."""
+    return lambda chosen: of_clips([first[k] for k in chosen], [second[k] for k in chosen])
 
 
 def _root(covariance: Array) -> Array:

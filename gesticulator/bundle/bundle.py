@@ -38,8 +38,7 @@ from gesticulator.bundle.files import (
     replace_folder,
     write_index,
 )
-from gesticulator.bundle.models import JUDGES, LazyParts, part_table, stored_parts
-from gesticulator.systems import System, system_of
+from gesticulator.bundle.models import JUDGES, LazyParts, System, part_table, stored_parts, system_of
 from interpreters import INTERPRETERS, entries
 from interpreters.base import InterpreterParts, opened
 

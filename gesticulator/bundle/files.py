@@ -25,7 +25,7 @@ from torch import Tensor
 from data_module.errors import InputError
 from data_module.files import is_free, new_folder, read_object, rename
 from data_module.types import Skeleton
-from gesticulator.version import __version__
+from gesticulator.cli import __version__
 
 FORMAT = 7
 """The first released format. Bundles of formats 1 to 6 were never published."""

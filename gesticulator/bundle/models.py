@@ -1,6 +1,6 @@
 """Constructs every model of a bundle, for training and for loading.
 
-Lexicon, generator and style interpreter are those of the system (`gesticulator.systems`). Model shapes that depend on
+Lexicon, generator and style interpreter are those of the system (`System`). Model shapes that depend on
 the data and not on the settings are passed as `Sizes`. Each model's module is imported by the function that builds it,
 so that loading one part imports only that part. The parts of a bundle on disk are loaded on first use (`LazyParts`).
 """
@@ -12,17 +12,17 @@ from collections import UserDict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import torch
 from torch import nn
 
 from data_module.errors import InputError
 from data_module.layers import freeze
-from gesticulator.bundle.config import RewardConfig
+from data_module.registry import Registry, RegistryEntry
+from gesticulator.bundle.config import Config, RewardConfig
 from gesticulator.bundle.features import CONTROL_WIDTH, Sizes
 from gesticulator.bundle.files import Weights, lexicon_hash
-from gesticulator.systems import system_of
 from interpreters import InterpreterEntry, entries
 from interpreters.base import InterpreterSizes
 
@@ -31,6 +31,53 @@ if TYPE_CHECKING:
     from interpreters.gate import ActivityGate
     from interpreters.planner import UnitPlanner
     from interpreters.reward import RewardEnsemble
+
+
+class System(Protocol):
+    """A module of `gesticulator.systems`, as the rest of the product sees it. NAME: the word of `Config.system`. PARTS:
+    the models that its bundle needs besides the lexicon; STAGES: the names of its training stages in order
+    (`gesticulator.training.stages`), whether or not the settings want each. CODEBOOK: the name of the tensor of code
+    vectors in the lexicon's file. BLOCKS: blocks at the beat are generated one by one, so that a single one can be
+    generated again; IN_CONTEXT: the motion of a lexeme depends on the block before; SILENCE: some lexemes are silent
+    (RG 6.4.1); VARIES: the same lexemes can be sampled as different motion. begin, step: of the same arguments as those
+    of `gesticulator.sampling.loop`; motion_of: the motion [N, K, D_m] of all N blocks."""
+
+    NAME: str
+    PARTS: tuple[str, ...]
+    STAGES: tuple[str, ...]
+    CODEBOOK: str
+    BLOCKS: bool
+    IN_CONTEXT: bool
+    SILENCE: bool
+    VARIES: bool
+    begin: Callable[..., Any]
+    step: Callable[..., Any]
+    motion_of: Callable[..., Any]
+
+    def codebook_shape(self, config: Config) -> tuple[int, int]:
+        """(S, D_s): the number of lexemes, and the width of a lexeme's vector."""
+
+    def lexicon(self, sizes: Sizes) -> nn.Module:
+        """The untrained lexicon or codec."""
+
+    def generator(self, sizes: Sizes) -> nn.Module:
+        """The untrained generator; InputError if the system has none."""
+
+    def style(self, sizes: Sizes, reads: bool) -> nn.Module:
+        """The untrained style interpreter; reads: it also takes the words. InputError if the system has none."""
+
+
+SYSTEMS: Registry[RegistryEntry] = Registry("systems", "a system", {
+    "paper": RegistryEntry("Rhythmic Gesticulator as published", "gesticulator.systems.paper"),
+    "movement": RegistryEntry("movements, gesture units and a flow generator", "gesticulator.systems.movement"),
+    "racer": RegistryEntry("RACER as published", "gesticulator.systems.racer"),
+}, RegistryEntry)
+"""By name. A bundle names one of these three; other packages add interpreters, not systems."""
+
+
+def system_of(config: Config) -> System:
+    """The system of these settings."""
+    return cast(System, SYSTEMS.load(config.system))
 
 
 def encoder(sizes: Sizes) -> SpeechEncoder:

@@ -20,6 +20,7 @@ that sits (`gesticulator.contacts.lap`) are a third surface, from which hands ar
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,8 @@ from data_module.motion import rotation
 from data_module.motion.representation import Representation
 from data_module.motion.skeletons import SIDES
 from data_module.types import Array, Motion, Skeleton
-from gesticulator.contacts.lap import FINGERTIPS, thighs_of
 from gesticulator.contacts.limbs import (
+    FINGERTIPS,
     LEAST,
     OURS,
     POLE_OF_ELBOW,
@@ -46,6 +47,9 @@ from gesticulator.contacts.limbs import (
     trunk_axes,
     write_turns,
 )
+
+if TYPE_CHECKING:
+    from gesticulator.contacts.lap import Thigh
 
 STEEPEST = 1.2
 """Largest slope of the front of the trunk: with 3, a hand that shot past the hip was thrown ahead at 4.7 m/s."""
@@ -181,7 +185,11 @@ class _Body:
         self._axes, self._length = trunk.axes, trunk.length
         self._head = pose.turns["Head"]
         self._face = pose.places["Head"] + self._head @ HEAD_MIDDLE
-        self._thighs = thighs_of(pose) if sits else ()
+        self._thighs: tuple[Thigh, ...] = ()
+        if sits:
+            from gesticulator.contacts.lap import thighs_of
+
+            self._thighs = thighs_of(pose)
 
     def push(self, points: Array, sign: Sign) -> Array:
         """[..., T, 3] the displacement of a hand whose P points [..., P, T, 3] are in the body, fingertips only in the

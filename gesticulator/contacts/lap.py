@@ -21,14 +21,12 @@ from scipy.spatial.transform import Rotation
 
 from data_module.motion.skeletons import SIDES, WHOLE_BODY
 from data_module.types import Array, Motion
-from gesticulator.contacts.limbs import Pose, pose_of, soft
+from gesticulator.contacts.limbs import FINGERTIPS, Pose, pose_of, soft
 
 RADII = (0.076, 0.056)
 """Metres around the line from hip to knee of the default character, at its ends: as pages draw them."""
 SEAT_SPREAD = 7.0
 """Degrees by which a seated thigh points outward."""
-FINGERTIPS = ("HandThumb3", "HandIndex3", "HandMiddle3", "HandRing3", "HandPinky3")
-"""Joints of a hand that are kept out of thighs with its wrist and knuckles."""
 _MARGINS = np.array([0.024, 0.018, *(0.008 for _ in FINGERTIPS)])[:, None]
 """Metres by which wrist, knuckles and fingertips are above a thigh: half their thickness."""
 _LEVEL = 0.7

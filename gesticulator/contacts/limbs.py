@@ -24,6 +24,8 @@ MARGIN = 0.03
 """Metres from the trunk beyond which a hand is not corrected, for an adult."""
 OURS = (0.145, 0.115)
 """Half the width and half the depth of the default character's trunk, metres: a slim adult."""
+FINGERTIPS = ("HandThumb3", "HandIndex3", "HandMiddle3", "HandRing3", "HandPinky3")
+"""Joints of a hand that are kept out of thighs with its wrist and knuckles."""
 _STRETCHED = 0.9995
 """Largest share of a limb's length used: a fully stretched knee jumps."""
 

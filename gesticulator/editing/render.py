@@ -29,8 +29,17 @@ from gesticulator.directing.directions import still_frames
 from gesticulator.plan.plan import Block, GesturePlan, PlanKnobs, edited_themselves
 from gesticulator.sampling import loop
 from gesticulator.sampling.cutter import CUTTER_EVERY, BlockCutter
-from gesticulator.sampling.loop import BlockMotion, GeneratedMotion, OnBlock, Request, Setup, State, controls_at
-from gesticulator.sampling.noise import Keys
+from gesticulator.sampling.loop import (
+    BlockMotion,
+    GeneratedMotion,
+    Generation,
+    Keys,
+    OnBlock,
+    Request,
+    Setup,
+    State,
+    controls_at,
+)
 
 BLEND = 0.6
 """Seconds after an edited run in which the difference fades out: a hand half a metre off returns at 1.3 m/s at most."""
@@ -48,17 +57,6 @@ def flag_numbers(flags: Sequence[str]) -> list[BeatFlag]:
     """The flags of these names. A beat that a user added counts as an onset."""
     by_name = {flag.name.lower(): flag for flag in BeatFlag}
     return [by_name.get(name, BeatFlag.ONSET) for name in flags]
-
-
-@dataclass(frozen=True)
-class Generation:
-    """A generated recording from which edits start. speech: its features; blocks: its N blocks; states: [N + 1] the
-    state before each of them, and after the last; cutters: copies of the cutter of its speech (`Recutter`)."""
-
-    speech: SpeechFeatures
-    blocks: Sequence[BlockMotion]
-    states: Sequence[State]
-    cutters: Sequence[BlockCutter] = ()
 
 
 @dataclass(frozen=True, eq=False)

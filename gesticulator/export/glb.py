@@ -81,7 +81,7 @@ def _add_character_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLa
 
 def skeleton_document(motion: NodeMotion) -> GltfDocument:
     """A skeleton at rest with a figure of spindles."""
-    from gesticulator.version import __version__
+    from gesticulator.cli import __version__
 
     gltf = GltfDocument({
         "asset": {"version": "2.0", "generator": f"gesticulator {__version__}"},

@@ -59,7 +59,7 @@ def vrm_animation(motion: Motion, clip: ClipLayout, face: FaceMotion | None = No
     """The bytes of a .vrma file for a motion of our skeleton in any of its sizes. Joints that the motion lacks are
     omitted, so that a character keeps its rest pose or another animation there. With a face, there are tracks for the
     expressions and the gaze."""
-    from gesticulator.version import __version__
+    from gesticulator.cli import __version__
 
     nodes = humanoid(motion)
     gltf = GltfDocument({

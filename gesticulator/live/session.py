@@ -72,7 +72,7 @@ class Session:
 
     def welcome(self) -> dict[str, Any]:
         """The server's hello."""
-        from gesticulator.version import __version__
+        from gesticulator.cli import __version__
 
         limits, request = self.limits, self.request
         return {

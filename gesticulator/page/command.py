@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 from data_module.errors import InputError, complain
 from data_module.files import write_text
-from gesticulator.arguments import performance_arguments, run_settings_of, settings_of
 from gesticulator.cli import Command, limited_threads, our_warnings
-from gesticulator.jobs import Job, RunSettings, Worker, load
+from gesticulator.infer import Worker, load
+from gesticulator.jobs import Job, RunSettings, performance_arguments, run_settings_of, settings_of
 
 if TYPE_CHECKING:
     from gesticulator.characters.rig import Character

@@ -20,13 +20,12 @@ from data_module.motion import kinematics
 from data_module.motion.skeletons import standing
 from gesticulator.bundle.features import representation_of
 from gesticulator.directing.directions import check_plan_of, planned
-from gesticulator.directing.record import fingerprinted, named
 from gesticulator.editing.frames import EditedFrames, FrameRenderer
 from gesticulator.export.html import QUATERNION_STEPS, describe_shape, page_fps, root_path
 from gesticulator.options import InferenceOptions
 from gesticulator.page.server import AbandonedError, message
 from gesticulator.performance import Performance
-from gesticulator.plan.plan import GesturePlan, sound_hash
+from gesticulator.plan.plan import GesturePlan, fingerprinted, named, sound_hash
 from gesticulator.plan.plan_file import plan_from
 
 if TYPE_CHECKING:

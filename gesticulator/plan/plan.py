@@ -15,7 +15,7 @@ import functools
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, cast
 
@@ -485,3 +485,27 @@ def shapes(plan: GesturePlan) -> bool:
         return True
     return any(block.intensity != 1.0 or block.mirror or (block.locked and knobs != plan.drawn.knobs)
                for block in plan.blocks)
+
+
+def words_of(speech: Speech) -> tuple[PlanWord, ...]:
+    """The words of a speech, as a plan stores them."""
+    return tuple(PlanWord(word.text, word.start, word.end) for word in speech.words or () if word.text.strip())
+
+
+def fingerprinted(plan: GesturePlan, speech: Speech) -> GesturePlan:
+    """The plan with the fingerprint of its sound, by which it can be moved onto another export."""
+    from data_module.speech.fingerprint import fingerprint, fingerprint_text
+
+    return plan if plan.fingerprint is not None else replace(plan, fingerprint=fingerprint_text(fingerprint(speech)))
+
+
+def named(plan: GesturePlan, names: tuple[LexemeName, ...]) -> GesturePlan:
+    """The plan with the names of lexemes and gestures."""
+    from gesticulator.plan.gestures import GESTURES
+
+    by_lexeme = {entry.lexeme: entry.name for entry in names}
+    blocks = [replace(block, name=None if block.lexeme is None else by_lexeme.get(block.lexeme), alternatives=tuple(
+        replace(choice, name=by_lexeme.get(choice.lexeme, "")) for choice in block.alternatives))
+        for block in plan.blocks]
+    return replace(plan, blocks=tuple(blocks), lexicon=names,
+                   gestures=tuple(GestureName(name, about) for name, about in GESTURES.items()))

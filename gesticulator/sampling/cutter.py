@@ -36,7 +36,7 @@ from data_module.speech.silence import (
 from data_module.types import Array, BeatFlag, Blocks, Samples, Speech, Word
 from gesticulator.bundle.config import Config
 from gesticulator.bundle.features import Features, SpeechBlock, SpeechFeatures, front_end_for, tempo_column
-from gesticulator.systems import system_of
+from gesticulator.bundle.models import system_of
 
 if TYPE_CHECKING:
     from data_module.text.word_vectors import WordEncoder

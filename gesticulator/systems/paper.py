@@ -27,6 +27,7 @@ from torch import Tensor
 from gesticulator.bundle.features import CONTROL_WIDTH
 from gesticulator.sampling.loop import (
     BlockMotion,
+    Keys,
     Request,
     Setup,
     State,
@@ -39,7 +40,6 @@ from gesticulator.sampling.loop import (
     shown,
     tensor,
 )
-from gesticulator.sampling.noise import Keys
 from interpreters.base import BlockFeatures
 
 if TYPE_CHECKING:
@@ -93,7 +93,8 @@ def lexicon(sizes: Sizes) -> Lexicon:
 
 def generator(sizes: Sizes) -> Generator:
     """G, E_M, E_A and, in training, a style code for each block (RG 5.2, 5.3, Eq. 5 to 14)."""
-    from generator.model import Generator, GeneratorWidths
+    from generator.model import Generator
+    from generator.settings import GeneratorWidths
 
     config = sizes.config
     widths = GeneratorWidths(sizes.frames, sizes.motion, sizes.low, codebook_shape(config)[1], CONTROL_WIDTH)

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from data_module.errors import InputError
 from gesticulator.sampling.loop import (
     BlockMotion,
+    Keys,
     Request,
     Setup,
     State,
@@ -31,7 +32,6 @@ from gesticulator.sampling.loop import (
     features_of,
     scores_of,
 )
-from gesticulator.sampling.noise import Keys
 
 if TYPE_CHECKING:
     from gesticulator.bundle.bundle import Bundle

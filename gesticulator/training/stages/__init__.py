@@ -12,7 +12,7 @@ import numpy as np
 
 from gesticulator.bundle.bundle import Bundle, TextSource, rest_distances
 from gesticulator.bundle.config import Config
-from gesticulator.systems import system_of
+from gesticulator.bundle.models import system_of
 from gesticulator.training.stages.advantage import ADVANTAGE, COUNTERFACTUALS
 from gesticulator.training.stages.base import Node, Run, Stage
 from gesticulator.training.stages.corpus import BLOCKS, Corpus

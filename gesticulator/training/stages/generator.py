@@ -13,7 +13,7 @@ from generator.flow import FlowGenerator
 from generator.model import BlockInputs, Generator
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
-from gesticulator.systems import system_of
+from gesticulator.bundle.models import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.heads import UNIT_CODES, UNITS

@@ -18,7 +18,7 @@ from data_module.motion.representation import Representation
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
 from gesticulator.bundle.features import Sizes, representation_of
-from gesticulator.systems import system_of
+from gesticulator.bundle.models import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
 from gesticulator.training.stages.corpus import BLOCKS, MEASURED, Corpus, evenly, sizes

@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
-from gesticulator.systems import system_of
+from gesticulator.bundle.models import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.presets import LITERAL
 from gesticulator.training.stages.base import Figures, Node, Run, Stage

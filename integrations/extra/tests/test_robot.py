@@ -27,8 +27,8 @@ from scipy.spatial.transform import Rotation
 from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, CHARACTERS
 from data_module.types import Array, Motion
-from gesticulator.arguments import infer_arguments, jobs_of
 from gesticulator.export.writers import suffix_of
+from gesticulator.jobs import infer_arguments, jobs_of
 from gesticulator.performance import Performance
 
 MODEL = "asset_zoo/robots/unitree_g1/xmls/g1.xml"

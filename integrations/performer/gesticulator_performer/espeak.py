@@ -10,7 +10,6 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from scipy.signal import resample_poly
 
 from data_module.errors import InputError
 from data_module.types import Samples
-from gesticulator_performer.espeak_child import NO_VOICE, PHONEME_EVENT, WORD_EVENT, library
+from gesticulator_performer.espeak_child import NO_VOICE, PHONEME_EVENT, WORD_EVENT
 from gesticulator_performer.sound import RATE, Phone, Sounded, trimmed, word_spans
 
 # The first letter of espeak's mnemonics for vowels, in English, German and Spanish.
@@ -38,23 +37,18 @@ class Line:
 
 
 _CHILD = "from gesticulator_performer.espeak_child import main; main()"
-
-
-def available() -> bool:
-    return library() is not None
+_Output = tuple[NDArray[np.int16], NDArray[np.int64], list[str], int]
+"""Samples [n], events [e, 3] and their names, and the samples a second."""
 
 
 def sound_phrases(lines: Sequence[Line]) -> list[Sounded]:
     """Speak all phrases in one subprocess; the same list gives the same samples. InputError if espeak-ng is missing or
     lacks a voice."""
-    spoken = _spoken(lines)
-    rate = int(spoken["rate"])
-    return [_sounded(line.text, spoken[f"samples_{i}"], spoken[f"events_{i}"], spoken[f"names_{i}"].tolist(), rate)
-            for i, line in enumerate(lines)]
+    return [_sounded(line.text, *of_line) for line, of_line in zip(lines, _spoken(lines), strict=True)]
 
 
-def _spoken(lines: Sequence[Line], *options: str) -> dict[str, NDArray[Any]]:
-    """The output of the subprocess (`espeak_child`)."""
+def _spoken(lines: Sequence[Line], *options: str) -> list[_Output]:
+    """The output of the subprocess (`espeak_child`) for each line."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "spoken.npz"
         done = subprocess.run([sys.executable, "-c", _CHILD, str(path), *options],
@@ -66,24 +60,25 @@ def _spoken(lines: Sequence[Line], *options: str) -> dict[str, NDArray[Any]]:
         if done.returncode != 0:
             raise InputError("espeak-ng", "its library cannot be used", "on Debian: apt install espeak-ng")
         with np.load(path) as spoken:
-            return dict(spoken)
+            return [(spoken[f"samples_{i}"], spoken[f"events_{i}"], spoken[f"names_{i}"].tolist(), int(spoken["rate"]))
+                    for i in range(len(lines))]
 
 
 def ipa_phrases(lines: Sequence[Line]) -> list[tuple[Samples, list[tuple[str, float, float]]]]:
     """Phrases in any language: samples at 16 kHz, and (IPA symbol, start, end) of each phone in seconds. Raises as
     `sound_phrases`."""
-    spoken = _spoken(lines, "ipa")
-    rate = int(spoken["rate"])
-    common = int(np.gcd(RATE, rate))
     out = []
-    for i in range(len(lines)):
-        samples, events = spoken[f"samples_{i}"], spoken[f"events_{i}"]
+    for samples, events, names, rate in _spoken(lines, "ipa"):
         ends = [*(events[1:, 2] / rate).tolist(), len(samples) / rate]
         phones = [(name, start / rate, end) for (kind, _, start), name, end in
-                  zip(events.tolist(), spoken[f"names_{i}"].tolist(), ends, strict=True) if kind == PHONEME_EVENT]
-        sound = resample_poly(samples.astype(np.float32) / 32768, RATE // common, rate // common)
-        out.append((sound.astype(np.float32), phones))
+                  zip(events.tolist(), names, ends, strict=True) if kind == PHONEME_EVENT]
+        out.append((_resampled(samples, rate), phones))
     return out
+
+
+def _resampled(samples: NDArray[np.int16], rate: int) -> Samples:
+    common = np.gcd(RATE, rate)
+    return resample_poly(samples.astype(np.float32) / 32768, RATE // common, rate // common).astype(np.float32)
 
 
 def _sounded(text: str, samples: NDArray[np.int16], events: NDArray[np.int64], names: list[str], rate: int) -> Sounded:
@@ -99,9 +94,7 @@ def _sounded(text: str, samples: NDArray[np.int16], events: NDArray[np.int64], n
             phones.append(Phone(name, start / rate, end / rate, vowel, max(word, 0)))
     if not phones:
         raise InputError("espeak-ng", f"spoke nothing of {text!r}", "give it words")
-    common = np.gcd(RATE, rate)
-    at_rate = resample_poly(samples.astype(np.float32) / 32768, RATE // common, rate // common).astype(np.float32)
-    cut, moved = trimmed(at_rate, _shared_out(tuple(phones), [token for token, _, _ in tokens]))
+    cut, moved = trimmed(_resampled(samples, rate), _shared_out(tuple(phones), [token for token, _, _ in tokens]))
     return Sounded(cut, word_spans([token for token, _, _ in tokens], moved), moved)
 
 

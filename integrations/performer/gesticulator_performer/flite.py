@@ -8,7 +8,6 @@ or change between words.
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import tempfile
 from functools import lru_cache
@@ -28,19 +27,11 @@ _PHONE = re.compile(r"([a-z]+):([0-9.]+)")
 _WORD = re.compile(r"\w+(?:'\w+)*")
 
 
-def available() -> bool:
-    return shutil.which("flite") is not None
-
-
-def tokens_of(text: str) -> list[str]:
-    return _WORD.findall(text)
-
-
 def sound_phrase(base: str, text: str, pitch: float, deviation: float, stretch: float) -> Sounded:
     """Speak a phrase with the voice `base`. pitch, deviation: Hz (target mean and standard deviation of F0);
     stretch: factor on the normal duration. InputError if flite is missing or lacks the voice."""
     samples, timed = timed_phrase(base, text, pitch, deviation, stretch)
-    words = tokens_of(text)
+    words = _WORD.findall(text)
     phones = _in_words(timed, words)
     if not phones:
         raise InputError(f"flite voice {base}", f"spoke nothing of {text!r}", "give it words")

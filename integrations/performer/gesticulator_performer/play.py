@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,26 +22,14 @@ from data_module.motion.kinematics import minimum_jerk, quintic_offset
 from data_module.motion.motion_beats import acting_speed, beats_of_speed
 from data_module.types import Array, Motion
 from gesticulator_performer import plan as planning
-from gesticulator_performer.carriage import carriage
-from gesticulator_performer.hands import Levels, Manner, PhraseHands, waiting_levels
-from gesticulator_performer.living_fingers import living_fingers
-from gesticulator_performer.plan import BRAKE, Casting, Habits, Planned
+from gesticulator_performer import trunk as living
+from gesticulator_performer.joints import FPS, TORSO_RADIUS, capsule_depth
+from gesticulator_performer.plan import BRAKE, Casting, Habits, Levels, Manner, PhraseHands, Planned, waiting_levels
 from gesticulator_performer.strokes import LEFT, RIGHT, SIDES, PerformerBody, StrokeSet
-from gesticulator_performer.styles import NEUTRAL, StyleTrack
+from gesticulator_performer.syllables import Spoken
 from gesticulator_performer.takes import MIRROR
-from gesticulator_performer.torso import FPS, TORSO_RADIUS, capsule_depth
-from gesticulator_performer.trunk import (
-    Segment,
-    idle_arms,
-    pitch_accents,
-    postures,
-    spread,
-    sway,
-    trunk_track,
-    with_activity,
-    yaw_scale,
-)
-from gesticulator_performer.types import Spoken
+from gesticulator_performer.trunk import Segment
+from gesticulator_performer.voices import NEUTRAL, StyleTrack
 
 # Fitting the motion to its plan.
 # Most renderings of both arms that bring the measured beats to the planned ones.
@@ -128,8 +117,7 @@ class _Event:
     level: float = 0.0
 
 
-@dataclass(frozen=True)
-class _Tuning:
+class _Tuning(NamedTuple):
     """The parameters of each stroke that change from pass to pass. beats: seconds at which the clip's beat is put.
     accents: share by which the arm is raised before the beat. fades: share of the preparation in which the old motion
     fades. slow: the beat is tuned by the fade, not the clip."""
@@ -140,11 +128,10 @@ class _Tuning:
     slow: NDArray[np.bool_]
 
     def of(self, mask: NDArray[np.bool_]) -> _Tuning:
-        return _Tuning(self.beats[mask], self.accents[mask], self.fades[mask], self.slow[mask])
+        return self._make(track[mask] for track in self)
 
     def where(self, mask: NDArray[np.bool_], other: _Tuning) -> _Tuning:
-        return _Tuning(np.where(mask, self.beats, other.beats), np.where(mask, self.accents, other.accents),
-                       np.where(mask, self.fades, other.fades), np.where(mask, self.slow, other.slow))
+        return self._make(np.where(mask, *tracks) for tracks in zip(self, other, strict=True))
 
 
 @dataclass(frozen=True)
@@ -160,7 +147,7 @@ class _Score:
 
     figure: PerformerBody
     planned: tuple[Planned, ...]
-    events: tuple[tuple[_Event, ...], tuple[_Event, ...]]
+    events: tuple[tuple[_Event, ...], ...]
     micro: Array
     drift: Array
     trunk: Array
@@ -197,21 +184,21 @@ def perform(spoken: Spoken, performer: str, strokes: StrokeSet, staging: Staging
     """Perform `spoken` with the body and the strokes of `performer`: 60 fps on the performer's skeleton.
 
     The hands act independently, and the trunk is a real person's. The result depends on the arguments and the state of
-    `rng` alone. Held-out strokes are played in the split "test" only. InputError for an unknown performer.
+    `rng` alone. Held-out strokes are played in the split "test" only.
     """
     casting = planning.cast(spoken, performer, staging.manner, staging.style, rng)
     planned = planning.plan(spoken, performer, strokes, casting, rng, split)
     score = _score(strokes.figures[performer], planned, spoken, casting.habits_of(performer),
                    (casting, staging.segments), rng)
-    tuning = _first_tuning(planned)
-    for _ in range(_DETOURS):
+    accents = [_ACCENT * (1.0 if p.stroke.lexeme.startswith("Beat") else 0.6) for p in planned]
+    tuning = _Tuning(np.array([p.beat for p in planned]), np.array(accents), np.full(len(planned), _FADE_SHARE),
+                     np.zeros(len(planned), dtype=bool))
+    for turn in range(_DETOURS + 1):
         score, tuning, arms = _rehearse(score, tuning)
         trespass = _leads(score, arms)
-        if trespass.max() <= _CLEAR:
+        if trespass.max() <= _CLEAR or turn == _DETOURS:
             break
         score = replace(score, leads=np.maximum(score.leads, trespass))
-    else:
-        score, tuning, _ = _rehearse(score, tuning)
     return Played(_assemble(score, _render(score, tuning)), score.planned)
 
 
@@ -224,7 +211,8 @@ def _rehearse(score: _Score, tuning: _Tuning) -> tuple[_Score, _Tuning, Array]:
             break
         good &= ~_echoes(score.planned, good)
         timely = tuple(p for p, fine in zip(score.planned, good, strict=True) if fine)
-        score = replace(score, planned=timely, events=_both_events(timely, score.runs, score.levels, score.drop))
+        score = replace(score, planned=timely, events=tuple(
+            _events(side, timely, score.runs, score.levels[side], score.drop) for side in (LEFT, RIGHT)))
         tuning = tuning.of(good)
     return score, tuning, arms
 
@@ -238,12 +226,6 @@ def _echoes(planned: tuple[Planned, ...], good: NDArray[np.bool_]) -> NDArray[np
             out[k] = p.stroke.base == last
             last = p.stroke.base
     return out
-
-
-def _first_tuning(planned: tuple[Planned, ...]) -> _Tuning:
-    accents = [_ACCENT * (1.0 if p.stroke.lexeme.startswith("Beat") else 0.6) for p in planned]
-    return _Tuning(np.array([p.beat for p in planned]), np.array(accents), np.full(len(planned), _FADE_SHARE),
-                   np.zeros(len(planned), dtype=bool))
 
 
 def _on_time(score: _Score, tuning: _Tuning) -> tuple[Array, _Tuning, Array]:
@@ -305,24 +287,25 @@ def _score(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, 
     runs = planning.runs_of(spoken.phrases)
     levels = waiting_levels(casting.hands, _mean_drives(spoken, casting.hands), [start for start, _ in runs], _RAISE,
                             manner, rng)
-    events = _both_events(planned, runs, levels, manner.drop)
+    events = tuple(_events(side, planned, runs, levels[side], manner.drop) for side in (LEFT, RIGHT))
     lively = np.stack([_active(arm, frames, lambda event: event.stroke >= 0 or event.level > 0, 0.25)
                        for arm in events])
     speaking = lively.max(axis=0)
     moving = lively * _in_speech(spoken, frames)
     drift = np.stack([_drift(figure, moving[side], manner.drift, frames, rng) for side in (LEFT, RIGHT)])
     joints = min(drift.shape[-1], 12)
-    drift[..., :joints] += (1.0 - lively)[..., None] * idle_arms(segments, frames, rng)[..., :joints]
+    drift[..., :joints] += (1.0 - lively)[..., None] * living.idle_arms(segments, frames, rng)[..., :joints]
     size = np.exp(casting.style.at(np.arange(frames) / FPS) @ _SMALL_OF_STYLE)
     calm = _calm(planned, frames)
     drift *= size[:, None]
-    carried = carriage(figure, spoken.phrases, spoken.syllables, frames, FPS)
+    carried = living.carriage(figure, spoken.phrases, spoken.syllables, frames, FPS)
     drift += lively[..., None] * carried.reshape(drift.shape)
     drift *= calm[..., None]
     wanted = manner.small_beats, planning.drives(spoken)
     micro = size * calm * np.stack([_micro(side, spoken, planned, wanted, frames, rng) for side in (LEFT, RIGHT)])
     trunk = _living_trunk(figure, planned, spoken, segments, (speaking, manner.trunk, habits), rng)
-    hanging = manner.sympathy * np.stack([_active(arm, frames, _is_hanging, 0.2) for arm in events])
+    hanging = manner.sympathy * np.stack([
+        _active(arm, frames, lambda event: event.stroke < 0 < event.level <= _HANGING_LEVEL, 0.2) for arm in events])
     return _Score(figure, planned, events, micro, drift, trunk, hanging, np.zeros((2, frames)),
                   _carried(figure, trunk), runs, levels, manner.drop, habits.damping, frames)
 
@@ -357,12 +340,6 @@ def _mean_drives(spoken: Spoken, phrases: Sequence[PhraseHands]) -> list[float]:
     return [float(vigour[rows].mean()) if rows.any() else 0.0 for rows in inside]
 
 
-def _both_events(planned: tuple[Planned, ...], runs: list[tuple[float, float]],
-                 levels: Levels, drop: float) -> tuple[tuple[_Event, ...], tuple[_Event, ...]]:
-    left, right = (_events(side, planned, runs, levels[side], drop) for side in (LEFT, RIGHT))
-    return left, right
-
-
 def _events(side: int, planned: tuple[Planned, ...], runs: list[tuple[float, float]],
             levels: list[tuple[float, float]], drop: float) -> tuple[_Event, ...]:
     strokes = [(k, p) for k, p in enumerate(planned) if side in p.stroke.sides]
@@ -386,10 +363,6 @@ def _events(side: int, planned: tuple[Planned, ...], runs: list[tuple[float, flo
     starts = {p.start for _, p in strokes}
     events.sort(key=lambda e: (e.time, e.stroke >= 0))
     return tuple(e for e in events if e.stroke >= 0 or e.time not in starts)
-
-
-def _is_hanging(event: _Event) -> bool:
-    return event.stroke < 0 and 0 < event.level <= _HANGING_LEVEL
 
 
 def _active(events: tuple[_Event, ...], frames: int, counts: Callable[[_Event], bool], blur: float) -> Array:
@@ -468,34 +441,26 @@ def _living_trunk(figure: PerformerBody, planned: tuple[Planned, ...], spoken: S
     """[T, B, 3] log rotations of hips, spine, neck and head: a real person's, with postures, nods and breath."""
     speaking, gain, habits = life
     frames = len(speaking)
-    spines, skull = _spine_and_skull(figure)
-    track = trunk_track(segments, spoken, speaking, gain, rng)
-    track = with_activity(track, _activity(planned, frames))
-    hips, spine, head = spread(track, (1, len(spines), len(skull)))
-    posture = postures(frames, rng)
+    names = [figure.skeleton.names[j] for j in figure.trunk]
+    spines = [k for k, name in enumerate(names) if name.startswith("Spine")]
+    skull = [k for k, name in enumerate(names) if name.startswith(("Neck", "Head"))]
+    track = living.trunk_track(segments, spoken, speaking, gain, rng)
+    track = living.with_activity(track, _activity(planned, frames))
+    hips, spine, head = living.spread(track, (1, len(spines), len(skull)))
+    posture = living.postures(frames, rng)
     out = np.zeros((frames, len(figure.trunk), 3))
     out[:, 0] = hips
     out[:, spines] = (spine + posture[:, 0] / len(spines))[:, None]
     out[:, skull] = (head + posture[:, 1] / len(skull))[:, None]
     out[:, skull, 0] += (_NOD_GAIN * _nods(spoken, habits, frames, rng) / len(skull))[:, None]
-    out[:, spines[-1], 0] += _breath(frames)
-    out[:, spines] += (sway(frames, rng) * (1.0 - 0.7 * speaking)[:, None] / len(spines))[:, None]
-    out[:, spines] += (pitch_accents(spoken.syllables, frames, rng) / len(spines))[:, None]
+    # The chest rises and falls about fifteen times a minute.
+    out[:, spines[-1], 0] += np.radians(0.5) * np.sin(2.0 * np.pi * np.arange(frames) / FPS / 3.9)
+    out[:, spines] += (living.sway(frames, rng) * (1.0 - 0.7 * speaking)[:, None] / len(spines))[:, None]
+    out[:, spines] += (living.pitch_accents(spoken.syllables, frames, rng) / len(spines))[:, None]
     _add_bends_with_strokes(out, planned, (spines, skull), rng)
     _add_clips(out, planned)
-    out[..., 1] *= yaw_scale(out[..., 1].sum(axis=1))
+    out[..., 1] *= living.yaw_scale(out[..., 1].sum(axis=1))
     return out
-
-
-def _spine_and_skull(figure: PerformerBody) -> tuple[list[int], list[int]]:
-    names = [figure.skeleton.names[j] for j in figure.trunk]
-    return ([k for k, name in enumerate(names) if name.startswith("Spine")],
-            [k for k, name in enumerate(names) if name.startswith(("Neck", "Head"))])
-
-
-def _breath(frames: int) -> Array:
-    """[T] radians: the chest rises and falls about fifteen times a minute."""
-    return np.radians(0.5) * np.sin(2.0 * np.pi * np.arange(frames) / FPS / 3.9)
 
 
 def _nods(spoken: Spoken, habits: Habits, frames: int, rng: np.random.Generator) -> Array:
@@ -593,18 +558,13 @@ def _render(score: _Score, tuning: _Tuning, joints: int | None = None) -> Array:
     """[2, T, joints * 3] both arms, the first `joints` from the shoulder on (all by default)."""
     arms = np.stack([_arm(score, side, tuning, joints) for side in (LEFT, RIGHT)])
     # A hanging arm follows the mirror image of the other one a little.
-    follow = np.stack([_mirrored(arms[RIGHT]) * score.hanging[LEFT][:, None],
-                       _mirrored(arms[LEFT]) * score.hanging[RIGHT][:, None]])
-    arms = arms + follow
+    other = (arms[::-1].reshape(*arms.shape[:2], -1, 3) * MIRROR).reshape(arms.shape)
+    arms = arms + other * score.hanging[..., None]
     arms[..., :12] *= 1.0 + score.micro[..., None]
     arms += score.drift[..., :arms.shape[-1]]
     arms = gaussian_filter1d(arms, score.damping * FPS, axis=1, mode="nearest")
     arms[..., :12] += score.leads[..., None] * (score.figure.home.reshape(2, 1, -1)[..., :12] - arms[..., :12])
     return arms
-
-
-def _mirrored(arm: Array) -> Array:
-    return (arm.reshape(len(arm), -1, 3) * MIRROR).reshape(len(arm), -1)
 
 
 def _arm(score: _Score, side: int, tuning: _Tuning, joints: int | None) -> Array:
@@ -718,7 +678,6 @@ def _nearest(beat: float, times: Array, depths: Array) -> tuple[float, float]:
     return float(times[best] - beat), float(depths[best])
 
 
-
 def _leads(score: _Score, arms: Array) -> Array:
     """[2, T] share by which to lead each arm to the home pose, so that it stays out of the body and in front."""
     chains = [_chain(score, arms, side) for side in (LEFT, RIGHT)]
@@ -754,7 +713,7 @@ def _assemble(score: _Score, arms: Array) -> Motion:
         rotations[:, joint] = _turned(figure.rest[joint], score.trunk[:, k])
     for side in (LEFT, RIGHT):
         logs = arms[side].reshape(score.frames, -1, 3)
-        logs = np.concatenate([logs[:, :_REACHING], living_fingers(logs[:, _REACHING:], side)], axis=1)
+        logs = np.concatenate([logs[:, :_REACHING], living.living_fingers(logs[:, _REACHING:], side)], axis=1)
         for k, joint in enumerate(figure.arms[side]):
             rotations[:, joint] = _turned(figure.rest[joint], logs[:, k])
     # The feet stay in place: the legs undo the turn of the hips, and the hips turn about the hip sockets.

@@ -1,8 +1,15 @@
-"""Lifelike motion of trunk and head: real people's leaning, turning and nodding, selected phrase by phrase.
+"""Lifelike motion of trunk, head and fingers: real people's leaning, turning and nodding, selected phrase by phrase.
 
 Bends are log rotations [T, 3 parts, 3] of the hips, of the whole spine and of neck and head together, so that they fit
 every skeleton. Segments of real takes in which the head moves on the stresses of the speech are joined by quintics and
 calmed in pauses; postures that change about every ten seconds are added.
+
+How high and how far out the hands are carried, by what is heard: vocal effort and pitch range of each phrase.
+
+Without it a unit's height and reach depend on which strokes come, and on the manner of the talk, neither of which can
+be heard: the gain of a stroke scales its rotations against the hanging arm, which bends the elbow as much as it raises
+the hand. Here the arms are turned about the pose in front of the body so that the hands go straight up, or straight
+out, by centimetres.
 """
 
 from __future__ import annotations
@@ -14,11 +21,13 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
+from data_module.motion import kinematics, rotation
 from data_module.motion.kinematics import minimum_jerk, quintic_offset
 from data_module.types import Array
+from gesticulator_performer.joints import FPS
+from gesticulator_performer.strokes import SIDES, PerformerBody
+from gesticulator_performer.syllables import Phrase, Spoken, Syllable
 from gesticulator_performer.takes import ARM_SIDES, GROUPS, HIPS, MIRROR, SKULL, SPINE, Library, soft_limit
-from gesticulator_performer.torso import FPS
-from gesticulator_performer.types import Spoken, Syllable
 
 _PARTS = (HIPS, SPINE, SKULL)
 _LIMITS = np.radians([8.0, 16.0, 38.0])
@@ -53,6 +62,30 @@ _ACCENT, _ACCENT_MOST = np.radians(0.5), 6.0
 _ACCENT_RISE, _ACCENT_FALL = 0.22, 0.5
 # Yaw of the head in the room (the sum of its joints' yaws), radians, that 95 % of the frames stay within.
 _MOST_YAW = np.radians(20.0)
+# Soft limit of the bend of a joint against the hanging hand: bends of overlapping strokes add up.
+_FARTHEST_FINGER = np.radians(95.0)
+# Standard deviation of the low pass, seconds: in some clips the fingers jump from frame to frame.
+_SMOOTH_FINGERS = 0.05
+# Amplitude (radians) and period (seconds) with which a finger closes and opens at rest.
+_FINGER_FIDGET, _FINGER_SECONDS = np.radians(2.0), 5.3
+# What the middle joint of each finger, the thumb first, is bent more: a relaxed hand closes towards the little finger.
+_CASCADE = np.radians([0.0, -4.0, 1.0, 6.0, 10.0])
+# Axes about which the fingers of the left and the right hand close.
+_CLOSING = (np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0]))
+# Metres by which a hand is carried higher and farther out at full drive. Over phrases a drive has a deviation of about
+# a half. Reach is averaged over both hands and the whole unit, and so needs as much as height.
+_HIGHER, _FARTHER = 0.11, 0.11
+# Shares of effort and of pitch range in the drives of height and reach.
+_DRIVES = np.array([[0.55, 0.45], [0.8, 0.2]])
+# Semitones by which the deviation of a phrase's pitch may exceed the recording's until its drive is saturated.
+_RANGE = 1.2
+# Voiced syllables that tell a phrase's pitch range.
+_FEWEST = 3
+# Standard deviation of the low pass, seconds: the hands change their place between strokes, not with each one.
+_SETTLES = 0.45
+# Joints of an arm that are turned: upper arm and forearm.
+_TURNED = (1, 2)
+_STEP = 1e-4
 
 
 @dataclass(frozen=True)
@@ -173,7 +206,8 @@ def _fitting(segments: tuple[Segment, ...], before: Array, count: int, quiet: bo
     for _ in range(_TRIES):
         segment = able[int(rng.integers(len(able)))]
         at = int(rng.integers(3, max(4, len(segment.bends) - count)))
-        piece = _piece(segment.bends, at, count)
+        # From three frames before; the last frame is repeated if the segment is too short.
+        piece = segment.bends[np.minimum(np.arange(at - 3, at + count), len(segment.bends) - 1)]
         cost = _accent_cost(piece[3:, 2], stressed)
         if len(before) >= 3:
             cost += 4.0 * float(np.abs(piece[3] - before[-1]).sum())
@@ -189,12 +223,6 @@ def _fitting(segments: tuple[Segment, ...], before: Array, count: int, quiet: bo
     return best[1], piece
 
 
-def _piece(bends: Array, at: int, count: int) -> Array:
-    """[3 + count, 3, 3] from three frames before `at`; the last frame is repeated if the segment is too short."""
-    rows = np.minimum(np.arange(at - 3, at + count), len(bends) - 1)
-    return bends[rows]
-
-
 def _accent_cost(head: Array, stressed: Array) -> float:
     """A cost that is lower if the head [T, 3] moves fast at the stresses and dips towards them."""
     if not len(stressed) or len(head) < 20:
@@ -206,16 +234,18 @@ def _accent_cost(head: Array, stressed: Array) -> float:
 
 def calm(bends: Array, speaking: Array, vigour: Array | float = 1.0) -> Array:
     """Scale the fast part of bends [T, ...]: smaller in pauses, larger in vigorous phrases."""
-    slow = gaussian_filter1d(bends, _CALMER_SPAN * FPS, axis=0, mode="nearest")
-    share = (_CALM + (1.0 - _CALM) * gaussian_filter1d(speaking, 0.35 * FPS, mode="nearest")) * vigour
-    return slow + (bends - slow) * share.reshape(-1, *[1] * (bends.ndim - 1))
+    return _quickened(bends, (_CALM + (1.0 - _CALM) * gaussian_filter1d(speaking, 0.35 * FPS, mode="nearest")) * vigour)
 
 
 def with_activity(bends: Array, activity: Array) -> Array:
     """Bends [T, ...] whose fast part is larger where the hands are active ([T], 0 to 1): trunk and head move with them.
     """
+    return _quickened(bends, _WITHOUT_HANDS + (_WITH_HANDS - _WITHOUT_HANDS) * activity)
+
+
+def _quickened(bends: Array, share: Array) -> Array:
+    """Bends [T, ...] whose fast part is scaled by a share [T]."""
     slow = gaussian_filter1d(bends, _CALMER_SPAN * FPS, axis=0, mode="nearest")
-    share = _WITHOUT_HANDS + (_WITH_HANDS - _WITHOUT_HANDS) * activity
     return slow + (bends - slow) * share.reshape(-1, *[1] * (bends.ndim - 1))
 
 
@@ -241,3 +271,70 @@ def spread(bends: Array, counts: tuple[int, int, int]) -> tuple[Array, Array, Ar
     """Log rotations [T, 3] for one joint of each part, given the joints per part; the eyes stay on the listener."""
     head = bends[:, 2] * [1.0, _HEAD_YAW, 1.0] - bends[:, 1] * [0.0, _EYES, 0.0]
     return bends[:, 0] / counts[0], bends[:, 1] / counts[1], head / counts[2]
+
+
+def living_fingers(logs: Array, side: int) -> Array:
+    """Log rotations [T, F, 3] (60 fps) of one hand's finger joints, limited, smoothed and with a slow fidget. side: 0
+    left, 1 right."""
+    joints = np.arange(logs.shape[1])
+    times = np.arange(len(logs))[:, None] / FPS
+    # The three joints of a finger move in phase; the fingers and the hands do not.
+    period = _FINGER_SECONDS * (1.0 + 0.13 * (joints // 3))
+    phase = 2.0 * np.pi * (times / period + 0.21 * (joints // 3) + 0.37 * side)
+    smooth = gaussian_filter1d(soft_limit(logs, _FARTHEST_FINGER), _SMOOTH_FINGERS * FPS, axis=0, mode="nearest")
+    more = np.where(joints % 3 == 1, _CASCADE[joints // 3], 0.0)
+    return smooth + (more + _FINGER_FIDGET * np.sin(phase))[..., None] * _CLOSING[side]
+
+
+def phrase_drives(phrases: Sequence[Phrase], syllables: Sequence[Syllable]) -> Array:
+    """[phrases, 2] drives of height and reach, -1 to 1, from the effort and the pitch range of each phrase."""
+    out = np.zeros((len(phrases), 2))
+    voiced = [(s.vowel, s.pitch) for s in syllables if s.pitch != 0.0]
+    if not len(phrases):
+        return out
+    times, pitch = np.array(voiced).reshape(-1, 2).T
+    wide = np.full(len(phrases), np.nan)
+    for k, phrase in enumerate(phrases):
+        inside = pitch[(times >= phrase.start) & (times < phrase.end)]
+        if len(inside) >= _FEWEST:
+            wide[k] = inside.std()
+    usual = np.nanmedian(wide) if np.isfinite(wide).any() else 0.0
+    heard = np.clip((np.nan_to_num(wide, nan=usual) - usual) / _RANGE, -1.0, 1.0)
+    effort = np.clip([phrase.effort for phrase in phrases], -1.0, 1.0)
+    return np.clip(np.column_stack([effort, heard]) @ _DRIVES.T, -1.0, 1.0)
+
+
+def carriage(figure: PerformerBody, phrases: Sequence[Phrase], syllables: Sequence[Syllable], frames: int, fps: float
+             ) -> Array:
+    """[2, T, A, 3] log rotations added to those of each arm while it is raised, at full strength."""
+    out = np.zeros((2, frames, len(figure.arms[0]), 3))
+    if not len(phrases):
+        return out
+    order = sorted(range(len(phrases)), key=lambda k: phrases[k].start)
+    drives = phrase_drives(phrases, syllables)[order]
+    middles = [0.5 * (phrases[k].start + phrases[k].end) for k in order]
+    # Each frame takes the drive of the nearest phrase; the low pass leads from one to the next.
+    edges = 0.5 * (np.array(middles[1:]) + np.array(middles[:-1]))
+    nearest = np.searchsorted(edges, np.arange(frames) / fps)
+    track = gaussian_filter1d(drives[nearest], _SETTLES * fps, axis=0, mode="nearest")
+    for side in (0, 1):
+        ways = _ways(figure, side)
+        out[side][:, list(_TURNED)] = np.einsum("td,djk->tjk", track * [_HIGHER, _FARTHER], ways)
+    return out
+
+
+def _ways(figure: PerformerBody, side: int) -> Array:
+    """[2, 2, 3] radians by which upper arm and forearm turn for each metre that the hand is to go up and out from the
+    hips: of all such turns, the smallest."""
+    joints = [figure.arms[side][k] for k in _TURNED]
+    logs = np.repeat(figure.home[side][None], 1 + 3 * len(joints), axis=0)
+    for k in range(3 * len(joints)):
+        logs[1 + k, _TURNED[k // 3], k % 3] += _STEP
+    rotations = np.repeat(figure.rest[None], len(logs), axis=0)
+    arm = list(figure.arms[side])
+    rotations[:, arm] = rotation.multiply(rotations[:, arm], rotation.from_exponential_map(logs))
+    hand = kinematics.joint_positions(figure.skeleton, rotations)[:, figure.skeleton.index(SIDES[side] + "Hand")]
+    change = (hand[1:] - hand[0]).T / _STEP
+    outward = hand[0] * [1.0, 0.0, 1.0]
+    wanted = np.stack([[0.0, 1.0, 0.0], outward / np.linalg.norm(outward)], axis=1)
+    return (np.linalg.pinv(change, rcond=0.05) @ wanted).T.reshape(2, len(joints), 3)

@@ -2,89 +2,54 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import string
 from collections import Counter
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from gesticulator_performer import cues as tables
+from gesticulator_performer import text
 from gesticulator_performer.cues import Cues, mirrored, plain, read_cues
-from gesticulator_performer.lending import lent
-from gesticulator_performer.plan import HABITS, Planned
+from gesticulator_performer.meant_strokes import lent
+from gesticulator_performer.plan import HABITS
 from gesticulator_performer.strokes import PerformerBody, Stroke, StrokeSet, mirror
 from gesticulator_performer.text import Utterance, compose, sentence_key
-from gesticulator_performer.types import Phrase, Spoken, Syllable
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from procedural import planned, procedural_strokes
+from procedural import PERFORMER, planned, procedural_strokes, said
 
 from data_module.files import read_table
 from data_module.motion import kinematics, rotation
-from data_module.types import Array, Speech, Word
+from data_module.types import Array
 
-PUPPET = "puppet"
-MEANINGS = """label,category,cues_en,cues_de,cues_es,offensive,talk
-point_there,deictic;place,there; over there; far away,dort; da drüben,allí,no,yes
-point_left,deictic,on the left; turn left,links,a la izquierda,no,yes
-point_right,deictic,on the right; that's right,rechts,a la derecha,no,yes
-shrug,emblem,I don't know; no idea,weiß nicht,no sé,no,yes
-sweep_no,metaphoric,no; not at all,nein,no,no,yes
-nod,emblem,yes,ja,sí,no,yes
-cheer_arms,emblem;emotion,yes; hooray,hurra,hurra,no,yes
-shoo,emblem,go away,geh weg,vete,yes,yes
-walk_off,emblem,I leave,ich gehe,me voy,no,no
-unshown,emblem,hidden,geheim,secreto,no,yes
-"""
-CLIPS = "file,person,label,ready,strokeStart,emphasis,stroke,relax\n" + "".join(
-    f"strokes/{PUPPET}/{lexeme}.bvh,{PUPPET},{label},,,,,\n" for lexeme, label in (
-        ("Me", "shrug"), ("You", "point_there"), ("Left", "point_left"), ("Negate", "sweep_no"), ("All", "nod"),
-        ("BeatBoth", "cheer_arms"), ("BeatLow", "shoo"), ("BeatMid", "walk_off")))
-
-
-def _write(folder: Path, meanings: str = MEANINGS, clips: str = CLIPS) -> Path:
-    (folder / tables.MEANINGS).write_text(meanings, encoding="utf-8")
-    (folder / tables.CLIPS).write_text(clips)
-    return folder
+COMPOSED = "ff49379c7cea84cd40b1bb05751888c07cd439e2136998265bb797c7c1a78710"
+"""SHA-256 of 4,981 sentences, composed when the shipped weights were trained: kind, phrases, efforts, pauses."""
 
 
 @pytest.fixture(scope="module")
-def cues(tmp_path_factory: pytest.TempPathFactory) -> Cues:
-    return read_cues(_write(tmp_path_factory.mktemp("meaning")))
+def cues(meaning_data: Path) -> Cues:
+    return read_cues(meaning_data)
 
 
 @pytest.fixture(scope="module")
 def strokes(cues: Cues) -> StrokeSet:
-    """The strokes by formula, each with the label of its lexeme in the table above."""
+    """The strokes by formula, three of them with labels."""
     own = procedural_strokes()
-    labels = {stem: clip.label for stem, clip in cues.clips.items()}
-    right = {"Right": "point_right"}
-    return replace(own, cues=cues, strokes=tuple(replace(s, meaning=(labels | right).get(s.lexeme, ""))
-                                                 for s in own.strokes))
+    labels = {"You": "point_there", "Left": "point_left", "Right": "point_right"}
+    return replace(own, cues=cues, strokes=tuple(replace(s, meaning=labels.get(s.lexeme, "")) for s in own.strokes))
 
 
-def _said(text: str, language: str = "en", pause: float = 0.0) -> Spoken:
-    """A syllable of 0.3 s for each word; all are equally prominent."""
-    words = text.split()
-    times = 1.0 + 0.3 * np.arange(len(words))
-    own = tuple(Word(word, float(t), float(t) + 0.3) for word, t in zip(words, times, strict=True))
-    syllables = tuple(Syllable(w.start, w.start + 0.05, w.end, k, 0.0, 0.0, 0.5) for k, w in enumerate(own))
-    end = float(times[-1]) + 0.3
-    return Spoken(Speech(np.zeros(int(16000 * (end + 2)), np.float32), 16000, own), syllables,
-                  (Phrase(1.0, end, 0.0),), language)
-
-
-def _labels(cues: Cues, text: str, language: str = "en") -> dict[str, set[str]]:
-    words = text.split()
-    return {words[at]: set(one.labels) for at, one in cues.asked(words, language).items()}
-
-
-def test_cues_find_their_labels_at_the_last_content_word(cues: Cues) -> None:
-    assert _labels(cues, "the boy is over there today") == {"there": {"point_there"}}
-    assert _labels(cues, "Well, I don\u2019t know!") == {"know!": {"shrug"}}
-    assert _labels(cues, "it stands on the left of it") == {"left": {"point_left"}}
-    assert _labels(cues, "das liegt da drüben", "de") == {"drüben": {"point_there"}}
-    assert _labels(cues, "no sé", "es") == {"sé": {"shrug"}}
+@pytest.mark.parametrize(("text", "language", "word", "label"), [
+    ("the boy is over there", "en", 4, "point_there"), ("Well, it\u2019s on the left of it", "en", 4, "point_left"),
+    ("das liegt da drüben", "de", 3, "point_there"), ("turn right", "en", 1, "point_right"),
+    ("no sé", "es", 1, "shrug")])
+def test_cues_find_their_labels_at_the_last_content_word(cues: Cues, text: str, language: str, word: int, label: str
+                                                         ) -> None:
+    asked = cues.asked(text.split(), language)
+    assert set(asked) == {word} and set(asked[word].labels) == {label}
 
 
 @given(st.lists(st.sampled_from(["no", "idea", "over", "there", "yes", "the", "Über-"])))
@@ -96,22 +61,14 @@ def test_cues_do_not_overlap_and_their_carrier_is_among_their_words(words: list[
     assert all(any(first <= at <= last for first, last, _ in found) for at in own.asked(words))
 
 
-def _played(strokes: StrokeSet, text: str, language: str = "en", seeds: int = 40) -> list[tuple[str, Planned]]:
-    spoken = _said(text, language)
-    words = [word.text for word in spoken.speech.words or ()]
-    return [(words[p.word], p) for seed in range(seeds)
-            for p in planned(spoken, strokes, seed)]
-
-
 def test_over_there_is_pointed_at_with_the_performers_probability(strokes: StrokeSet) -> None:
-    played = _played(strokes, "the old farmer lives over there with many horses", seeds=200)
-    pointing = [(word, p) for word, p in played if p.meaning == "point_there"]
-    assert {word for word, _ in pointing} == {"there"}
-    assert {p.stroke.lexeme for _, p in pointing} == {"You"}
+    spoken = said("the old farmer lives over there with many horses")
+    pointing = [p for seed in range(200) for p in planned(spoken, strokes, seed) if p.meaning == "point_there"]
+    assert {p.word for p in pointing} == {5} and {p.stroke.lexeme for p in pointing} == {"You"}
     # HABITS of an unlisted performer: 0.65; some strokes find no free arm.
-    assert PUPPET not in HABITS and 0.5 < len(pointing) / 200 <= 0.72
-    vowel = next(s.vowel for s in _said("the old farmer lives over there").syllables if s.word == 5)
-    assert all(p.syllable == vowel and abs(p.beat - vowel) < 0.15 for _, p in pointing)
+    assert PERFORMER not in HABITS and 0.5 < len(pointing) / 200 <= 0.72
+    vowel = next(s.vowel for s in spoken.syllables if s.word == 5)
+    assert all(p.syllable == vowel and abs(p.beat - vowel) < 0.15 for p in pointing)
 
 
 def test_left_and_right_change_places_in_the_mirror(strokes: StrokeSet) -> None:
@@ -119,7 +76,7 @@ def test_left_and_right_change_places_in_the_mirror(strokes: StrokeSet) -> None:
         ["point_right", "point_left", "nod", ""]
     one = next(s for s in strokes.strokes if s.meaning == "point_left" and s.hand == "left")
     assert (mirror(one).meaning, mirror(one).hand) == ("point_right", "right")
-    assert mirror(mirror(one)).meaning == "point_left"
+    assert mirror(mirror(one)).meaning == "point_left" and np.allclose(mirror(mirror(one)).arms, one.arms)
 
 
 def _turned_bind(body: PerformerBody, turn: Array) -> PerformerBody:
@@ -143,7 +100,7 @@ def _arm_path(body: PerformerBody, stroke: Stroke) -> Array:
 
 
 def test_a_lent_stroke_goes_through_the_same_places(strokes: StrokeSet) -> None:
-    body = strokes.figures[PUPPET]
+    body = strokes.figures[PERFORMER]
     turn = rotation.from_exponential_map(np.array([0.1, -0.2, 0.75]))
     other = _turned_bind(body, turn)
     stroke = next(s for s in strokes.strokes if s.lexeme == "Left" and s.hand == "left")
@@ -155,29 +112,24 @@ def test_a_lent_stroke_goes_through_the_same_places(strokes: StrokeSet) -> None:
     assert np.abs(naive - _arm_path(body, stroke)).max() > 0.1
 
 
-MINUTES = {"train": 145, "test": 60}
-"""Minutes of synthetic speech in a corpus of 4.4 hours, rounded down."""
-
-
 @pytest.fixture(scope="module")
 def texts() -> dict[str, list[Utterance]]:
-    return {split: compose(np.random.default_rng(5), 60.0 * minutes, split) for split, minutes in MINUTES.items()}
+    """As much as the synthetic speech in a corpus of 4.4 hours, rounded down."""
+    minutes = {"train": 145, "test": 60}
+    return {split: compose(np.random.default_rng(5), 60.0 * length, split) for split, length in minutes.items()}
 
 
-def test_every_gesture_is_asked_for_often_and_in_unseen_sentences(
-        texts: dict[str, list[Utterance]], meaning_data: Path) -> None:
-    cues = read_cues(meaning_data)
-    assert len(cues.labels) == 32
+def test_every_gesture_is_asked_for_often(texts: dict[str, list[Utterance]], cues: Cues) -> None:
+    labels = {clip.label for clip in cues.clips.values()}
+    assert len(labels) == 32
     asked = {split: Counter[str]() for split in texts}
     for split, utterances in texts.items():
         for utterance in utterances:
             for one in cues.asked(utterance.text.split()).values():
                 asked[split].update({label: chance * one.weight for label, chance in one.labels.items()})
     # A performer plays two in three of them.
-    assert min(asked["train"][label] for label in cues.labels) >= 45
-    assert min(asked["test"][label] for label in cues.labels) >= 3
-    sentences = {split: {sentence_key(one) for one in own} for split, own in texts.items()}
-    assert not sentences["train"] & sentences["test"]
+    assert min(asked["train"][label] for label in labels) >= 45
+    assert min(asked["test"][label] for label in labels) >= 3
 
 
 def test_no_sentence_that_is_held_out_for_judging_is_written(texts: dict[str, list[Utterance]], meaning_data: Path
@@ -187,7 +139,63 @@ def test_no_sentence_that_is_held_out_for_judging_is_written(texts: dict[str, li
 
     held_out = {bare(row["text"] or "") for _, row in read_table(meaning_data / "test_sentences.csv", "")}
     assert len(held_out) > 140
-    for utterances in texts.values():
-        for utterance in utterances:
-            said = bare(utterance.text)
-            assert not any(sentence in said for sentence in held_out)
+    written = [bare(utterance.text) for utterances in texts.values() for utterance in utterances]
+    assert not [text for text in written if any(sentence in text for sentence in held_out)]
+
+
+@pytest.fixture(scope="module")
+def hours() -> list[Utterance]:
+    """Four hours of training text, in recordings of four minutes that share what was said."""
+    used: set[str] = set()
+    return [one for seed in range(60) for one in compose(np.random.default_rng(seed), 240, "train", used)]
+
+
+def test_the_sentences_are_those_of_the_shipped_corpus() -> None:
+    digest = hashlib.sha256()
+    for split in ("train", "test"):
+        for repertoire in (False, True):
+            for seed in range(3):
+                for sentence in compose(np.random.default_rng(seed), 1500.0, split, repertoire=repertoire):
+                    row = [sentence.kind, [asdict(part) for part in sentence.parts]]
+                    digest.update(json.dumps(row, ensure_ascii=False).encode())
+    assert digest.hexdigest() == COMPOSED
+
+
+def test_the_splits_share_no_sentence_no_topic_word_and_no_template(hours: list[Utterance]) -> None:
+    def bare(utterance: Utterance) -> str:
+        """The words of a sentence without an opener of either split."""
+        words = sentence_key(utterance)
+        for opener in (opener for openers in text.OPENERS.values() for opener in openers):
+            words = words.removeprefix(opener.strip(" .,") + " ")
+        return words
+
+    test = {bare(utterance) for seed in range(3) for utterance in compose(np.random.default_rng(seed), 1200, "test")}
+    assert len(test) > 300 and not {bare(utterance) for utterance in hours} & test
+
+    def lines(*tables: dict[str, tuple[str, ...]]) -> set[str]:
+        table = str.maketrans("", "", string.punctuation.replace("{", "").replace("}", ""))
+        return {" ".join(line.translate(table).split()) for of in tables for group in of.values() for line in group}
+
+    for tables in (lambda split: lines(text.TEMPLATES[split], text.MEANINGS[split]),
+                   lambda split: lines(text.REPERTOIRE[split]),
+                   lambda split: {topic.name for topic in text.TOPICS[split]},
+                   lambda split: {word for topic in text.TOPICS[split]
+                                  for word in topic.things + topic.people + topic.places}):
+        assert not tables("train") & tables("test")
+
+
+def test_a_tenth_of_the_time_is_long_pauses(hours: list[Utterance]) -> None:
+    pauses = np.array([part.pause for utterance in hours for part in utterance.parts])
+    total = sum(len(part.text) / 17 for utterance in hours for part in utterance.parts) + pauses.sum()
+    assert 0.10 < pauses[pauses >= 1].sum() / total < 0.20
+    assert pauses.max() <= 6 and np.mean((pauses >= 0.3) & (pauses < 1)) > 0.25
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), seconds=st.floats(1, 90), split=st.sampled_from(["train", "test"]))
+def test_text_is_a_function_of_the_seed_and_clean(seed: int, seconds: float, split: str) -> None:
+    written = compose(np.random.default_rng(seed), seconds, split)
+    assert written == compose(np.random.default_rng(seed), seconds, split)
+    for part in (part for utterance in written for part in utterance.parts):
+        assert part.text and not set(part.text) & set("|{}=<>\n") and "  " not in part.text
+        assert any(letter.isalpha() for letter in part.text) and part.pause > 0

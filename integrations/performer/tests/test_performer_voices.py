@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -12,29 +11,23 @@ import numpy as np
 import pytest
 import soundfile
 from gesticulator_performer import flite, sound, syllables
+from gesticulator_performer.syllables import Phrase, Spoken
 from gesticulator_performer.text import Part, Utterance, compose
-from gesticulator_performer.types import Phrase, Spoken
-from gesticulator_performer.voices import (
-    nuclei_of,
-    speak,
-)
+from gesticulator_performer.voices import nuclei_of, speak
 
 from data_module.errors import InputError
 from data_module.types import Speech
 
 RATE = 16000
-
-
 needs_flite = pytest.mark.skipif(not shutil.which("flite"), reason="flite is not installed")
 needs_espeak = pytest.mark.skipif(not shutil.which("espeak-ng"), reason="libespeak-ng is not installed")
 ENGLISH = pytest.mark.parametrize("voice", [
-    pytest.param("rms", marks=needs_flite), pytest.param("slt_deep", marks=needs_flite),
-    pytest.param("awb_high", marks=needs_flite), pytest.param("us_f3", marks=needs_espeak),
-    pytest.param("rp_m7", marks=needs_espeak)])
+    *(pytest.param(voice, marks=needs_flite) for voice in ("rms", "slt_deep", "awb_high")),
+    *(pytest.param(voice, marks=needs_espeak) for voice in ("us_f3", "rp_m7"))])
 
 
-def _said(*phrases: tuple[str, float], pause: float = 0.6) -> list[Utterance]:
-    return [Utterance((Part(text, effort, pause),), "test") for text, effort in phrases]
+def _said(*phrases: tuple[str, float]) -> list[Utterance]:
+    return [Utterance((Part(text, effort, 0.6),), "test") for text, effort in phrases]
 
 
 @lru_cache
@@ -42,33 +35,26 @@ def _spoken(voice: str) -> Spoken:
     return speak(compose(np.random.default_rng(1), 25, "train"), voice, np.random.default_rng(2))
 
 
-def _envelope(samples: np.ndarray) -> np.ndarray:
-    """dB of 20 ms every 10 ms by plain summing: an oracle apart from the module's own."""
-    blocks = samples[:len(samples) // 160 * 160].reshape(-1, 160).astype(float)
-    power = np.concatenate(((blocks ** 2).mean(axis=1), [0]))
-    return 10 * np.log10((power[:-1] + np.concatenate(([power[0]], power[:-2]))) / 2 + 1e-9)
-
-
-def _rise_errors(spoken: Spoken) -> np.ndarray:
-    """Per syllable: seconds from its vowel onset to the steepest rise of the sound within 80 ms."""
-    rise = np.gradient(_envelope(spoken.speech.samples))
-    errors = []
-    for syllable in spoken.syllables:
-        middle = round(syllable.vowel * 100)
-        first = max(middle - 8, 0)
-        errors.append((first + rise[first:middle + 9].argmax() - middle) / 100)
-    return np.array(errors)
+def _rise_errors(spoken: Spoken, late: float = 0.0) -> np.ndarray:
+    """Per syllable: seconds from its vowel onset (and `late` more) to the steepest rise of the sound within 80 ms. The
+    level is that of 20 ms every 10 ms by plain summing: an oracle apart from the module's own."""
+    samples = spoken.speech.samples
+    power = (samples[:len(samples) // 160 * 160].reshape(-1, 160).astype(float) ** 2).mean(axis=1)
+    rise = np.gradient(10 * np.log10((power + np.concatenate((power[:1], power[:-1]))) / 2 + 1e-9))
+    middles = [round((syllable.vowel + late) * 100) for syllable in spoken.syllables]
+    firsts = [max(middle - 8, 0) for middle in middles]
+    return np.array([(first + rise[first:middle + 9].argmax() - middle) / 100
+                     for first, middle in zip(firsts, middles, strict=True)])
 
 
 @ENGLISH
 def test_vowels_lie_on_rises_of_the_sound(voice: str) -> None:
     spoken = _spoken(voice)
     errors = _rise_errors(spoken)
-    shifted = replace(spoken, syllables=tuple(replace(s, vowel=s.vowel + 0.06) for s in spoken.syllables))
     assert abs(np.median(errors)) <= 0.01
     assert np.median(np.abs(errors)) <= 0.03
     # The same measure finds a clock that is 60 ms late.
-    assert abs(np.median(_rise_errors(shifted))) > 0.03
+    assert abs(np.median(_rise_errors(spoken, 0.06))) > 0.03
 
 
 @ENGLISH

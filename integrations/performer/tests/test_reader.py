@@ -1,4 +1,4 @@
-"""The reader of the synthetic corpus: its plan, its splits and its licences."""
+"""The reader of the synthetic corpus: its plan, its splits and its licence."""
 
 from __future__ import annotations
 
@@ -16,17 +16,21 @@ from data_module.motion import kinematics
 from data_module.speech.audio import load_speech
 
 
-def _full_source(outside_data: Path) -> Path:
+@pytest.fixture(scope="module")
+def source(outside_data: Path) -> Path:
     pytest.importorskip("pocketsphinx")
     if not (outside_data / "free_motion" / "manifest.csv").is_file():
         pytest.skip("the outside data has no free_motion")
     return outside_data
 
 
-def test_plan_of_the_default_performer(outside_data: Path) -> None:
+@pytest.fixture
+def reader(source: Path) -> Performer:
+    return Performer(source, PerformerOptions(hours=4.0))
+
+
+def test_plan_of_the_default_performer(source: Path, reader: Performer) -> None:
     """Shares, leaks and kept readings of the real plan; nothing is spoken or played."""
-    source = _full_source(outside_data)
-    reader = Performer(source, PerformerOptions(hours=4.0))
     items = reader.items()
     infos = [item.info for item in items]
     assert {info.part for info in infos} == {"motion", "talk", "style", "reading"}
@@ -55,6 +59,9 @@ def test_plan_of_the_default_performer(outside_data: Path) -> None:
     assert longer[0] == items[0] and longer[-1] == items[-1]
     other = Performer(source, PerformerOptions(hours=4.0, seed=2)).items()
     assert other[-60].content != items[-60].content
+    credit = ("The data used in this project was obtained from mocap.cs.cmu.edu. "
+              "The database was created with funding from NSF EIA-0196217.")
+    assert all(named in reader.licence for named in (credit, "Rocketbox", "MIT", "LGPL 2.1", "LibriVox", "PNGestures"))
 
 
 @pytest.mark.parametrize("name", ["de_prose_1", "es_prose_1"])
@@ -64,13 +71,11 @@ def test_the_last_thirty_seconds_are_kept(outside_data: Path, name: str) -> None
     assert 30 <= speech.duration - at <= 32
 
 
-def test_no_sentence_and_no_take_crosses_a_split(outside_data: Path) -> None:
-    source = _full_source(outside_data)
-    reader = Performer(source, PerformerOptions(hours=4.0))
+def test_no_sentence_and_no_take_crosses_a_split(reader: Performer) -> None:
     said: dict[str, list[str]] = {"train": [], "val": [], "test": []}
     for item in reader.items():
         if item.info.part in ("talk", "style"):
-            said[item.info.split] += [sentence_key(utterance) for utterance in item.content.utterances]
+            said[item.info.split] += [sentence_key(utterance) for utterance in item.content]
     everything = [one for sentences in said.values() for one in sentences]
     assert len(everything) > 2000 and len(set(everything)) > 0.99 * len(everything)
     pools: dict[str, set[str]] = {"train": set(), "val": set(), "test": set()}
@@ -83,20 +88,9 @@ def test_no_sentence_and_no_take_crosses_a_split(outside_data: Path) -> None:
     assert set(takes.values()) == {"train", "val", "test"} and len(takes) > 90
 
 
-def test_licences_of_what_a_corpus_is_made_of(outside_data: Path) -> None:
-    licence = Performer(_full_source(outside_data), PerformerOptions()).licence
-    credit = ("The data used in this project was obtained from mocap.cs.cmu.edu. "
-              "The database was created with funding from NSF EIA-0196217.")
-    assert credit in licence
-    for named in ("Rocketbox", "MIT", "LGPL 2.1", "LibriVox", "PNGestures"):
-        assert named in licence
-
-
-def test_a_talk_made_for_motion_uses_takes_of_its_split_alone(outside_data: Path) -> None:
-    pytest.importorskip("pocketsphinx")
+def test_a_talk_made_for_motion_uses_takes_of_its_split_alone(reader: Performer) -> None:
     if not shutil.which("espeak-ng"):
         pytest.skip("espeak-ng is not installed")
-    reader = Performer(_full_source(outside_data), PerformerOptions(hours=4.0))
     item = next(i for i in reader.items() if i.info.part == "motion" and i.info.voice == "us_f3")
     reader._phrases[0][item.info.voice, item.info.split] = reader._phrases[0][item.info.voice, item.info.split][:220]
     recording = load(reader, item)

@@ -9,35 +9,31 @@ from __future__ import annotations
 
 import itertools
 import unicodedata
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
 from data_module.types import Samples
+from gesticulator.face.visemes import RATE as VISEME_RATE
 from gesticulator.face.visemes import SILENT, VISEMES, of_arpabet
 from gesticulator_performer import espeak, flite
 from gesticulator_performer.sound import RATE, Phone, read_at, recorded
+from gesticulator_performer.tables import table
 from gesticulator_performer.text import compose
 
-LANGUAGES = {
-    "en": ("en-us", "en-gb-x-rp", "en-gb-scotland"), "de": ("de",), "es": ("es", "es-419"), "fr": ("fr",),
-    "pt": ("pt-br",), "pl": ("pl",), "fi": ("fi",), "nl": ("nl",), "sv": ("sv",), "hu": ("hu",), "ro": ("ro",),
-    "id": ("id",), "cmn": ("cmn-latn-pinyin",)}
+_TABLE = table("face/phones.toml")
+LANGUAGES: dict[str, list[str]] = _TABLE["languages"]
 """Language -> voices of espeak-ng that speak it for training."""
-VARIANTS = ("m1", "m2", "m3", "m4", "m6", "m8", "f1", "f2", "f3", "f5", "Andy", "Annie", "Gene", "adam", "anika",
-            "linda", "michael", "klatt2", "steph", "victor")
-"""Timbres of espeak-ng for training."""
-FLITE = ("slt", "rms", "kal16")
+VARIANTS, FLITE = _TABLE["variants"].split(), _TABLE["flite"].split()
+"""Timbres of espeak-ng, and voices of flite, for training."""
 # Languages whose sentences are composed; nonsense is spoken in all but the tonal one.
 _SENTENCES = ("en", "de", "es", "cmn")
-_STARTS = ("p", "b", "m", "f", "v", "w", "s", "z", "sh", "ch", "j", "t", "d", "k", "g", "n", "l", "r", "h", "y", "pl",
-           "br", "st")
-_MIDDLES = ["a", "e", "i", "o", "u", "ai", "ou", "ee", "oo"]
-_ENDS = ("", "", "", "n", "m", "s", "p", "r", "l", "k", "t", "b", "f")
+_STARTS, _MIDDLES, _ENDS = ([part.strip("-") for part in _TABLE["syllables"][name].split()]
+                            for name in ("starts", "middles", "ends"))
 # Shortest and longest silence between two phrases, seconds; every sixth lasts up to `_LONG_PAUSE`.
 _PAUSES = (0.12, 0.9)
 _LONG_PAUSE = 3.0
@@ -45,25 +41,20 @@ _LONG_PAUSE = 3.0
 _BREATH = (0.15, 0.5)
 # Playing speeds: they change pitch, formants and tempo together.
 _SPEEDS = (0.88, 1.14)
-
-
-_IPA = {
-    "PP": "p b m ɓ", "FF": "f v ɱ ʋ ɸ β", "TH": "θ ð", "DD": "t d ʈ ɖ ɗ ɾ r", "kk": "k ɡ g q ɢ x ɣ χ ʁ h ɦ ħ ʕ ʔ c ɟ ɰ",
-    "CH": "ʃ ʒ ɕ ʑ ʂ ʐ ɧ", "SS": "s z ɬ ɮ", "nn": "n ŋ ɲ ɳ ɴ l ɫ ɭ ʎ ʟ ɽ", "RR": "ɹ ɻ ʀ",
-    "aa": "a ɑ ɐ ʌ ɒ æ ɶ", "E": "e ɛ ə ɜ ɚ ɝ ɘ ɞ ɤ œ", "ih": "i ɪ ɨ j ʝ ç ʲ", "oh": "o ɔ ɵ",
-    "ou": "u ʊ y ʏ ø ʉ ɯ w ɥ ʍ",
-}
-_OF_IPA = {letter: name for name, letters in _IPA.items() for letter in letters.split()}
+_OF_IPA = {letter: name for name, letters in _TABLE["visemes"].items() for letter in letters.split()}
 _VOWELS = tuple(VISEMES.index(name) for name in ("aa", "E", "ih", "oh", "ou"))
 
 
-@dataclass(frozen=True)
-class VisemeSpan:
+class VisemeSpan(NamedTuple):
     """One viseme (an index in `VISEMES`) from `start` to `end` seconds."""
 
     viseme: int
     start: float
     end: float
+
+
+Labelled = tuple[Samples, NDArray[np.int64]]
+"""Samples at 16 kHz, and the viseme of each whole frame of `gesticulator.face.visemes.RATE`."""
 
 
 @lru_cache(maxsize=4096)
@@ -92,42 +83,23 @@ def labels(track: Sequence[VisemeSpan], count: int, rate: float) -> NDArray[np.i
     return out
 
 
-@dataclass(frozen=True)
-class PhonedSpeech:
-    """Speech at 16 kHz with the visemes of its phones, which rise in time."""
-
-    samples: Samples
-    track: tuple[VisemeSpan, ...]
-
-    @property
-    def duration(self) -> float:
-        return len(self.samples) / RATE
-
-    def labels(self, rate: float) -> NDArray[np.int64]:
-        """[T] the viseme of each whole frame of 1 / `rate` seconds."""
-        return labels(self.track, int(self.duration * rate + 1e-6), rate)
-
-
-def synthetic(rng: np.random.Generator, seconds: float) -> Iterator[PhonedSpeech]:
+def synthetic(rng: np.random.Generator, seconds: float) -> Iterator[Labelled]:
     """About `seconds` of synthetic speech, half by flite, half by espeak-ng in all languages in turn. InputError if a
     program lacks."""
     used: set[str] = set()
-    each = seconds / 2 / len(LANGUAGES)
-    for language, dialects in LANGUAGES.items():
+    speakers: list[tuple[int, Callable[[], Labelled]]] = [
+        *((len(LANGUAGES), partial(_by_espeak, rng, language, used)) for language in LANGUAGES),
+        *((len(FLITE), partial(_by_flite, rng, voice, used)) for voice in FLITE)]
+    for share, speak in speakers:
         spoken = 0.0
-        while spoken < each:
-            made = _by_espeak(rng, language, f"{rng.choice(dialects)}+{rng.choice(VARIANTS)}", used)
-            spoken += made.duration
-            yield made
-    for voice in FLITE:
-        spoken = 0.0
-        while spoken < seconds / 2 / len(FLITE):
-            made = _by_flite(rng, voice, used)
-            spoken += made.duration
-            yield made
+        while spoken < seconds / 2 / share:
+            samples, visemes = speak()
+            spoken += len(samples) / RATE
+            yield samples, visemes
 
 
-def _by_espeak(rng: np.random.Generator, language: str, voice: str, used: set[str]) -> PhonedSpeech:
+def _by_espeak(rng: np.random.Generator, language: str, used: set[str]) -> Labelled:
+    voice = f"{rng.choice(LANGUAGES[language])}+{rng.choice(VARIANTS)}"
     texts = _sentences(rng, language, used) if language in _SENTENCES else []
     texts += [] if language == "cmn" else [_nonsense(rng) for _ in range(max(5 - len(texts), 2))]
     lines = [espeak.Line(voice, text, int(rng.integers(120, 230)), int(rng.integers(25, 75)), int(rng.integers(30, 80)))
@@ -137,7 +109,7 @@ def _by_espeak(rng: np.random.Generator, language: str, voice: str, used: set[st
     return _recorded(parts, rng)
 
 
-def _by_flite(rng: np.random.Generator, voice: str, used: set[str]) -> PhonedSpeech:
+def _by_flite(rng: np.random.Generator, voice: str, used: set[str]) -> Labelled:
     parts = []
     for text in _sentences(rng, "en", used):
         samples, phones = flite.timed_phrase(voice, text, float(rng.uniform(95, 190)), float(rng.uniform(12, 40)),
@@ -160,37 +132,28 @@ def _nonsense(rng: np.random.Generator) -> str:
     return " ".join(word() for _ in range(rng.integers(3, 8)))
 
 
-def _recorded(parts: Sequence[tuple[Samples, list[VisemeSpan]]], rng: np.random.Generator) -> PhonedSpeech:
+def _recorded(parts: Sequence[tuple[Samples, list[VisemeSpan]]], rng: np.random.Generator) -> Labelled:
     """Phrases with pauses between them, at one playing speed, in a room."""
-    pieces: list[Samples] = []
-    track: list[VisemeSpan] = []
-    active: list[np.ndarray] = []
-    count = 0
-
-    def add(samples: Samples, speaks: bool) -> None:
-        nonlocal count
-        pieces.append(samples)
-        active.append(np.full(len(samples), speaks))
-        count += len(samples)
-
     def pause() -> Samples:
         seconds = rng.uniform(*_PAUSES) if rng.random() < 5 / 6 else rng.uniform(_PAUSES[1], _LONG_PAUSE)
         silence = np.zeros(round(seconds * RATE), np.float32)
         return silence + _breath(len(silence), rng) if rng.random() < 0.25 else silence
 
-    add(pause(), False)
+    pieces = [pause()]
+    track: list[VisemeSpan] = []
     for samples, visemes in parts:
-        offset = count / RATE
-        track += [VisemeSpan(one.viseme, one.start + offset, one.end + offset) for one in visemes]
+        offset = sum(map(len, pieces)) / RATE
+        track += [VisemeSpan(viseme, start + offset, end + offset) for viseme, start, end in visemes]
         loud = float(np.sqrt(np.mean(samples**2))) + 1e-9
-        add((samples * np.float32(0.1 / loud * 10 ** (rng.normal(0, 2.5) / 20))).astype(np.float32), True)
-        add(pause(), False)
-    speed = float(rng.uniform(*_SPEEDS))
-    marks = tuple(Phone("", one.start, one.end, False, 0) for one in track)
+        pieces += [(samples * np.float32(0.1 / loud * 10 ** (rng.normal(0, 2.5) / 20))).astype(np.float32), pause()]
+    count, speed = sum(map(len, pieces)), float(rng.uniform(*_SPEEDS))
+    active = np.concatenate([np.full(len(piece), place % 2) for place, piece in enumerate(pieces)])
+    marks = tuple(Phone("", start, end, False, 0) for _, start, end in track)
     sound, moved = read_at(np.concatenate(pieces), np.full(count, speed), marks)
-    shown = np.interp(np.arange(len(sound)) * speed, np.arange(count), np.concatenate(active)) > 0.5
-    return PhonedSpeech(recorded(sound, shown, rng), tuple(
-        VisemeSpan(one.viseme, mark.start, mark.end) for one, mark in zip(track, moved, strict=True)))
+    speaks = np.interp(np.arange(len(sound)) * speed, np.arange(count), active) > 0.5
+    frames = int(len(sound) / RATE * VISEME_RATE + 1e-6)
+    return recorded(sound, speaks, rng), labels([VisemeSpan(span.viseme, mark.start, mark.end)
+                                                 for span, mark in zip(track, moved, strict=True)], frames, VISEME_RATE)
 
 
 def _breath(count: int, rng: np.random.Generator) -> Samples:

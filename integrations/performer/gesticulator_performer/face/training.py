@@ -1,7 +1,7 @@
 """`gesticulator train-face`: the lips network, from speech that the command makes itself.
 
 Speech is changed while it is learned from: its level, its spectrum and the noise under it, in the space of the
-features, so that each pass hears other microphones and other rooms.
+features, so that each pass hears other microphones and other rooms. `gesticulator.face.lips` runs the weights in numpy.
 """
 
 from __future__ import annotations
@@ -11,12 +11,19 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import torch
+import torch.nn.functional as F
 from numpy.typing import NDArray
+from safetensors.torch import save as to_bytes
+from torch import Tensor, nn
 
-from gesticulator.face.visemes import SILENT
+from data_module.files import write_bytes, write_text
+from data_module.types import Samples
+from gesticulator.face.lips import AFTER, BANDS, BEFORE, HIDDEN, HOP, ROWS, STACKED, Rows, front_end
+from gesticulator.face.visemes import SILENT, VISEMES
+from gesticulator_performer.face.known_phones import FLITE, LANGUAGES, VARIANTS, synthetic
 
 WEIGHTS, RECORD = "visemes.safetensors", "face.json"
 # Frames of a training sequence: 4.8 s.
@@ -41,10 +48,53 @@ class FaceTraining:
 
 @dataclass(frozen=True)
 class LabelledRows:
-    """A stretch of speech: rows [2 T, WIDTH] of `viseme_net.rows_of`, visemes [T] with -1 for unknown."""
+    """A stretch of speech: rows [2 T, WIDTH] of `rows_of`, visemes [T] with -1 for unknown."""
 
-    rows: NDArray[np.float32]
+    rows: Rows
     labels: NDArray[np.int64]
+
+
+def rows_of(samples: Samples) -> Rows:
+    """[2 T, WIDTH] rows of T whole frames of a recording at 16 kHz, all at once (for training)."""
+    frames = len(samples) // (ROWS * HOP)
+    rows = front_end(frames * ROWS).rows(samples[None, :frames * ROWS * HOP])[0]
+    return np.ascontiguousarray(np.concatenate([rows[:, :BANDS], rows[:, -1:]], axis=1))
+
+
+def stacked(rows: Rows) -> Rows:
+    """[T, STACKED] the rows around each frame, from [2 T, WIDTH]; the first and the last row are repeated."""
+    padded = np.pad(rows, ((BEFORE, AFTER), (0, 0)), mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, BEFORE + ROWS + AFTER, axis=0)[::ROWS]
+    return np.ascontiguousarray(windows.transpose(0, 2, 1).reshape(len(windows), STACKED))
+
+
+class VisemeNet(nn.Module):
+    """Frames [B, T, STACKED] to logits [B, T, 15]."""
+
+    mean: Tensor
+    deviation: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(STACKED))
+        self.register_buffer("deviation", torch.ones(STACKED))
+        self.enter = nn.Linear(STACKED, HIDDEN)
+        self.memory = nn.GRU(HIDDEN, HIDDEN, batch_first=True)
+        self.leave = nn.Linear(2 * HIDDEN, len(VISEMES))
+
+    def forward(self, frames: Tensor) -> Tensor:
+        entered = F.relu(self.enter((frames - self.mean) / self.deviation))
+        remembered, _ = self.memory(entered)
+        out: Tensor = self.leave(torch.cat([entered, remembered], dim=-1))
+        return out
+
+    def loss(self, frames: Tensor, labels: Tensor, closed: float = 1.0) -> Tensor:
+        """Cross-entropy of the labels [B, T], -1 for unknown ones. closed: weight of the shapes that must be seen to
+        close, PP and FF."""
+        weights = torch.ones(len(VISEMES))
+        weights[[VISEMES.index("PP"), VISEMES.index("FF")]] = closed
+        return F.cross_entropy(self(frames).flatten(0, 1), labels.flatten(), weights, ignore_index=-1,
+                               label_smoothing=0.05)
 
 
 def sequences(recordings: Sequence[LabelledRows]) -> list[LabelledRows]:
@@ -58,7 +108,7 @@ def sequences(recordings: Sequence[LabelledRows]) -> list[LabelledRows]:
     return out
 
 
-def augmented(rows: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+def augmented(rows: Rows, rng: np.random.Generator) -> Rows:
     """The rows as another microphone, level and room noise would give them."""
     out = rows.astype(np.float64)
     bands = out.shape[1] - 1
@@ -102,22 +152,15 @@ def with_long_pause(piece: LabelledRows, rng: np.random.Generator) -> LabelledRo
     return LabelledRows(longer.reshape(-1, rows.shape[2]).astype(np.float32), labels)
 
 
-def fit(recordings: Sequence[LabelledRows], settings: FaceTraining, quiet: bool = True, start: Any = None
-        ) -> Any:
-    """A trained `VisemeNet`; start: one to go on from. The same recordings and settings give the same weights on one
-    machine."""
-    import torch
-
-    from gesticulator_performer.face.viseme_net import VisemeNet, stacked
-
+def fit(recordings: Sequence[LabelledRows], settings: FaceTraining, quiet: bool = True) -> VisemeNet:
+    """The trained network. The same recordings and settings give the same weights on one machine."""
     torch.manual_seed(settings.seed)
     rng = np.random.default_rng(settings.seed)
     pieces = sequences(recordings)
-    net = VisemeNet() if start is None else start.train()
-    if start is None:
-        seen = np.concatenate([stacked(augmented(piece.rows, rng)) for piece in pieces[::6]])
-        net.mean.copy_(torch.from_numpy(seen.mean(0)))
-        net.deviation.copy_(torch.from_numpy(seen.std(0) + 1e-3))
+    net = VisemeNet()
+    seen = np.concatenate([stacked(augmented(piece.rows, rng)) for piece in pieces[::6]])
+    net.mean.copy_(torch.from_numpy(seen.mean(0)))
+    net.deviation.copy_(torch.from_numpy(seen.std(0) + 1e-3))
     steps = settings.epochs * max(len(pieces) // settings.batch, 1)
     optimiser = torch.optim.AdamW(net.parameters(), settings.rate, weight_decay=1e-2)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.rate, total_steps=steps, pct_start=0.1)
@@ -137,10 +180,7 @@ def fit(recordings: Sequence[LabelledRows], settings: FaceTraining, quiet: bool 
 
 
 def _batches(pieces: Sequence[LabelledRows], settings: FaceTraining, steps: int, rng: np.random.Generator
-             ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.int64]]]:
-    from gesticulator.face.lips import STACKED
-    from gesticulator_performer.face.viseme_net import stacked
-
+             ) -> Iterator[tuple[Rows, NDArray[np.int64]]]:
     order: list[int] = []
     for _ in range(steps):
         if len(order) < settings.batch:
@@ -157,26 +197,16 @@ def _batches(pieces: Sequence[LabelledRows], settings: FaceTraining, steps: int,
 
 def recordings_of(settings: FaceTraining) -> list[LabelledRows]:
     """Synthetic speech with its visemes."""
-    from gesticulator.face.visemes import RATE
-    from gesticulator_performer.face.known_phones import synthetic
-    from gesticulator_performer.face.viseme_net import rows_of
-
     out = []
-    for one in synthetic(np.random.default_rng(settings.seed), 60.0 * settings.minutes):
-        rows, labels = rows_of(one.samples), one.labels(RATE)
+    for samples, labels in synthetic(np.random.default_rng(settings.seed), 60.0 * settings.minutes):
+        rows = rows_of(samples)
         count = min(len(rows) // 2, len(labels))
         out.append(LabelledRows(rows[:2 * count], labels[:count]))
     return out
 
 
-def save(net: Any, settings: FaceTraining, out: Path) -> None:
+def save(net: VisemeNet, settings: FaceTraining, out: Path) -> None:
     """Write the weights and their record, each atomically."""
-    from safetensors.torch import save as to_bytes
-
-    from data_module.files import write_bytes, write_text
-    from gesticulator.face.visemes import VISEMES
-    from gesticulator_performer.face.known_phones import FLITE, LANGUAGES, VARIANTS
-
     weights = to_bytes({name: value.contiguous() for name, value in net.state_dict().items()})
     record = {
         "format": 1, "visemes": list(VISEMES), "settings": asdict(settings),
