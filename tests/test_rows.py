@@ -53,7 +53,7 @@ def test_every_row_changes_something_and_no_two_are_equal(preset: str) -> None:
         default = configs.with_settings(presets.preset("default"), RACER_PRESETS[preset])
         start = default if is_racer(name) else base
         variant = json.dumps([configs.to_dict(configs.with_settings(start, row.set)), row.play, row.style, row.split,
-                              row.train])
+                              row.train, row.scale])
         assert variant not in variants, f"{name} is {variants.get(variant)} again"
         variants[variant] = name
         assert row.ask and (row.train == "stages") != is_racer(name)
@@ -148,7 +148,7 @@ def test_a_seed_shares_speech_levels_and_nothing_that_another_command_would_take
 
 def cell(row: str, seed: int, value: float, clips: int = 2, key: str = "k", shared: str = "s") -> Cell:
     """Every column is `value` on the first clip, one more on the next."""
-    return {"row": row, "seed": seed, "key": key, "shared": shared, "question": "?", "settings": [],
+    return {"row": row, "seed": seed, "key": key, "shared": shared,
             "sets": {"pmb_curve": {"percent": [1.0] * 10}},
             "clips": [{"name": str(k), "decisions": 2 * k + 1, **dict.fromkeys(COLUMNS, value + k)}
                       for k in range(clips)]}

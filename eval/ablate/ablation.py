@@ -73,9 +73,9 @@ class Ablation:
 
     def cell(self, name: str, seed: int) -> Cell:
         """One row at one seed: read if it was finished under the same key, else trained, played, measured and kept."""
-        row, rows = ROWS[name], self.rg if ROWS[name].train == "stages" else self.racer(seed)
+        rows = self.rg if ROWS[name].train == "stages" else self.racer(seed)
         result = self._kept(name, seed, rows.cell_key(name, seed), rows.shared, lambda: rows.measured(name, seed),
-                            kind="row", question=row.ask, settings=list(row.set), split=row.split)
+                            "row")
         assert result is not None
         return result
 
@@ -84,14 +84,12 @@ class Ablation:
         shown = name if split == "test" else f"{name}-{split}"
         key = configs.digest(self.rg.shared, name, split, self.rg.names(split))
         return self._kept(shown, 0, key, self.rg.shared, lambda: self.rg.reference(name, split),
-                          kind="reference" if name in REFERENCES else "control",
-                          question={**REFERENCES, **CONTROLS}.get(name, "a dose of damage"), settings=[], split=split)
+                          "reference" if name in REFERENCES else "control")
 
     def system(self, name: str, folder: Path) -> Cell | None:
         """The cell of another system; InputError where it has no motion for a test recording."""
         key, clips = self.rg.foreign(name, folder)
-        return self._kept(name, 0, key, self.rg.shared, lambda: self.rg.foreign_measured(folder, clips), kind="system",
-                          settings=[], split="test", question=f"another system's motion, {len(clips)} clips")
+        return self._kept(name, 0, key, self.rg.shared, lambda: self.rg.foreign_measured(folder, clips), "system")
 
     def _current(self, cell: Cell, shared: Mapping[int, str]) -> bool:
         """False for a cell of other settings. shared: hash of what RACER's rows of each seed stand on, the others' at
@@ -101,12 +99,12 @@ class Ablation:
         return bool(same and cell["shared"] == shared.get(cell["seed"] if racer else 0, cell["shared"]))
 
     def _kept(self, name: str, seed: int, key: str, shared: str, make: Callable[[], Mapping[str, Any] | None],
-              **about: Any) -> Cell | None:
+              kind: str) -> Cell | None:
         """The cell of a row, a seed and a key, made and written where it is not there; None where none can be made."""
         known = self.cells.finished(name, seed, key)
         result = None if known is not None else make()
         if not result:
             return known
-        written = {**result, "row": name, "seed": seed, "key": key, "shared": shared, **about}
+        written = {**result, "row": name, "seed": seed, "key": key, "shared": shared, "kind": kind}
         self.cells.add(written)
         return written

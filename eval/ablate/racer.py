@@ -59,8 +59,6 @@ MEMORY = 4096
 """Windows that it remembers."""
 GREEDY_AT, LEAST_EPSILON = 0.5, 0.1
 """epsilon falls from 1 to the least one by this share of the steps."""
-MOTION = 60
-"""Test recordings that are played at most, which is what claims of motion need."""
 
 
 # ------------------------------------------------------------------------------------------- what all rows stand on
@@ -142,15 +140,15 @@ class RacerRows:
         return configs.digest(self.shared, self.config(name), row.train, row.scale, begins_as, seed, names)
 
     def measured(self, name: str, seed: int) -> dict[str, Any]:
-        """"clips" and "sets" of a row's cell: all test recordings judged, the first `MOTION` played."""
+        """"clips" and "sets" of a row's cell: all test recordings judged and played."""
         takes, chosen = self.decisions.takes, self.chosen(name, seed)
         clips = [{"name": self.corpus.names[take.recording], "decisions": len(take.blocks) - 1,
                   **lexeme_values(take, lexemes, self.decisions.size, self.tables)}
                  for take, lexemes in zip(takes, chosen, strict=True)]
         # Without a lexicon: lexemes that were chosen are known, and need not be read from the motion.
         scored = self.rg.scored([recording.info.name for recording in self.recordings], lexicon=False)
-        motions = [played(self.context.system, *pair) for pair in zip(self.recordings, chosen, strict=False)]
-        for clip, motion in zip(clips, self.rg.summary(scored, motions)["clips"], strict=False):
+        motions = [played(self.context.system, *pair) for pair in zip(self.recordings, chosen, strict=True)]
+        for clip, motion in zip(clips, self.rg.summary(scored, motions)["clips"], strict=True):
             clip |= motion
         return {"clips": clips, "sets": {}}
 
@@ -169,9 +167,8 @@ class RacerRows:
 
     @cached_property
     def recordings(self) -> list[Recording]:
-        """The first `MOTION` test recordings, which every row is played on."""
-        return [self.context.store.load(self.corpus.names[take.recording])
-                for take in self.decisions.takes[:MOTION]]
+        """The test recordings, which every row is played on."""
+        return [self.context.store.load(self.corpus.names[take.recording]) for take in self.decisions.takes]
 
     def untrained(self, name: str, seed: int) -> QNetwork:
         """The network that a row begins with, the same for all rows of a seed."""

@@ -3,7 +3,7 @@
 A claim is that one row's figure is lower than another's, higher, or about the same. Known before the run are the
 paper's two figures and the margin, half of the effect that the paper prints. Measured is the paired difference on the
 same clips and seeds (one seed is one training, one rendering of each clip), with its intervals of 95 and of 90 % by
-variance components (`eval.crossed`); where one clip has three fifths of the squares, that of the middle clips.
+variance components (`eval.crossed`).
 
 - *holds*: the 95 % interval lies on the claim's side of zero, and not within the margin.
 - *reversed*: it lies on the other side; of rows that are called alike: wholly outside the margin.
@@ -60,7 +60,7 @@ from eval.ablate.rows import (
     PaperTable,
     is_racer,
 )
-from eval.crossed import Components, robust, satterthwaite, trimmed
+from eval.crossed import Components, components, satterthwaite
 from eval.stats import Interval
 from eval.table import Column, Table
 
@@ -93,18 +93,17 @@ class Decision:
 
 # ---------------------------------------------------------------------------------------------------------- the rule
 
-def decide(components: Components, sign: str, margin: float) -> Decision:
+def decide(measured: Components, sign: str, margin: float) -> Decision:
     """The verdict on a difference. sign: "<", ">" or "="; margin: positive, in the difference's unit, NaN for none."""
-    value, over = components.interval(), (components.seeds, components.clips)
-    remark = "of the middle clips, as one has most of the spread" if components.trimmed else ""
-    if components.seeds < DECIDED:
-        return Decision(UNDECIDED, f"{components.seeds} of {DECIDED} seeds", value, margin, over)
-    narrow = components.interval(0.9)
+    value, over = measured.interval(), (measured.seeds, measured.clips)
+    if measured.seeds < DECIDED:
+        return Decision(UNDECIDED, f"{measured.seeds} of {DECIDED} seeds", value, margin, over)
+    narrow = measured.interval(0.9)
     # Two one-sided tests at 5 % are one interval of 90 %. A NaN margin makes this false.
     equivalent = -margin < narrow.low and narrow.high < margin
     word, reason = alike(value, equivalent, margin) if sign == "=" else one_sided(value, equivalent, sign)
-    needed = needed_for(components, margin, sign) if word == UNDECIDED and math.isfinite(margin) else ()
-    return Decision(word, "; ".join(filter(None, (reason, remark))), value, margin, over, needed)
+    needed = needed_for(measured, margin, sign) if word == UNDECIDED and math.isfinite(margin) else ()
+    return Decision(word, reason, value, margin, over, needed)
 
 
 def one_sided(value: Interval, equivalent: bool, sign: str) -> tuple[str, str]:
@@ -143,7 +142,7 @@ def present(claim: Elsewhere) -> Decision:
     return Decision(UNDECIDED, reason, worst, over=(1, worst.n), needed=(1, needed))
 
 
-def needed_for(components: Components, margin: float, sign: str = ">") -> tuple[int, ...]:
+def needed_for(measured: Components, margin: float, sign: str = ">") -> tuple[int, ...]:
     """Seeds and clips that would decide between no effect and twice the margin, each four times in five at least.
 
     As many seeds as `CLIPS` clips need; where no number does, the pair with the smallest product; empty where there is
@@ -151,7 +150,7 @@ def needed_for(components: Components, margin: float, sign: str = ">") -> tuple[
     """
     # All pairs on a grid of geometric steps: the answer is an order of magnitude, not a design.
     seeds, clips = np.meshgrid(_SEEDS, np.append(_CLIPS[_CLIPS != CLIPS], CLIPS), indexing="ij")
-    error, freedom = satterthwaite(components.seed, components.clip, components.rest, seeds, clips)
+    error, freedom = satterthwaite(measured.seed, measured.clip, measured.rest, seeds, clips)
     with np.errstate(divide="ignore"):
         decided = 2 * t.cdf(margin / error - t.ppf(0.95, freedom), freedom) - 1 >= POWER
         if sign != "=":
@@ -167,13 +166,13 @@ def needed_for(components: Components, margin: float, sign: str = ">") -> tuple[
 
 # ------------------------------------------------------------------------------------------------ margins and controls
 
-def margin_of(claim: Claim, cells: Cells, column: str, of_the_middle: bool = False) -> float:
+def margin_of(claim: Claim, cells: Cells, column: str) -> float:
     """Half of the effect that the paper prints, positive, in the unit of `column` here; NaN where it prints none.
 
     On the first data set for which the paper prints both figures. Distances, variances and returns are other numbers
-    on other data, so theirs is a share of `second`'s figure here (of_the_middle: of the middle clips); shares of PMB,
-    points of accuracy and nats are taken as they stand. Rows that are called alike, and those of which the paper prints
-    nothing, have the fixed margin of the column, NaN where it has none.
+    on other data, so theirs is a share of `second`'s figure here; shares of PMB, points of accuracy and nats are taken
+    as they stand. Rows that are called alike, and those of which the paper prints nothing, have the fixed margin of the
+    column, NaN where it has none.
     """
     printed = TABLES[claim.where].both(claim)
     if not printed or claim.sign == "=":
@@ -183,9 +182,8 @@ def margin_of(claim: Claim, cells: Cells, column: str, of_the_middle: bool = Fal
         return abs(first - second) / 2
     # Distances of other data are other numbers, so the paper's effect is carried over as a share.
     here = values_of(list(cells[claim.second].values()), column)
-    here = here[:, np.isfinite(here).any(axis=0)]
     # A share of the second row's figure, as the paper's effect is a share of its own.
-    base = math.nan if not here.size else trimmed(here).mean if of_the_middle else float(np.nanmean(here))
+    base = float(np.nanmean(here)) if np.isfinite(here).any() else math.nan
     return abs(first - second) / second / 2 * base if base > 0 else math.nan
 
 
@@ -235,8 +233,7 @@ def reading(claim: Claim, cells: Cells, column: str) -> Decision:
     apart = apart[np.isfinite(apart).any(axis=1)] if apart.size else apart
     if not apart.size:
         return Decision(UNDECIDED, f"{COLUMNS[column].heading} was not measured of both")
-    components = robust(apart)
-    decision = decide(components, claim.sign, margin_of(claim, cells, column, components.trimmed))
+    decision = decide(components(apart), claim.sign, margin_of(claim, cells, column))
     if decision.word == HOLDS and claim.sign == "=" and inert(claim, cells):
         decision = replace(decision, word=INERT, reason="the two differ in nothing that the paper claims of them")
     remarks = [f"{name} has collapsed: {run:.0f} blocks of one lexeme" for name in (claim.first, claim.second)
