@@ -13,8 +13,8 @@ Satterthwaite's degrees of freedom (1946): an estimate y'Qy of the variance has 
 have two, so that t is 4.3 and not 1.96: where seeds decide, three are few.
 
 In simulations the 95 % intervals hold the true mean 93 to 97 times in a hundred: where seeds decide, where clips do,
-where both do, with few seeds and with missing values; with heavy tails 98 times (tests/test_crossed.py). The bootstrap that
-draws both anew does so 74 times where three seeds decide, and 99 times where clips do.
+where both do, with few seeds and with missing values; with heavy tails 98 times (tests/test_crossed.py). The bootstrap
+that draws both anew does so 74 times where three seeds decide, and 99 times where clips do.
 
 What fools it: with two seeds the degrees of freedom approach one, and the interval says little. A mean over clips of
 which one is a hundred times the others is the figure of that clip. Blocks of a clip are no units here.

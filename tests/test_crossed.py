@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import t, trim_mean
+from scipy.stats import t
 
 from data_module.types import Array
 from eval.crossed import components, crossed, satterthwaite
