@@ -15,21 +15,22 @@ from data_module.speech.speech_encoder_run import SpeechEncoderRunner
 from generator.model import BlockInputs, Generator
 from generator.model_run import GeneratorRunner
 from generator.settings import GeneratorConfig, GeneratorWidths
-from gesticulator.bundle.bundle import load
+from gesticulator.bundle.bundle import Bundle, load
 from gesticulator.bundle.files import NAMED
 from interpreters.advantage import Critics
 from interpreters.advantage_run import CriticsRunner
-from interpreters.base import BlockFeatures
+from interpreters.base import BlockFeatures, InterpreterSizes
 from interpreters.cql import QNetwork
 from interpreters.cql_run import QRunner
 from interpreters.lstm import StyleInterpreter
 from interpreters.settings import CriticConfig, QConfig, StyleConfig
-from interpreters.style_run import StyleRunner, StyleWidths
+from interpreters.style_run import StyleRunner
 from lexicon.autoencoder import Lexicon
 from lexicon.autoencoder_run import LexiconRunner
 from lexicon.settings import LexiconConfig
 
 BLOCKS, FRAMES, AUDIO, MOTION, CODE, TEXT, SPEAKERS, LEXEMES = 30, 5, 7, 6, 9, 4, 3, 11
+SMALL = InterpreterSizes(FRAMES, AUDIO, AUDIO, SPEAKERS, TEXT, 0, MOTION, torch.zeros(LEXEMES, CODE))
 SEEDS = st.integers(0, 999)
 EVERY = settings(deadline=None, max_examples=15)
 
@@ -100,13 +101,15 @@ def test_thirty_codes_of_the_style_interpreter(text: int, bottleneck: int, speak
                          text_bottleneck=bottleneck if text else 0, use_speaker=speaker)
     module = filled(StyleInterpreter(config, FRAMES, AUDIO, torch.randn(LEXEMES, CODE), 8, SPEAKERS, TEXT), seed)
     tensors = tensors_of(module)
-    runner = StyleRunner(config, StyleWidths(FRAMES, AUDIO, (LEXEMES, CODE), 8, SPEAKERS, TEXT), tensors)
+    runner = StyleRunner(config, SMALL, 8, tensors)
     tensors.finish()
     same_codes(module, runner, seed)
 
 
 def same_codes(module: StyleInterpreter, runner: StyleRunner, seed: int) -> None:
-    audio, words = floats(seed, BLOCKS, 3 * module.frames, AUDIO), floats(seed + 1, BLOCKS, 3 * module.frames, TEXT)
+    encode = module.encode_audio.narrow or module.encode_audio.linear
+    width = encode.in_features // (1 if module.encode_audio.narrow else 3 * module.frames)
+    audio, words = floats(seed, BLOCKS, 3 * module.frames, width), floats(seed + 1, BLOCKS, 3 * module.frames, TEXT)
     one_hot = nn.functional.one_hot(torch.tensor([1]), module.speakers).float()
     state, hidden, code = runner.start(1), None, torch.zeros(1, 1, module.code_width)
     for n in range(BLOCKS):
@@ -138,7 +141,7 @@ def test_levels_of_the_speech_encoder(width: int, frames: int, length: int, seed
     sound = floats(seed, 2, length)
     with torch.no_grad():
         wanted = module.levels(torch.as_tensor(sound), frames, range(1, 9))
-    for found, level in zip(runner.levels(sound, frames, range(1, 9)), wanted, strict=True):
+    for found, level in zip(runner.array_levels(sound, frames, range(1, 9)), wanted, strict=True):
         close(found, level)
 
 
@@ -161,7 +164,7 @@ def test_thirty_decisions_of_the_q_network_before_and_after_its_window_slides(
                      audio_bottleneck=5, use_speaker=speaker)
     module = filled(QNetwork(config, FRAMES, AUDIO, LEXEMES, SPEAKERS), seed)
     tensors = tensors_of(module)
-    runner = QRunner(config, FRAMES, AUDIO, LEXEMES, SPEAKERS, tensors)
+    runner = QRunner(config, SMALL, tensors)
     tensors.finish()
     same_values(module, runner, q_inputs(seed, LEXEMES, SPEAKERS, FRAMES, AUDIO))
 
@@ -183,7 +186,7 @@ def test_thirty_advantages_of_the_critics(decisions: int, seed: int) -> None:
     module = filled(Critics(config, FRAMES, AUDIO, LEXEMES, SPEAKERS), seed)
     module.spread.fill_(0.7)
     tensors = tensors_of(module)
-    runner = CriticsRunner(config, FRAMES, AUDIO, LEXEMES, SPEAKERS, tensors)
+    runner = CriticsRunner(config, SMALL, tensors)
     tensors.finish()
     same_advantages(module, runner, q_inputs(seed, LEXEMES, SPEAKERS, FRAMES, AUDIO), seed)
 
@@ -213,20 +216,23 @@ def test_the_parts_of_the_shipped_bundles() -> None:
     same_motion(generator, runner, 1, low, lexemes[1], 0)
     assert encoder is not None
     sound = 0.1 * floats(2, 2, 3 * frames * 800)
-    for found, wanted in zip(SpeechEncoderRunner(encoder.width, tensors_of(encoder)).levels(sound, 3 * frames),
+    for found, wanted in zip(SpeechEncoderRunner(encoder.width, tensors_of(encoder)).array_levels(sound, 3 * frames),
                              encoder.levels(torch.as_tensor(sound), 3 * frames), strict=True):
         close(found, wanted)
     close(LexiconRunner(config.lexicon, frames, lexicon.present.numpy(), tensors_of(lexicon)).shown(), lexicon.shown())
     for bundle, name, settings_ in ((paper, "q_network", config.cql), (paper, "q_network_literal", config.cql_literal),
                                     (default, "q_network", default.config.cql)):
-        high, count = len(bundle.statistics.high.mean), len(bundle.vectors)
-        module = bundle.parts[name]
+        module, sizes = bundle.parts[name], sizes_of(bundle)
         assert isinstance(module, QNetwork)
-        same_values(module, QRunner(settings_, bundle.frames, high, count, len(bundle.speakers), tensors_of(module)),
-                    q_inputs(3, count, len(bundle.speakers), bundle.frames, high))
-    critics, high = default.parts["advantage"], len(default.statistics.high.mean)
+        same_values(module, QRunner(settings_, sizes, tensors_of(module)),
+                    q_inputs(3, len(sizes.lexemes), sizes.speakers, sizes.frames, sizes.high))
+    critics, sizes = default.parts["advantage"], sizes_of(default)
     assert isinstance(critics, Critics)
-    count = len(default.vectors)
-    same_advantages(critics, CriticsRunner(default.config.advantage, default.frames, high, count,
-                                           len(default.speakers), tensors_of(critics)),
-                    q_inputs(4, count, len(default.speakers), default.frames, high), 4)
+    same_advantages(critics, CriticsRunner(default.config.advantage, sizes, tensors_of(critics)),
+                    q_inputs(4, len(sizes.lexemes), sizes.speakers, sizes.frames, sizes.high), 4)
+    same_codes(style, StyleRunner(config.style, sizes_of(paper), style.code_width, tensors_of(style)), 5)
+
+
+def sizes_of(bundle: Bundle) -> InterpreterSizes:
+    low, high = (len(level.mean) for level in (bundle.statistics.low, bundle.statistics.high))
+    return InterpreterSizes(bundle.frames, low, high, len(bundle.speakers), 0, 0, 0, bundle.vectors)
