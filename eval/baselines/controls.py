@@ -130,12 +130,12 @@ def mirrored(clips: Clips) -> list[Motion]:
     return out
 
 
-def towards(clips: Clips, others: Clips, share: float, joints: Sequence[str] = ()) -> list[Motion]:
-    """Each clip's joints (all, without `joints`) turned by a share of the way towards another motion of as many frames;
-    a negative share turns them away from it, so that -1 and the mean pose double every movement."""
+def towards(clips: Clips, other: Callable[[Clips], Clips], share: float, joints: Sequence[str] = ()) -> list[Motion]:
+    """Each clip's joints (all, without `joints`) turned by a share of the way towards what `other` makes of it; a
+    negative share turns them away from that, so that -1 and the mean pose double every movement."""
     out = []
-    for clip, other in zip(clips, others, strict=True):
-        way = rotation.to_exponential_map(rotation.multiply(rotation.conjugate(clip.rotations), other.rotations))
+    for clip, aim in zip(clips, other(clips), strict=True):
+        way = rotation.to_exponential_map(rotation.multiply(rotation.conjugate(clip.rotations), aim.rotations))
         turned = rotation.multiply(clip.rotations, rotation.from_exponential_map(share * way))
         named = np.isin(clip.skeleton.names, joints or clip.skeleton.names)
         out.append(replace(clip, rotations=np.where(named[:, None], turned, clip.rotations)))
@@ -144,10 +144,10 @@ def towards(clips: Clips, others: Clips, share: float, joints: Sequence[str] = (
 
 DAMAGES: Mapping[str, Sequence[Callable[[Clips], list[Motion]]]] = {
     "jitter": [partial(jittered, seed=0, metres=metres) for metres in (0.01, 0.02, 0.04)],
-    "smaller": [lambda clips, share=share: towards(clips, mean_pose(clips), share) for share in (0.25, 0.5)],
-    "larger": [lambda clips, share=share: towards(clips, mean_pose(clips), -share) for share in (0.5, 1.0)],
-    "frozen-trunk": [lambda clips, share=share: towards(clips, mean_pose(clips), share, TRUNK) for share in (0.5, 1.0)],
-    "mirrored": [lambda clips, share=share: towards(clips, mirrored(clips), share) for share in (0.5, 1.0)]}
+    "smaller": [partial(towards, other=mean_pose, share=share) for share in (0.25, 0.5)],
+    "larger": [partial(towards, other=mean_pose, share=-share) for share in (0.5, 1.0)],
+    "frozen-trunk": [partial(towards, other=mean_pose, share=share, joints=TRUNK) for share in (0.5, 1.0)],
+    "mirrored": [partial(towards, other=mirrored, share=share) for share in (0.5, 1.0)]}
 """Rising doses of damage by kind: noise in each joint, movements of 3/4 and 1/2 their size, of 3/2 and twice it, a
 trunk that moves half as much and not at all, a left arm that is half and wholly like the right one."""
 
