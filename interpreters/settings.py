@@ -22,6 +22,8 @@ from data_module.settings import (
 
 BEHAVIOURS = ("truth", "sampled", "statistical", "perturbed")
 """Source of a lexeme: the person, the trained interpreter, the frequencies, or the person with random errors."""
+HALF_BLOCKS = 6
+"""Over which a text head averages the words of three blocks: a gesture starts before its word and outlasts it."""
 REWARDS = ("contrastive", "distance")
 
 Dropout = Annotated[float, SettingRange(0.0, 0.99)]

@@ -10,7 +10,8 @@ import torch
 from learning import learn
 
 from data_module.motion.movement import MovementBasis, pasts_of
-from generator.flow import CIRCUMSTANCES, FlowGenerator, FlowInputs, FlowTime, _fade
+from generator.flow import FlowGenerator, FlowInputs, FlowTime, _fade
+from generator.flow_run import CIRCUMSTANCES
 from generator.settings import GROUP_WIDTH, GeneratorConfig, GeneratorWidths
 from gesticulator.sampling.loop import Keys
 
