@@ -140,7 +140,7 @@ def test_levels_of_the_speech_encoder(width: int, frames: int, length: int, seed
     sound = floats(seed, 2, length)
     with torch.no_grad():
         wanted = module.levels(torch.as_tensor(sound), frames, range(1, 9))
-    for found, level in zip(runner.array_levels(sound, frames, range(1, 9)), wanted, strict=True):
+    for found, level in zip(runner.levels(sound, frames, range(1, 9)), wanted, strict=True):
         close(found, level)
 
 
@@ -215,7 +215,7 @@ def test_the_parts_of_the_shipped_bundles() -> None:
     same_motion(generator, runner, 1, low, lexemes[1], 0)
     assert encoder is not None
     sound = 0.1 * floats(2, 2, 3 * frames * 800)
-    for found, wanted in zip(SpeechEncoderRunner(encoder.width, tensors_of(encoder)).array_levels(sound, 3 * frames),
+    for found, wanted in zip(SpeechEncoderRunner(encoder.width, tensors_of(encoder)).levels(sound, 3 * frames),
                              encoder.levels(torch.as_tensor(sound), 3 * frames), strict=True):
         close(found, wanted)
     close(LexiconRunner(config.lexicon, frames, lexicon.present.numpy(), tensors_of(lexicon)).shown(), lexicon.shown())
