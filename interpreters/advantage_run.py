@@ -13,7 +13,6 @@ from interpreters.base import (
     BlockFeatures,
     InterpreterDefaults,
     InterpreterParts,
-    InterpreterSizes,
     LexemeInterpreter,
     Need,
     Scores,
@@ -36,9 +35,11 @@ def advantages(q: NDArray[np.floating], prior: NDArray[np.floating]) -> NDArray[
 class CriticsRunner:
     """J critics on one transformer over audio and lexemes, which value every lexeme of a block."""
 
-    def __init__(self, config: CriticConfig, sizes: InterpreterSizes, tensors: Tensors) -> None:
-        trunk, lexemes = tensors.within("trunk"), len(sizes.lexemes)
-        self._trunk = QTrunk(config.network, sizes, trunk)
+    def __init__(self, config: CriticConfig, frames: int, audio_width: int, lexemes: int, speakers: int,
+                 tensors: Tensors) -> None:
+        """frames: K; audio_width: d; lexemes: S; speakers: P."""
+        trunk = tensors.within("trunk")
+        self._trunk = QTrunk(config.network, frames, audio_width, lexemes, speakers, trunk)
         self._norm = Norm(trunk.within("head"), config.width)
         self._reward = Dense.of(tensors.within("reward"), config.width, CRITICS * lexemes)
         self._future = Dense.of(tensors.within("future"), config.width, CRITICS * lexemes)

@@ -19,18 +19,17 @@ from gesticulator.bundle.bundle import Bundle, load
 from gesticulator.bundle.files import NAMED
 from interpreters.advantage import Critics
 from interpreters.advantage_run import CriticsRunner
-from interpreters.base import BlockFeatures, InterpreterSizes
+from interpreters.base import BlockFeatures
 from interpreters.cql import QNetwork
 from interpreters.cql_run import QRunner
 from interpreters.lstm import StyleInterpreter
 from interpreters.settings import CriticConfig, QConfig, StyleConfig
-from interpreters.style_run import StyleRunner
+from interpreters.style_run import StyleRunner, StyleWidths
 from lexicon.autoencoder import Lexicon
 from lexicon.autoencoder_run import LexiconRunner
 from lexicon.settings import LexiconConfig
 
 BLOCKS, FRAMES, AUDIO, MOTION, CODE, TEXT, SPEAKERS, LEXEMES = 30, 5, 7, 6, 9, 4, 3, 11
-SMALL = InterpreterSizes(FRAMES, AUDIO, AUDIO, SPEAKERS, TEXT, 0, MOTION, torch.zeros(LEXEMES, CODE))
 SEEDS = st.integers(0, 999)
 EVERY = settings(deadline=None, max_examples=15)
 
@@ -101,7 +100,7 @@ def test_thirty_codes_of_the_style_interpreter(text: int, bottleneck: int, speak
                          text_bottleneck=bottleneck if text else 0, use_speaker=speaker)
     module = filled(StyleInterpreter(config, FRAMES, AUDIO, torch.randn(LEXEMES, CODE), 8, SPEAKERS, TEXT), seed)
     tensors = tensors_of(module)
-    runner = StyleRunner(config, SMALL, 8, tensors)
+    runner = StyleRunner(config, StyleWidths(FRAMES, AUDIO, (LEXEMES, CODE), 8, SPEAKERS, TEXT), tensors)
     tensors.finish()
     same_codes(module, runner, seed)
 
@@ -141,7 +140,7 @@ def test_levels_of_the_speech_encoder(width: int, frames: int, length: int, seed
     sound = floats(seed, 2, length)
     with torch.no_grad():
         wanted = module.levels(torch.as_tensor(sound), frames, range(1, 9))
-    for found, level in zip(runner.array_levels(sound, frames, range(1, 9)), wanted, strict=True):
+    for found, level in zip(runner.levels(sound, frames, range(1, 9)), wanted, strict=True):
         close(found, level)
 
 
@@ -164,7 +163,7 @@ def test_thirty_decisions_of_the_q_network_before_and_after_its_window_slides(
                      audio_bottleneck=5, use_speaker=speaker)
     module = filled(QNetwork(config, FRAMES, AUDIO, LEXEMES, SPEAKERS), seed)
     tensors = tensors_of(module)
-    runner = QRunner(config, SMALL, tensors)
+    runner = QRunner(config, FRAMES, AUDIO, LEXEMES, SPEAKERS, tensors)
     tensors.finish()
     same_values(module, runner, q_inputs(seed, LEXEMES, SPEAKERS, FRAMES, AUDIO))
 
@@ -186,7 +185,7 @@ def test_thirty_advantages_of_the_critics(decisions: int, seed: int) -> None:
     module = filled(Critics(config, FRAMES, AUDIO, LEXEMES, SPEAKERS), seed)
     module.spread.fill_(0.7)
     tensors = tensors_of(module)
-    runner = CriticsRunner(config, SMALL, tensors)
+    runner = CriticsRunner(config, FRAMES, AUDIO, LEXEMES, SPEAKERS, tensors)
     tensors.finish()
     same_advantages(module, runner, q_inputs(seed, LEXEMES, SPEAKERS, FRAMES, AUDIO), seed)
 
@@ -216,23 +215,28 @@ def test_the_parts_of_the_shipped_bundles() -> None:
     same_motion(generator, runner, 1, low, lexemes[1], 0)
     assert encoder is not None
     sound = 0.1 * floats(2, 2, 3 * frames * 800)
-    for found, wanted in zip(SpeechEncoderRunner(encoder.width, tensors_of(encoder)).array_levels(sound, 3 * frames),
+    for found, wanted in zip(SpeechEncoderRunner(encoder.width, tensors_of(encoder)).levels(sound, 3 * frames),
                              encoder.levels(torch.as_tensor(sound), 3 * frames), strict=True):
         close(found, wanted)
     close(LexiconRunner(config.lexicon, frames, lexicon.present.numpy(), tensors_of(lexicon)).shown(), lexicon.shown())
     for bundle, name, settings_ in ((paper, "q_network", config.cql), (paper, "q_network_literal", config.cql_literal),
                                     (default, "q_network", default.config.cql)):
-        module, sizes = bundle.parts[name], sizes_of(bundle)
+        module = bundle.parts[name]
         assert isinstance(module, QNetwork)
-        same_values(module, QRunner(settings_, sizes, tensors_of(module)),
-                    q_inputs(3, len(sizes.lexemes), sizes.speakers, sizes.frames, sizes.high))
-    critics, sizes = default.parts["advantage"], sizes_of(default)
+        same_values(module, QRunner(settings_, *sizes_of(bundle), tensors_of(module)), inputs_of(bundle))
+    critics = default.parts["advantage"]
     assert isinstance(critics, Critics)
-    same_advantages(critics, CriticsRunner(default.config.advantage, sizes, tensors_of(critics)),
-                    q_inputs(4, len(sizes.lexemes), sizes.speakers, sizes.frames, sizes.high), 4)
-    same_codes(style, StyleRunner(config.style, sizes_of(paper), style.code_width, tensors_of(style)), 5)
+    same_advantages(critics, CriticsRunner(default.config.advantage, *sizes_of(default), tensors_of(critics)),
+                    inputs_of(default), 4)
+    style_widths = StyleWidths(frames, low, (len(paper.vectors), lexemes[1]), style.code_width, len(paper.speakers))
+    same_codes(style, StyleRunner(config.style, style_widths, tensors_of(style)), 5)
 
 
-def sizes_of(bundle: Bundle) -> InterpreterSizes:
-    low, high = (len(level.mean) for level in (bundle.statistics.low, bundle.statistics.high))
-    return InterpreterSizes(bundle.frames, low, high, len(bundle.speakers), 0, 0, 0, bundle.vectors)
+def sizes_of(bundle: Bundle) -> tuple[int, int, int, int]:
+    """Frames, width of the audio, lexemes and speakers."""
+    return bundle.frames, len(bundle.statistics.high.mean), len(bundle.vectors), len(bundle.speakers)
+
+
+def inputs_of(bundle: Bundle) -> tuple[torch.Tensor, ...]:
+    frames, audio, lexemes, speakers = sizes_of(bundle)
+    return q_inputs(3, lexemes, speakers, frames, audio)

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+import torch
 
 from data_module.errors import InputError
 from data_module.speech.front_ends import AudioFeatures, FrontEnd, MelFrontEnd, scaled_windows
+from data_module.speech.speech_encoder import SpeechEncoder, load_fairseq
 from data_module.speech.speech_encoder_run import HIGH, LEVELS, LOW
 from data_module.types import Array, Samples
 
@@ -25,22 +25,13 @@ _BATCH = 4
 _RATE = 16000
 
 
-class LevelEncoder(Protocol):
-    """A speech encoder: the runner, or the torch module in training."""
-
-    width: int
-
-    def array_levels(self, samples: Samples, frames: int, which: Sequence[int]) -> tuple[NDArray[np.float32], ...]:
-        """The levels `which` (1 to 8) of windows [B, T], averaged over each motion frame: [B, frames, width] each."""
-
-
 @dataclass(frozen=True)
 class LearnedFrontEnd:
     """Two levels of a speech encoder per motion frame, each followed by onset strength and loudness. mel: gives the two
     further columns, and the size of a window. layers: the low and the high level, 1 to 8."""
 
     name: str
-    encoder: LevelEncoder = field(repr=False)
+    encoder: SpeechEncoder = field(repr=False)
     mel: MelFrontEnd = field(repr=False)
     layers: tuple[int, int]
 
@@ -55,11 +46,13 @@ class LearnedFrontEnd:
     def encode(self, windows: Samples, reference: Array | None = None) -> AudioFeatures:
         mel = self.mel
         low, high = (np.empty((len(windows), mel.frames, self.width_low), np.float32) for _ in range(2))
+        device = next(self.encoder.parameters()).device
         for part, scaled in scaled_windows(windows, reference, mel.frames * mel.samples_per_frame, _BATCH):
-            levels = self.encoder.array_levels(scaled, mel.frames, self.layers)
+            with torch.inference_mode():
+                levels = self.encoder.levels(torch.from_numpy(scaled).to(device), mel.frames, self.layers)
             columns = mel.rows(scaled)[..., -_LEVEL_COLUMNS:]
             for out, level in zip((low, high), levels, strict=True):
-                out[part] = np.concatenate([level, columns], axis=-1)
+                out[part] = np.concatenate([level.cpu().numpy(), columns], axis=-1)
         return AudioFeatures(low, high)
 
 
@@ -67,7 +60,7 @@ FRONT_ENDS = ("mel", "vqwav2vec")
 """Front ends by name."""
 
 
-def front_end(name: str, mel: MelFrontEnd, *, encoder: LevelEncoder | None = None,
+def front_end(name: str, mel: MelFrontEnd, *, encoder: SpeechEncoder | None = None,
               layers: Sequence[int] | None = None) -> FrontEnd:
     """A front end by name: one of `FRONT_ENDS`, or "fairseq:PATH".
 
@@ -80,17 +73,13 @@ def front_end(name: str, mel: MelFrontEnd, *, encoder: LevelEncoder | None = Non
     kind, _, where = name.partition(":")
     if name not in FRONT_ENDS and (kind != "fairseq" or not where):
         raise InputError("front end", f"there is no {name!r}", f"choose from {', '.join(FRONT_ENDS)}, fairseq:PATH")
-    if where:
-        # Published weights are a file of torch's.
-        from data_module.speech.speech_encoder import load_fairseq
-
-        encoder = load_fairseq(where)
+    encoder = load_fairseq(where) if where else encoder
     if encoder is None:
         raise InputError("front end 'vqwav2vec'", "needs a trained speech encoder", "use a bundle that has one")
     low, high = _two(layers or (LOW, HIGH))
     if mel.sample_rate != _RATE:
         raise InputError("front end", f"wants sound at {_RATE} Hz, not {mel.sample_rate}", "choose another")
-    return LearnedFrontEnd(name, encoder, mel, (low, high))
+    return LearnedFrontEnd(name, encoder.eval(), mel, (low, high))
 
 
 def _two(layers: Sequence[int]) -> tuple[int, int]:

@@ -12,16 +12,13 @@ import pickle
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import torch
 import torch.nn.functional as F
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from data_module.errors import InputError
 from data_module.layers import masked_mean
 from data_module.speech.speech_encoder_run import HIGH, LEVELS, LOW, SHAPES, hop_and_reach, pooling
-from data_module.types import Samples
 
 PROJECTION = 128
 """Width of the space in which Eq. 1 compares text with audio."""
@@ -68,13 +65,6 @@ class SpeechEncoder(nn.Module):
             matrix = torch.from_numpy(pooling(level, samples.shape[1], frames)).to(samples.device)
             pooled.append((out[level - 1] @ matrix).transpose(1, 2))
         return tuple(pooled)
-
-    def array_levels(self, samples: Samples, frames: int, which: Sequence[int] = (LOW, HIGH)
-                     ) -> tuple[NDArray[np.float32], ...]:
-        """`levels` of arrays [B, T], where the weights are, without gradient."""
-        with torch.inference_mode():
-            levels = self.levels(torch.from_numpy(samples).to(next(self.parameters()).device), frames, which)
-            return tuple(level.cpu().numpy() for level in levels)
 
 
 class PredictiveCoding(nn.Module):

@@ -51,7 +51,7 @@ class SpeechEncoderRunner:
             (Conv(tensors.take(f"convolutions.{layer}.weight", width, widths[layer], kernel), stride=stride),
              Norm(tensors.within(f"norms.{layer}"), width, axes=2)) for layer, (kernel, stride) in enumerate(SHAPES)]
 
-    def array_levels(self, samples: Samples, frames: int, which: Sequence[int] = (LOW, HIGH)) -> tuple[Floats, ...]:
+    def levels(self, samples: Samples, frames: int, which: Sequence[int] = (LOW, HIGH)) -> tuple[Floats, ...]:
         """The levels `which` (1 to 8) of windows [B, T], averaged over each motion frame: [B, frames, C] each."""
         x, out = samples[..., None], {}
         for level, (convolve, norm) in enumerate(self._layers[:max(which)], 1):

@@ -23,7 +23,7 @@ from data_module.types import Array, BeatFlag, Blocks, Samples
 from gesticulator.bundle.config import Config
 
 if TYPE_CHECKING:
-    from data_module.speech.learned_front_ends import LevelEncoder
+    from data_module.speech.speech_encoder import SpeechEncoder
 
 CONTROL_WIDTH = 2 * len(controls.FEATURES)
 """2 F: the target of each style feature, and whether it is given."""
@@ -265,7 +265,7 @@ class SpeechBlock:
         return Span(self.start, duration, self.quiet, self.ahead, 0.0 if self.ahead is None else after)
 
 
-def front_end_for(config: Config, encoder: LevelEncoder | None = None) -> FrontEnd:
+def front_end_for(config: Config, encoder: SpeechEncoder | None = None) -> FrontEnd:
     """The audio front end of the settings; encoder: that of the bundle, for "vqwav2vec"."""
     rhythm = config.rhythm
     settings = config.front_end
@@ -273,6 +273,7 @@ def front_end_for(config: Config, encoder: LevelEncoder | None = None) -> FrontE
                       SAMPLE_RATE, robust=settings.robust)
     if settings.name == "mel":
         return mel
+    # Imported late, because it needs transformers.
     from data_module.speech.learned_front_ends import front_end
 
     return front_end(settings.name, mel, encoder=encoder, layers=settings.layers or None)
