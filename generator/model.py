@@ -64,22 +64,20 @@ class GeneratorConfig:
     """Units of each layer of the decoder."""
     lstm_layers: Depth = 2
     """Layers of the decoder."""
-    own_past_until: Share = 0.5
-    """Share of the run after which the past is always the generated block; the probability rises linearly between."""
+    own_past_until: Share = 0.0
+    """Share of the run after which the past is always the generated block; the probability rises linearly between. 0
+    (the paper) never: Eq. 5 takes the true block, and Eq. 15 the generated one in use."""
     lexeme: NotNegative = 0.2
     """Weight of L_lexeme (RG Eq. 9 and 13)."""
     use_control: bool = False
     """Use the style control (C_i of RG 7.2.1) as input."""
-    velocity: NotNegative = 0.0
-    """Weight of the squared error of frame differences; off in the paper."""
-    style_dropout: Share = 0.0
-    """Share of training windows that get the zero code instead of the learned one. A learned code contains information
-    from the target; without it the generator must take its timing from the sound. Off in the paper."""
     swap_share: Share = 1.0
     """Share of the batch's blocks that the lexeme loss pairs with other lexemes."""
-    style_rate: Positive = 1e-2
+    style_rate: Positive = 3e-4
     """Learning rate of the style codes, which get only one gradient per epoch each."""
     # The remaining settings are used by the flow head only.
+    style_dropout: Share = 0.0
+    """Share of training windows without style codes."""
     blocks: Count = 28
     """Blocks of a training window: about nine seconds, more than a phrase."""
     context: Width = 256
@@ -237,8 +235,7 @@ class Generator(nn.Module):
     @property
     def weights(self) -> dict[str, float]:
         c = self.config
-        return {"reconstruction": RECONSTRUCTION, "perceptual": PERCEPTUAL, "lexeme": c.lexeme, "style": STYLE,
-                "velocity": c.velocity}
+        return {"reconstruction": RECONSTRUCTION, "perceptual": PERCEPTUAL, "lexeme": c.lexeme, "style": STYLE}
 
     def sparse_parameters(self) -> Iterator[tuple[Tensor, float]]:
         if self.styles is not None:
@@ -296,8 +293,9 @@ class Generator(nn.Module):
         return torch.stack(blocks, 1), torch.stack(choices, 1)
 
     def own_past_probability(self, progress: float) -> float:
-        """0 at the start of the run, 1 after `own_past_until` of it, linear between."""
-        return min(progress / max(self.config.own_past_until, 1e-9), 1.0)
+        """0 at the start of the run, 1 after `own_past_until` of it, linear between; always 0 without that setting."""
+        until = self.config.own_past_until
+        return min(progress / until, 1.0) if until else 0.0
 
     def temperature(self, progress: float) -> float:
         return self.config.temperature(progress)
@@ -318,26 +316,16 @@ class Generator(nn.Module):
         style = self.styles(numbers)
         temperature = self.temperature(progress)
         control = batch["control"][:, 1:] if self.control_width else None
-        used = style
-        if self.training and self.config.style_dropout > 0:
-            # Dropped for the whole window; the divergence and the lexeme loss below still use the codes.
-            used = style * (torch.rand(len(style), 1, 1, device=style.device) >= self.config.style_dropout)
-        generated, _ = self.roll_out(motion[:, 0], BlockInputs(audio, lexemes, used, control), motion[:, 1:],
+        generated, _ = self.roll_out(motion[:, 0], BlockInputs(audio, lexemes, style, control), motion[:, 1:],
                                      self.own_past_probability(progress), temperature)
         valid = batch["valid"][:, 1:]
         mask = batch["mask"][:, None, None] * valid[:, :, None, None]
         real = valid > 0
-        # Velocities include that across the seam between two blocks, where jumps are most visible.
-        before = torch.cat([motion[:, :1, -1], generated[:, :-1, -1]], 1)[:, :, None]
-        before_true = motion[:, :-1, -1][:, :, None]
-        velocity = torch.diff(torch.cat([before, generated], 2), dim=2) \
-            - torch.diff(torch.cat([before_true, motion[:, 1:]], 2), dim=2)
         return {
             "reconstruction": losses.reconstruction(generated, motion[:, 1:], mask),
             "perceptual": losses.perceptual(generated[real], motion[:, 1:][real], encoder),
             "lexeme": self._lexeme_loss(motion, audio, lexemes, style, temperature, encoder, control),
             "style": losses.style_divergence(style[(numbers > 0) & real]),
-            "velocity": losses.reconstruction(velocity, torch.zeros_like(velocity), mask),
         }
 
     def _lexeme_loss(self, motion: Tensor, audio: Tensor, lexemes: Tensor, style: Tensor, temperature: float,
