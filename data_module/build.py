@@ -61,8 +61,8 @@ class Workshop:
             warnings.simplefilter("always", UserWarning)
             try:
                 recording = load(self.reader, item)
-                character = with_relaxed_hands(skeletons.to_character(recording.motion,
-                                                                      skeleton=skeletons.WHOLE_BODY))
+                table = skeletons.find_table(recording.motion.skeleton.names, self.options.joints)
+                character = with_relaxed_hands(skeletons.to_character(recording.motion, table, skeletons.WHOLE_BODY))
                 # A performer who stands gets planted feet, so that the legs of a store do not slide.
                 if recording.stands:
                     character = with_standing_legs(character)
@@ -222,6 +222,8 @@ def add_arguments(parser: argparse.ArgumentParser, corpus: str) -> None:
     parser.add_argument("--no-dataset", action="store_true", help="write only the store, without BVH files")
     parser.add_argument("--fps", type=float, help="frames per second, if the header of the BVH files is wrong")
     parser.add_argument("--unit", type=float, help="metres per unit of the BVH files, if not as reported")
+    parser.add_argument("--joints", type=Path, metavar="FILE.json", help="which joints of the BVH files are which, if "
+                        "their names are not known; gesticulator character FILE.bvh --save-mapping writes it")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -232,6 +234,7 @@ def run(arguments: argparse.Namespace) -> int:
         os.environ.setdefault(variable, "1")
     from data_module.corpora.base import Options
     from data_module.corpora.table import open_corpus, reader_of
+    from data_module.motion.joint_map import read_joint_table
     from data_module.store import StoreWriter
 
     for name in ("workers", "fps", "unit"):
@@ -240,9 +243,12 @@ def run(arguments: argparse.Namespace) -> int:
             raise InputError(f"--{name}", f"is {value:g}", "give a number above 0")
     reader = reader_of(arguments.corpus)
     options = reader.options(arguments) if hasattr(reader, "options") else Options(arguments.fps, arguments.unit)
+    table = None if arguments.joints is None else read_joint_table(arguments.joints)
+    options = replace(options, joints=table)
     with lock(arguments.out, "a build", beside=True):
         reader = open_corpus(arguments.corpus, arguments.source, options)
-        writer = StoreWriter(arguments.out, arguments.corpus, reader.settings(), options.seed, reader.licence)
+        settings = {**reader.settings(), **({} if table is None else {"joints": table})}
+        writer = StoreWriter(arguments.out, arguments.corpus, settings, options.seed, reader.licence)
         dataset = None if arguments.no_dataset else writer.partial / DATASET
         workshop = Workshop(arguments.corpus, arguments.source, options, writer, dataset, reader)
         for line in build(workshop, arguments.workers):

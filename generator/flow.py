@@ -24,7 +24,6 @@ part that depends on time alone is a cached bias, and weights are stored in the 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -48,17 +47,16 @@ from data_module.layers import (
     version,
     without_after,
 )
-from data_module.motion.movement import PAST, MovementBasis, Pasts
-from generator.model import GROUP_WIDTH, GeneratorConfig, GeneratorWidths, GumbelCodes, State, positional_block
+from data_module.motion.movement import MovementBasis, Pasts
+from data_module.motion.movement_run import PAST
+from generator.flow_run import CIRCUMSTANCES, FREQUENCIES, LAYERS, MOST, Circumstances, alone
+from generator.model import GumbelCodes, State
+from generator.settings import GROUP_WIDTH, GeneratorConfig, GeneratorWidths, positional_block
 
 __all__ = ["FlowGenerator", "FlowHead", "FlowInputs"]
 
 NearestLexeme = Callable[[Tensor], Tensor]
 """Coefficients [B, n] to the lexemes [B] nearest to them."""
-CIRCUMSTANCES = 8
-"""Numbers that describe a block's place in speech: see `circumstances`."""
-LAYERS = 3
-"""Residual blocks of the head."""
 AUDIO_DROPOUT = LEXEME_DROPOUT = 0.15
 """Shares of training windows without audio, and without lexemes, for guidance."""
 UNIT_DROPOUT = 0.1
@@ -67,34 +65,6 @@ ADDED_DROPOUT = 0.15
 """Share of blocks without the coefficients of the previous block: relying on them causes loops."""
 DRAWS = 2
 """Samples of time and noise over which the loss of each block is averaged."""
-_MOST = 8.0
-"""Largest argument of sinh, beyond any coefficient in the data."""
-_TEMPO = 0.3
-"""Typical duration of a block, seconds."""
-
-
-@dataclass(frozen=True)
-class Circumstances:
-    """How long the silence, or the speech, has lasted before a block, in blocks."""
-
-    quiet: int = 0
-    speech: int = 0
-
-    def step(self, durations: Sequence[float], silent: Sequence[bool]) -> tuple[Tensor, Circumstances]:
-        """[8] the place of a block in speech, from the previous, current and next block (durations in s, silent or
-        not): the logarithms of the durations over 0.3 s; whether each is silent; log(1 + n) of the n blocks that the
-        silence, and the speech, have lasted. And the state after the block."""
-        quiet, speech = (self.quiet + 1, 0) if silent[1] else (0, self.speech + 1)
-        # In single precision, as the durations in the training data.
-        logs = [math.log(np.float32(np.float32(seconds) / np.float32(_TEMPO))) for seconds in durations]
-        place = torch.tensor([*logs, *map(float, silent), math.log1p(quiet), math.log1p(speech) / 3],
-                             dtype=torch.float32)
-        return place, Circumstances(quiet, speech)
-
-
-def alone(place: Tensor) -> Tensor:
-    """Circumstances [..., 8] with the current block in place of the next one."""
-    return place[..., [0, 1, 1, 3, 4, 4, 6, 7]]
 
 
 def circumstances(durations: Tensor, silent: Tensor) -> Tensor:
@@ -105,7 +75,7 @@ def circumstances(durations: Tensor, silent: Tensor) -> Tensor:
         three = max(i - 1, 0), i, min(i + 1, len(quiet) - 1)
         place, state = state.step([seconds[n] for n in three], [quiet[n] for n in three])
         places.append(place)
-    return torch.stack(places)
+    return torch.as_tensor(np.stack(places))
 
 
 @dataclass(frozen=True)
@@ -153,8 +123,8 @@ class FlowGenerator(nn.Module):
         self.register_buffer("present", torch.ones(widths.motion) if present is None else present, persistent=False)
         self.register_buffer("deviation", torch.ones(basis.width))
         self.register_buffer("centres", torch.zeros(widths.lexemes + 1, basis.width))  # u of each lexeme; 0 for none
-        self.register_buffer("position", positional_block(frames, c.position_width)
-                             if c.position_width else torch.zeros(frames, 0), persistent=False)
+        position = torch.as_tensor(positional_block(frames, c.position_width))
+        self.register_buffer("position", position, persistent=False)
         self.control_width = widths.control if c.use_control else 0
         self.encode_motion = convolutions((widths.motion, *[c.motion_features] * 3), norm=False)
         self.encode_audio = BlockLinear(frames, widths.audio, c.audio_features, bottleneck=c.audio_bottleneck)
@@ -196,7 +166,7 @@ class FlowGenerator(nn.Module):
     def stretch(self, squeezed: Tensor) -> Tensor:
         """The inverse of `squeeze`, clipped to the range of the training data."""
         # Limited before and after: sinh would overflow, and an outlier in u is exponentially far in y.
-        y = torch.sinh((squeezed * self.deviation).clamp(-_MOST, _MOST)) / self.config.bend * self.basis.scale
+        y = torch.sinh((squeezed * self.deviation).clamp(-MOST, MOST)) / self.config.bend * self.basis.scale
         return torch.maximum(torch.minimum(y, self.basis.limits[1]), self.basis.limits[0])
 
     @torch.no_grad()
@@ -359,10 +329,6 @@ def _fade(frames: int, like: Tensor) -> Tensor:
     return (1 - x) ** 3 * (1 + 3 * x + 6 * x * x)
 
 
-_FREQUENCIES = 8
-"""F, frequencies of the sines and cosines that tell the head the time t."""
-
-
 @dataclass(frozen=True)
 class FlowTime:
     """The inputs of `FlowHead` from times t. waves: [..., 2 F] sines and cosines; deviation: [..., 1] sqrt(s); share:
@@ -392,7 +358,7 @@ class FlowHead(nn.Module):
     def __init__(self, width: int, context: int, hidden: int, layers: int) -> None:
         """width: n; context: C; hidden: units of each of the layers."""
         super().__init__()
-        self.enter = Linear(width + 2 * _FREQUENCIES, hidden)
+        self.enter = Linear(width + 2 * FREQUENCIES, hidden)
         self.condition = nn.ModuleList([Linear(context, 2 * hidden) for _ in range(layers)])
         self.inner = nn.ModuleList([Linear(hidden, hidden) for _ in range(layers)])
         self.outer = nn.ModuleList([Linear(hidden, hidden) for _ in range(layers)])
@@ -487,4 +453,4 @@ def _map(weight: Tensor, bias: Tensor | None = None) -> Callable[[Tensor], Tenso
 @lru_cache(maxsize=4)
 def _rates(device: torch.device, dtype: torch.dtype) -> Tensor:
     with torch.inference_mode(False):
-        return 1.5 * 2.0 ** (0.5 * torch.arange(_FREQUENCIES, device=device, dtype=dtype))
+        return 1.5 * 2.0 ** (0.5 * torch.arange(FREQUENCIES, device=device, dtype=dtype))

@@ -4,133 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from data_module.layers import SLOPE, BlockLinear, Linear, convolutions, repeat_frames, run_lstm
-from data_module.settings import (
-    Count,
-    Depth,
-    NotNegative,
-    Positive,
-    SettingChoice,
-    SettingRange,
-    Share,
-    Width,
-    WidthOrNone,
-)
+from generator.settings import BLEND, GROUP_WIDTH, GeneratorConfig, GeneratorWidths, positional_block
 
 if TYPE_CHECKING:
     from generator.losses import Encoder
 
-__all__ = ["BlockInputs", "Generator", "GeneratorConfig"]
+__all__ = ["BlockInputs", "Generator"]
 
-GROUP_WIDTH = 8
-"""Width of the vector behind each class of each group."""
-TEMPERATURE = 2.0, 0.5
-"""Gumbel temperature at the start and at the end of training; it falls geometrically."""
 RECONSTRUCTION, PERCEPTUAL, STYLE = 1.0, 0.5, 1.0
 """Weights of L_rec, L_perc and L_z (RG Eq. 9); that of L_lexeme is the setting `lexeme`, which the paper ablates."""
-_BLEND = 0.1
-"""Temperature of nearly equal classes: their logits differ by a few tenths."""
 State = tuple[Tensor, Tensor]
 """Hidden and cell state of the decoder, [layers, B, width] each."""
-
-
-@dataclass(frozen=True)
-class GeneratorConfig:
-    """Sizes and weights of the generator; the defaults are the paper's if it gives them."""
-
-    motion_features: Width = 128
-    """d_m~, width of E_M."""
-    audio_features: WidthOrNone = 128
-    """d_a~, width of E_A."""
-    audio_bottleneck: WidthOrNone = 0
-    """Width of a projection of each row of audio before E_A; 0 for none (the paper)."""
-    style_width: WidthOrNone = 32
-    """d_z."""
-    position_width: WidthOrNone = 32
-    """d_P; 0 for no positional block (Table 7)."""
-    hidden: Width = 512
-    """Width of the MLP encoder."""
-    groups: Width = 64
-    """H."""
-    classes: Width = 128
-    """C."""
-    lstm_width: Width = 1024
-    """Units of each layer of the decoder."""
-    lstm_layers: Depth = 2
-    """Layers of the decoder."""
-    own_past_until: Share = 0.0
-    """Share of the run after which the past is always the generated block; the probability rises linearly between. 0
-    (the paper) never: Eq. 5 takes the true block, and Eq. 15 the generated one in use."""
-    lexeme: NotNegative = 0.2
-    """Weight of L_lexeme (RG Eq. 9 and 13)."""
-    use_control: bool = False
-    """Use the style control (C_i of RG 7.2.1) as input."""
-    swap_share: Share = 1.0
-    """Share of the batch's blocks that the lexeme loss pairs with other lexemes."""
-    style_rate: Positive = 3e-4
-    """Learning rate of the style codes, which get only one gradient per epoch each."""
-    # The remaining settings are used by the flow head only.
-    style_dropout: Share = 0.0
-    """Share of training windows without style codes."""
-    blocks: Count = 28
-    """Blocks of a training window: about nine seconds, more than a phrase."""
-    context: Width = 256
-    """Units of the LSTM over blocks, and width of the context of the head."""
-    lexeme_width: Width = 64
-    """Width of the embeddings of the lexeme and of a block's audio that bypass the bottleneck."""
-    hears_through: Annotated[str, SettingChoice(("both", "code"))] = "both"
-    """How audio and lexeme reach the flow head: "both": by the Gumbel code and beside it; "code": by the code alone,
-    which must then tell them apart. What is known of the past stands beside the code in either case."""
-    units: bool = False
-    """Take the planner's decision for each block as input."""
-    flow_width: Width = 384
-    """Units of the head."""
-    dropout: Annotated[float, SettingRange(0.0, 0.95)] = 0.2
-    """Dropout of the context's units in training."""
-    after_dropout: Share = 0.0
-    """Share of training windows without the audio, duration and silence of the next block, so that a stream need not
-    wait for it."""
-    history_dropout: Share = 0.0
-    """Share of training windows without previous motion (E_M, and the coefficients of the previous blocks)."""
-    past_noise: NotNegative = 0.25
-    """Largest deviation of the noise on the pose before a block, in standard deviations of each dimension."""
-    velocity_noise: NotNegative = 0.1
-    """Largest deviation of the noise on the velocity before a block, as a share of it."""
-    bend: Positive = 2.0
-    """b of asinh(b y / sd): nearly linear below 1 / b deviations, logarithmic above."""
-
-    @property
-    def styled(self) -> bool:
-        """Whether it takes style codes: one a block with the regression head, learned (RG 5.3); one a gesture unit with
-        the flow head, measured (`interpreters.planner`)."""
-        return self.style_width > 0
-
-    def temperature(self, progress: float) -> float:
-        """Gumbel temperature at a share of the run, geometric between the two of `TEMPERATURE`."""
-        start, end = TEMPERATURE
-        return float(start * (end / start) ** progress)
-
-
-@dataclass(frozen=True)
-class GeneratorWidths:
-    """The sizes of a generator that depend on the data. frames: K; motion: D_m; audio: d + 1; lexeme: D_s; control: 2
-    F, used with `use_control`; lexemes: S, speakers: P and units: the width of a planner's decision, used by the flow
-    head only."""
-
-    frames: int
-    motion: int
-    audio: int
-    lexeme: int
-    control: int = 0
-    lexemes: int = 0
-    speakers: int = 0
-    units: int = 0
 
 
 @dataclass(frozen=True)
@@ -183,21 +74,10 @@ class GumbelCodes(nn.Module):
 
     def best(self, hidden: Tensor) -> Tensor:
         """The codebook vector of the flow head in evaluation, [..., H * group_width] of hidden [..., width]. Classes
-        that are nearly equal are blended (a softmax at temperature `_BLEND`), or the rounding errors of a recording at
+        that are nearly equal are blended (a softmax at temperature `BLEND`), or the rounding errors of a recording at
         another level would flip a class here and there, and with it the motion."""
-        share = torch.softmax(self.logits(hidden).unflatten(-1, (self.groups, self.classes)) / _BLEND, -1)
+        share = torch.softmax(self.logits(hidden).unflatten(-1, (self.groups, self.classes)) / BLEND, -1)
         return torch.einsum("...hc,hcw->...hw", share, self.vectors).flatten(-2)
-
-
-def positional_block(frames: int, width: int, beta: float = 10_000.0) -> Tensor:
-    """P [K, width]: p(k, 2j) = sin(k / beta^(2j / width)), p(k, 2j + 1) = cos of the same, k = 0..K-1 (RG Eq. 8). The
-    paper prints K in place of the frame index k (the literal form is the same on every frame)."""
-    if width % 2:
-        raise ValueError("the positional block needs an even width")
-    k = torch.arange(frames, dtype=torch.float64)
-    rates = beta ** (-torch.arange(0, width, 2, dtype=torch.float64) / width)
-    angles = k[:, None] * rates
-    return torch.stack([angles.sin(), angles.cos()], dim=-1).flatten(1).float()
 
 
 class Generator(nn.Module):
@@ -217,7 +97,7 @@ class Generator(nn.Module):
         self.config, self.frames = config, frames
         self.encode_motion = convolutions((widths.motion, *[c.motion_features] * 3), norm=False)
         self.encode_audio = BlockLinear(frames, widths.audio, c.audio_features, bottleneck=c.audio_bottleneck)
-        position = positional_block(frames, c.position_width) if c.position_width else torch.zeros(frames, 0)
+        position = torch.as_tensor(positional_block(frames, c.position_width))
         self.register_buffer("position", position, persistent=False)
         self.register_buffer("fade", torch.arange(frames - 1, -1, -1.0)[:, None] / frames, persistent=False)
         self.control_width = widths.control if c.use_control else 0

@@ -71,8 +71,8 @@ INTERPRETERS: Registry[InterpreterEntry] = Registry("interpreters", "an interpre
         doubt="interpreter cql-literal is RACER's as published, for comparison: it repeats few lexemes; "
               "--interpreter cql varies them"),
     "advantage": InterpreterEntry(
-        "the LSTM, biased by a learned reward; see --beta", "interpreters.advantage:AdvantageInterpreter", "advantage",
-        prior="lstm", model="interpreters.advantage:Critics"),
+        "the LSTM, biased by a learned reward; see --beta", "interpreters.advantage_run:AdvantageInterpreter",
+        "advantage", prior="lstm", model="interpreters.advantage:Critics"),
     "statistical": InterpreterEntry(
         "the speaker's lexeme frequencies", "interpreters.statistical:StatisticalInterpreter"),
 }, InterpreterEntry)

@@ -15,36 +15,21 @@ a lexeme on later rewards is measured by substituting it and leaving the rest un
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from data_module.layers import masked_mean
-from interpreters.base import (
-    BlockFeatures,
-    InterpreterDefaults,
-    InterpreterParts,
-    InterpreterSizes,
-    LexemeInterpreter,
-    Need,
-    Scores,
-    as_interpreter,
-)
+from interpreters.base import BlockFeatures, InterpreterSizes, Scores
 from interpreters.cql import QNetwork, QState
-from interpreters.settings import CriticConfig
+from interpreters.settings import CRITICS, GAMMA, CriticConfig
 from interpreters.transformer import begin_small
 
-__all__ = ["AdvantageInterpreter", "Critics"]
+__all__ = ["Critics"]
 
-CRITICS = 2
-"""J; the least of their advantages is used."""
 VALUE = 0.3
 """Weight of the error of the state's value, which does not affect the choice."""
-GAMMA = 0.9
-"""Discount per block. A lexeme affects the rewards of `reward.window` blocks."""
 _MOMENTUM = 0.02
 """Weight of a batch in the running spread of the advantages, which averages about fifty batches."""
 
@@ -171,63 +156,20 @@ class Critics(nn.Module):
         """A [..., S] in units of `unit`."""
         return advantages(values.q(), log_prior)
 
+    def start(self, speaker: int) -> QState:
+        """The state before the first block."""
+        return self.trunk.start(speaker, 0)
+
     @torch.inference_mode()
-    def step(self, state: QState, features: BlockFeatures, previous_lexeme: int) -> tuple[CriticValues, QState]:
-        """The critics' estimates for this block, and the state after it."""
+    def step(self, state: QState, features: BlockFeatures, previous_lexeme: int, log_prior: Scores
+             ) -> tuple[Scores, QState]:
+        """See `interpreters.advantage_run.Advantages.step`."""
         scores, after = self.trunk.step(state, features, previous_lexeme)
-        return self._of(torch.as_tensor(scores, dtype=torch.float32, device=self.unit.device)), after
+        values = self._of(torch.as_tensor(scores, dtype=torch.float32, device=self.unit.device))
+        prior = torch.as_tensor(log_prior, dtype=torch.float32)
+        return (self.advantage(values, prior) / self.spread).double().cpu().numpy(), after
 
 
 def _each(lexemes: Tensor, values: Tensor) -> Tensor:
     """Lexemes [B, T, k] for each of J critics, [B, T, J, k]."""
     return lexemes.unsqueeze(-2).expand(*values.shape[:-1], lexemes.shape[-1])
-
-
-@dataclass(frozen=True)
-class AdvantageState:
-    """The states of prior and critics."""
-
-    prior: Any
-    critics: QState
-
-
-@dataclass(frozen=True)
-class AdvantageInterpreter(InterpreterDefaults):
-    """The behaviour policy, biased by beta times the advantage. temperature: T, which `select` divides by."""
-
-    prior: LexemeInterpreter
-    critics: Critics
-    beta: float = 1.0
-    temperature: float = 1.0
-    name = "advantage"
-    steerable = True
-
-    @classmethod
-    def open(cls, parts: InterpreterParts) -> AdvantageInterpreter:
-        assert parts.prior is not None and isinstance(parts.model, Critics)
-        return cls(parts.prior, parts.model, parts.beta)
-
-    @property
-    def needs(self) -> frozenset[Need]:
-        return as_interpreter(self.prior).needs
-
-    def steered(self, beta: float | None, temperature: float) -> AdvantageInterpreter:
-        return replace(self, beta=self.beta if beta is None else beta, temperature=temperature)
-
-    def start(self, speaker: int, first_lexeme: int) -> AdvantageState:
-        return AdvantageState(self.prior.start(speaker, first_lexeme), self.critics.trunk.start(speaker, first_lexeme))
-
-    def step(self, state: AdvantageState, features: BlockFeatures, previous_lexeme: int
-             ) -> tuple[Scores, AdvantageState]:
-        """Scores [S] such that softmax(scores / T) is the policy (for T = 0 those of T = 1); with beta 0 exactly those
-        of the behaviour policy."""
-        log_prior, prior = self.prior.step(state.prior, features, previous_lexeme)
-        values, critics = self.critics.step(state.critics, features, previous_lexeme)
-        prior_scores = torch.as_tensor(log_prior, dtype=torch.float32)
-        advantage = (self.critics.advantage(values, prior_scores) / self.critics.spread).double().cpu().numpy()
-        after = AdvantageState(prior, critics)
-        if self.beta == 0:
-            return log_prior, after
-        # `select` divides by T: times T here, beta scales the advantage at any temperature as in the equation above.
-        scores = log_prior + (self.temperature or 1.0) * self.beta * advantage
-        return scores - np.logaddexp.reduce(scores), after

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -20,7 +19,6 @@ from data_module.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from torch import nn
 
 __all__ = [
     "BlockFeatures",
@@ -208,7 +206,7 @@ class InterpreterParts:
     entry's section; beta: that of the bundle.
     """
 
-    model: nn.Module | None
+    model: Any
     prior: Interpreter | None
     frequencies: NDArray[np.float64]
     transitions: NDArray[np.float64]
@@ -246,11 +244,12 @@ FRAMES = 3
 """Frames of a block needed for an acceleration."""
 
 
-def pose_of(past: Tensor, durations: Tensor | None = None) -> Tensor:
-    """[..., 3 D_m]: the last pose of the previous block, its velocity and its acceleration, in the time of this block.
+def pose_of(past: Any, durations: Any = None) -> tuple[Any, Any, Any]:
+    """The last pose of the previous block, its velocity and its acceleration, [..., D_m] each, in the time of this
+    block; arrays or tensors.
 
-    past: [..., K, D_m] normalised features of the previous block; durations: [..., 2] seconds of the previous and this
-    block, equal if None. Every block has K frames, so with the ratio r = this / previous
+    past: [..., K, D_m] normalised features of the previous block; durations: seconds of the previous and this block,
+    [...] each, equal if None. Every block has K frames, so with the ratio r = this / previous
 
         v = K r (x_K - x_{K-1}),    a = K r^2 (x_K - 2 x_{K-1} + x_{K-2}):
 
@@ -261,9 +260,8 @@ def pose_of(past: Tensor, durations: Tensor | None = None) -> Tensor:
     if frames < FRAMES:
         raise ValueError(f"a velocity and an acceleration take {FRAMES} frames, and blocks here have {frames}")
     earlier, before, last = past[..., -3, :], past[..., -2, :], past[..., -1, :]
-    ratio = past.new_ones(1) if durations is None else (durations[..., 1:] / durations[..., :1]).to(past)
-    velocity = frames * ratio * (last - before)
-    return torch.cat([last, velocity, frames * ratio ** 2 * (last - 2 * before + earlier)], dim=-1)
+    ratio = 1.0 if durations is None else durations[1] / durations[0]
+    return last, frames * ratio * (last - before), frames * ratio ** 2 * (last - 2 * before + earlier)
 
 
 class HearsOrNot(Interpreter, Protocol):

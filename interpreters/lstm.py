@@ -244,8 +244,8 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         """[B, N, 3 D_m] the pose before every block of a batch (see `losses`) except the seed; None if not used."""
         if self.encode_pose is None:
             return None
-        durations = batch["duration"]
-        return pose_of(batch["motion"][:, :-1], torch.stack([durations[:, :-1], durations[:, 1:]], dim=-1))
+        motion, durations = batch["motion"], batch["duration"].to(batch["motion"])[..., None]
+        return torch.cat(pose_of(motion[:, :-1], (durations[:, :-1], durations[:, 1:])), dim=-1)
 
     def start(self, speaker: int, first_lexeme: int) -> LstmState:
         number = torch.tensor([speaker], device=self.lexemes.device)
@@ -291,8 +291,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         """[1, 1, 3 D_m] the pose input of a block; None if not used."""
         if self.encode_pose is None or features.past is None:
             return None
-        durations = None if features.durations is None else features.past.new_tensor(features.durations)
-        return pose_of(features.past, durations)[None, None]
+        return torch.cat(pose_of(features.past, features.durations), dim=-1)[None, None]
 
 
 @dataclass(frozen=True)

@@ -33,18 +33,10 @@ from torch.nn import functional
 from data_module.layers import BlockLinear, Linear, masked_mean
 from interpreters.base import BlockFeatures
 from interpreters.settings import PlannerConfig, StyleConfig
+from interpreters.units import CLASSES, HANDS, PHASES, UnitDecision
 
-__all__ = ["APEXES", "CODE", "HANDS", "PHASES", "SIZES", "UnitDecision", "UnitPlanner", "UnitStyleInterpreter",
-           "one_hot"]
+__all__ = ["UnitPlanner", "UnitStyleInterpreter", "one_hot"]
 
-PHASES = ("rest", "preparation", "stroke", "hold", "retraction")
-HANDS = ("none", "left", "right", "both")
-"""The hands that are not at rest."""
-SIZES = ("none", "small", "medium", "large")
-"""Size of the stroke that the block prepares or makes; "none" in other phases."""
-APEXES = ("none", "now", "next", "later")
-"""Whether the apex of that stroke lies in this block, in the next one, or later."""
-CLASSES = (len(PHASES), len(HANDS), len(SIZES), len(APEXES))
 LEAST_HOLD = 0.6
 """Shortest hold, seconds."""
 
@@ -58,40 +50,6 @@ DROPOUT = 0.2
 """Of the input and the output of the planner's GRU."""
 PAST_DROPOUT = 0.2
 """Share of the blocks in training whose past decision is left out, so that the sound counts."""
-
-
-@dataclass(frozen=True)
-class UnitDecision:
-    """The decision for one block, as indices into `PHASES`, `HANDS`, `SIZES` and `APEXES`."""
-
-    phase: int
-    hand: int
-    size: int
-    apex: int
-
-    @property
-    def rests(self) -> bool:
-        return PHASES[self.phase] == "rest"
-
-    def begins_after(self, before: UnitDecision | None) -> bool:
-        """Whether the hands set out here: to prepare a stroke, or to make one that was not prepared. before: the
-        decision for the block before."""
-        phase, last = PHASES[self.phase], "rest" if before is None else PHASES[before.phase]
-        return phase != last and (phase == "preparation" or (phase == "stroke" and last != "preparation"))
-
-    def follows(self, before: UnitDecision | None) -> bool:
-        """Whether a stroke begins here right after the apex of another. before: the decision for the block before."""
-        return before is not None and PHASES[self.phase] == PHASES[before.phase] == "stroke" \
-            and APEXES[before.apex] == "now"
-
-    @property
-    def row(self) -> Tensor:
-        """[U] one-hot (`one_hot`)."""
-        return one_hot(torch.tensor([self.phase, self.hand, self.size, self.apex]))
-
-    @property
-    def holds(self) -> bool:
-        return PHASES[self.phase] == "hold"
 
 
 @dataclass(frozen=True)
@@ -232,8 +190,6 @@ class UnitPlanner(nn.Module):
         self.fit.copy_(torch.as_tensor(np.log(shares) - np.log(overall)))
 
 
-CODE = ("speed", "range", "height", "reach")
-"""The dimensions of a style code."""
 _MOST_GAIN, _MOST, _HEARD = 4.0, 2.5, 0.05
 """Largest factor on a prediction, largest value of a code, and the share of its variance below which a dimension counts
 for less: one that can hardly be heard must not become noise."""

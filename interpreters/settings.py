@@ -22,6 +22,8 @@ from data_module.settings import (
 
 BEHAVIOURS = ("truth", "sampled", "statistical", "perturbed")
 """Source of a lexeme: the person, the trained interpreter, the frequencies, or the person with random errors."""
+HALF_BLOCKS = 6
+"""Over which a text head averages the words of three blocks: a gesture starts before its word and outlasts it."""
 REWARDS = ("contrastive", "distance")
 
 Dropout = Annotated[float, SettingRange(0.0, 0.99)]
@@ -161,6 +163,12 @@ class QConfig:
     """Steps between two copies of the network to its target."""
     double: bool = True
     """The online network selects the next action and the target values it (Double DQN); else the target does both."""
+
+
+CRITICS = 2
+"""J; the least of their advantages is used."""
+GAMMA = 0.9
+"""Discount per block. A lexeme affects the rewards of `reward.window` blocks."""
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from data_module.layers import Linear
-
-_PARTS = 6
-"""Half blocks, over which the words of three blocks are averaged: a gesture starts before its word and outlasts it."""
+from interpreters.settings import HALF_BLOCKS
 
 
 class TextHead(nn.Module):
@@ -28,7 +26,7 @@ class TextHead(nn.Module):
         super().__init__()
         self.dropout = nn.Dropout(dropout)
         self.narrow = Linear(text_width, bottleneck)
-        self.hidden = Linear(_PARTS * bottleneck, width)
+        self.hidden = Linear(HALF_BLOCKS * bottleneck, width)
         self.weigh = Linear(lexeme_width + speakers, width)
         self.out = Linear(width, size)
         # Training starts from the scores of the audio-only interpreter.
@@ -40,7 +38,7 @@ class TextHead(nn.Module):
         [B, speakers]."""
         # Averages over half blocks: where in a block a word begins is uncertain by a few frames anyway.
         rows = text.flatten(0, 1).transpose(1, 2)
-        parts = functional.adaptive_avg_pool1d(rows, _PARTS).transpose(1, 2).unflatten(0, text.shape[:2])
+        parts = functional.adaptive_avg_pool1d(rows, HALF_BLOCKS).transpose(1, 2).unflatten(0, text.shape[:2])
         words = functional.gelu(self.hidden(self.dropout(self.narrow(self.dropout(parts)).flatten(-2))))
         speakers = speaker[:, None].expand(-1, previous.shape[1], -1)
         # The gate depends on who speaks and on what the hands do, not on the words: it weighs features of words.

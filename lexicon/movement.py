@@ -15,7 +15,8 @@ import torch
 from torch import Tensor, nn
 
 from data_module.layers import Linear
-from data_module.motion.movement import PAST, MovementBasis, Pasts
+from data_module.motion.movement import MovementBasis, Pasts
+from data_module.motion.movement_run import PAST
 from data_module.types import Array
 from lexicon.settings import LexiconConfig
 

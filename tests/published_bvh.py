@@ -1,4 +1,5 @@
-"""Folders of exactly the layout in which Trinity, ZeroEGGS and MOCCA are published, with short motions and clicks."""
+"""Folders of exactly the layout in which Trinity, ZeroEGGS, MOCCA and Talking With Hands (by GENEA) are published, with
+short motions and clicks."""
 
 from __future__ import annotations
 
@@ -34,9 +35,44 @@ def rig(*, ends: bool = True) -> Skeleton:
                             ("Foot", "Leg", (0, -0.4, 0)), ("ToeBase", "Foot", (0, -0.06, 0.13))]
         bones += [(side + name, above if above in ("Spine3", "Hips") else side + above, (sign * x, y, z))
                   for name, above, (x, y, z) in arm + leg]
+    return _of_bones(bones)
+
+
+def _of_bones(bones: list[_Bone]) -> Skeleton:
     names = tuple(name for name, _, _ in bones)
     parents = tuple(names.index(above) if above else -1 for _, above, _ in bones)
     return Skeleton(names, parents, np.array([offset for _, _, offset in bones], dtype=np.float64))
+
+
+def hands_rig() -> Skeleton:
+    """The hierarchy of Talking With Hands as GENEA gave it, in T-pose: twist joints in arms and legs, a fourth joint of
+    each thumb at the wrist."""
+    bones: list[_Bone] = [
+        ("body_world", "", (0, 0, 0)), ("b_root", "body_world", (0, 0.95, 0)),
+        ("b_spine0", "b_root", (0, 0.06, -0.01)), ("b_spine1", "b_spine0", (0, 0.11, 0)),
+        ("b_spine2", "b_spine1", (0, 0.12, 0)), ("b_spine3", "b_spine2", (0, 0.12, 0)),
+        ("b_neck0", "b_spine3", (0, 0.14, 0)), ("b_head", "b_neck0", (0, 0.09, 0.02)),
+        ("b_head_null", "b_head", (0, 0.17, 0))]
+    for side, sign in (("r", -1), ("l", 1)):
+        arm: list[_Bone] = [
+            (f"b_{side}_shoulder", "b_spine3", (0.03, 0.08, 0)),
+            (f"p_{side}_scap", f"b_{side}_shoulder", (0.08, 0, -0.02)),
+            (f"b_{side}_arm", f"p_{side}_scap", (0.07, 0, 0)),
+            (f"b_{side}_arm_twist", f"b_{side}_arm", (0.14, 0, 0)),
+            (f"b_{side}_forearm", f"b_{side}_arm_twist", (0.14, 0, 0)),
+            (f"b_{side}_wrist_twist", f"b_{side}_forearm", (0.13, 0, 0)),
+            (f"b_{side}_wrist", f"b_{side}_wrist_twist", (0.12, 0, 0)),
+            (f"b_{side}_thumb0", f"b_{side}_wrist", (0.02, -0.01, 0.02))]
+        arm += [(f"b_{side}_{finger.lower()}{joint}",
+                 f"b_{side}_wrist" if joint == 1 and finger != "Thumb" else f"b_{side}_{finger.lower()}{joint - 1}",
+                 (0.08 if joint == 1 and finger != "Thumb" else 0.03, 0, 0.02 - 0.02 * place if joint == 1 else 0))
+                for place, finger in enumerate(_FINGERS) for joint in (1, 2, 3)]
+        leg: list[_Bone] = [(f"b_{side}_upleg", "b_root", (0.09, -0.04, 0)),
+                            (f"b_{side}_leg", f"b_{side}_upleg", (0, -0.42, 0)),
+                            (f"b_{side}_foot_twist", f"b_{side}_leg", (0, -0.2, 0)),
+                            (f"b_{side}_foot", f"b_{side}_foot_twist", (0, -0.2, 0))]
+        bones += [(name, above, (sign * x, y, z)) for name, above, (x, y, z) in arm + leg]
+    return _of_bones(bones)
 
 
 def moving(seconds: float, fps: float, seed: int = 0, skeleton: Skeleton | None = None) -> Motion:
@@ -92,9 +128,10 @@ def write_clicks(path: Path, seconds: float, apart: float = 0.3) -> None:
     soundfile.write(path, sound, RATE)
 
 
-def write_take(motion: Path, sound: Path, seconds: float = 2.0, seed: int = 0, **how: Any) -> Motion:
-    """One BVH file and its WAV, which is half a second longer."""
-    made = moving(seconds, 60.0, seed)
+def write_take(motion: Path, sound: Path, seconds: float = 2.0, seed: int = 0, swaying: Motion | None = None,
+               **how: Any) -> Motion:
+    """One BVH file and its WAV, which is half a second longer. swaying: the motion."""
+    made = swaying or moving(seconds, 60.0, seed)
     motion.parent.mkdir(parents=True, exist_ok=True)
     motion.write_text(bvh_in(made, **how))
     write_clicks(sound, seconds + 0.5)
@@ -140,3 +177,28 @@ def mocca(root: Path, names: tuple[str, ...] = ("speaker01_clip01", "speaker01_c
         take.with_suffix(".srt").write_text("1\n00:00:00,200 --> 00:00:01,000\n大家好\n\n"
                                             "2\n00:00:01,200 --> 00:00:01,900\n我是老师\n", encoding="utf-8")
     return root / "MOCCA"
+
+
+GENEA = {2022: ("trn_2022_v1_000", "trn_2022_v1_001", "val_2022_v1_000"),
+         2023: ("trn_2023_v0_000_main-agent", "trn_2023_v0_000_interloctr", "tst_2023_v0_000_interloctr")}
+"""Recordings of the two releases."""
+
+
+def genea(root: Path, year: int = 2022, motion: Motion | None = None) -> Path:
+    """The release of GENEA 2022 or 2023, with some of its recordings, 4 s at 30 fps. motion: that of all."""
+    release = root / f"genea{year}"
+    for seed, name in enumerate(GENEA[year]):
+        place = release / name[:3] / name.split("_")[3] if year == 2023 else release / name[:3]
+        swaying = motion or moving(4.0, 30.0, seed, hands_rig())
+        write_take(place / "bvh" / f"{name}.bvh", place / "wav" / f"{name}.wav", 4.0, swaying=swaying, positions=True)
+        (place / "tsv").mkdir(exist_ok=True)
+        (place / "tsv" / f"{name}.tsv").write_text("0.3\t0.55\tSo\n0.55\t0.9\twe\n0.9\t1.5\t#\n2.0\t3.0\twent.\n")
+    if year == 2023:
+        for part in ("trn", "tst"):
+            (release / part / "metadata.csv").write_text(
+                f"prefix,main-agent_id,main-agent_fingers,interloctr_id,interloctr_fingers\n"
+                f"{part}_2023_v0_000,17,finger_incl,3,finger_excl\n")
+    else:
+        (release / "trn" / "trn_2022_v1_metadata.csv").write_text(
+            "trn_2022_v1_000,finger_incl,1\ntrn_2022_v1_001,finger_excl,2\n")
+    return release

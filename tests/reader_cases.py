@@ -32,6 +32,7 @@ from data_module.corpora.table import open_corpus
 from data_module.errors import InputError
 from data_module.motion import skeletons
 from data_module.motion.bvh import read_bvh, read_hierarchy, write_bvh
+from data_module.motion.positions import POINTS
 from data_module.motion.representation import TED_JOINTS
 from data_module.motion.smplx import read_smplx
 from data_module.speech.audio import header_seconds, load_speech
@@ -44,6 +45,7 @@ from eval.clip import foreign
 from eval.metrics.eye import ReferenceSpace
 from eval.metrics.gesture_features import PUBLISHED, Encoder
 from eval.metrics.gesture_features import published as published_network
+from eval.score.ratings import read_ratings
 
 RATE = 16000
 
@@ -173,6 +175,12 @@ def _positions(mutated: str) -> Callable[[Path], Path]:
         return folder / mutated
 
     return write
+
+
+def _points(folder: Path) -> Path:
+    points = np.random.default_rng(0).normal(size=(len(POINTS), 6, 3)).astype(np.float16)
+    np.savez(folder / "a.points.npz", **dict(zip(POINTS, points, strict=True)))
+    return folder / "a.points.npz"
 
 
 WORDS = [("hello", 0.1, 0.4), ("there", 0.4, 0.55), ("", 0.55, 0.7), ("friend", 0.7, 0.95)]
@@ -579,6 +587,8 @@ READERS: dict[str, Case] = {
        for name in ("rotations", "fps", "joints", "word_text")},
     "foreign positions": Case(_positions("a.npy"), foreign.read_motion),
     "foreign sidecar": Case(_positions("a.json"), lambda file: foreign.read_motion(file.with_suffix(".npy"))),
+    "foreign points": Case(_points, foreign.read_motion),
+    "ratings": Case(_written("people.json", '{"N": 72.0, "A": 60}'), read_ratings),
     "folder, NAME.json": Case(_pairs, _read_pairs),
     "folder, its splits": Case(_folder_splits, lambda file: open_corpus("folder", file.parent,
                                                                         FolderOptions(split=str(file))).items()),

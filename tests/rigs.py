@@ -664,7 +664,7 @@ def _read_again(rig: Rig, path: Path, axes: np.ndarray, bound: np.ndarray, unit:
 
 
 def _is_ours(key: str) -> bool:
-    from gesticulator.characters.mapping import SINGLE
+    from data_module.motion.joint_map import SINGLE
 
     return key in SINGLE
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gesticulator.training.stages.advantage import CounterfactualRewards, discounted, gains
-from interpreters.advantage import AdvantageInterpreter, Critics, advantages
+from interpreters.advantage import Critics, advantages
+from interpreters.advantage_run import AdvantageInterpreter
 from interpreters.base import BlockFeatures, Scores, select
 from interpreters.reward import RewardConfig, RewardModel
 from interpreters.reward_table import EnsembleReward, RewardTable

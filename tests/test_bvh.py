@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from pymotion.ops import skeleton as oracle
 from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError
-from data_module.motion import kinematics, rotation
+from data_module.motion import bvh, kinematics, rotation
 from data_module.motion.bvh import BvhWarning, read_bvh, write_bvh
 from data_module.motion.skeletons import CHARACTER, scaled
 from data_module.types import Array, Motion, Skeleton
@@ -112,6 +113,40 @@ def test_any_order_of_channels(tmp_path: Path, order: str, places: tuple[int, in
     ours = Rotation.from_quat(motion.rotations[0, 0], scalar_first=True).as_matrix()
     assert np.allclose(ours, expected, atol=1e-12)
     assert motion.root_positions[0, list(places)].tolist() == [1.0, 2.0, 3.0]
+
+
+def test_the_way_of_hips_below_a_root_that_carries_them_is_kept(tmp_path: Path) -> None:
+    """The root turns and moves, and so do the hips below it; a spine's own positions stay their mean."""
+    joint = "JOINT {}\n{{\nOFFSET 0 1 0\nCHANNELS " + SIX + "\n{}}}\n"
+    tip = "End Site\n{\nOFFSET 0 1 0\n}\n"
+    tree = joint.format("hips", "".join(joint.format(name, tip) for name in ("spine", "left", "right")))
+    text = (f"HIERARCHY\nROOT world\n{{\nOFFSET 0 0 0\nCHANNELS {SIX}\n{tree}}}\nMOTION\nFrames: 3\n"
+            "Frame Time: 0.05\n")
+    rng = np.random.default_rng(5)
+    rows = rng.normal(size=(3, 5, 6)) * [5, 5, 5, 40, 40, 40]
+    (tmp_path / "carried.bvh").write_text(text + "\n".join(" ".join(map(str, row.ravel())) for row in rows) + "\n")
+    motion = read_bvh(tmp_path / "carried.bvh", unit=1.0)
+    root = Rotation.from_euler("ZXY", rows[:, 0, 3:], degrees=True)
+    assert np.allclose(kinematics.positions_of(motion)[:, 1], rows[:, 0, :3] + root.apply(rows[:, 1, :3]), atol=1e-9)
+    assert np.allclose(motion.skeleton.offsets[2], rows[:, 2, :3].mean(axis=0))
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 7, 8])
+def test_a_file_in_slices_is_that_of_the_whole_motion(frames: int, tmp_path: Path,
+                                                      monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against numpy's own unwrapping of all frames at once, to the digit; poses that turn many times over."""
+    ways = np.cumsum(np.random.default_rng(frames).normal(size=(frames, len(CHARACTER), 3)), axis=0)
+    motion = Motion(CHARACTER, rotation.from_exponential_map(ways), np.zeros((frames, 3)), 60.0)
+    monkeypatch.setattr(bvh, "_SLICE", 3)
+    write_bvh(tmp_path / "out.bvh", motion)
+    written = (tmp_path / "out.bvh").read_text()
+    rows = np.loadtxt(written.partition("Frame Time")[2].splitlines()[1:], ndmin=2)
+    orders = [re.findall("([XYZ])rotation", line) for line in written.splitlines() if "CHANNELS" in line]
+    for joint, order in enumerate(orders):
+        turns = Rotation.from_quat(motion.rotations[:, joint], scalar_first=True).as_euler("".join(order))
+        whole = np.degrees(np.unwrap(turns, axis=0))
+        assert [f"{value:.6f}" for value in rows[:, 3 + 3 * joint:6 + 3 * joint].ravel() + 0.0] == [
+            f"{value:.6f}" for value in whole.ravel() + 0.0]
 
 
 def test_our_files_mean_the_same_to_pymotion(tmp_path: Path) -> None:

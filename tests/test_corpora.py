@@ -55,6 +55,7 @@ SAMPLES: dict[str, Callable[[Path], Reader]] = {
     "trinity": lambda root: open_corpus("trinity", published_bvh.trinity(root), Options()),
     "zeroeggs": lambda root: open_corpus("zeroeggs", published_bvh.zeroeggs(root), Options()),
     "mocca": lambda root: open_corpus("mocca", published_bvh.mocca(root), Options()),
+    "genea": lambda root: open_corpus("genea", published_bvh.genea(root), Options()),
     "beat": lambda root: open_corpus("beat", _beat(root), Options()),
     "beat2": lambda root: open_corpus("beat2", published.listed_beat2(root).parent, Options()),
     "ted": lambda root: open_corpus("ted", _ted(root), Options()),

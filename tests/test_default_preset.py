@@ -23,7 +23,8 @@ from gesticulator.gesticulator import Gesticulator
 from gesticulator.infer import main as infer
 from gesticulator.performance import Performance
 from gesticulator.training.stages.lexicon import token_labels
-from interpreters.planner import CODE, UnitStyleInterpreter
+from interpreters.planner import UnitStyleInterpreter
+from interpreters.units import CODE
 from lexicon.movement import MovementLexicon
 
 

@@ -122,7 +122,7 @@ def test_the_interval_holds_the_true_distance_about_as_often_as_it_says() -> Non
     rng = np.random.default_rng(1)
     held = 0
     for trial in range(60):
-        got = fgd.measure(clips_of(rng, 40, 1.5), clips_of(rng, 40), seed=trial, draws=100)
+        got = fgd.measure(clips_of(rng, 40, 1.5), clips_of(rng, 40), seed=trial)
         held += got.interval.low <= 3 * 1.5 ** 2 <= got.interval.high
     assert held >= 50
 
@@ -227,15 +227,13 @@ def test_two_lengths_of_windows_stand_beside_each_other(outside_data: Path) -> N
 
 # --- the report
 
-def test_differences_of_distances() -> None:
+def test_a_distance_of_chosen_clips() -> None:
     rng = np.random.default_rng(0)
     real = [rng.normal(size=(30, 3)) for _ in range(5)]
     off = [clip + np.array([3.0, 0.0, 0.0]) for clip in real]
-    # Two Gaussians of one covariance: the squared distance of the means. A set against itself: nothing.
-    apart = fgd.difference(off, real, real)
-    assert apart.mean == pytest.approx(9.0) and apart.low == pytest.approx(9.0) and apart.n == 5
-    same = fgd.difference(off, off, real)
-    assert (same.mean, same.low, same.high) == (0.0, 0.0, 0.0)
+    # Two Gaussians of one covariance: the squared distance of the means, whichever clips are drawn, and however often.
+    for chosen in (np.arange(5), np.array([0, 0, 3])):
+        assert fgd.of_chosen(off, real)(chosen) == pytest.approx(9.0)
     empty = [np.zeros((0, 0)), *off[1:]]
-    assert fgd.difference(empty, real, real).n == 4, "a clip too short for a window is left out"
-    assert math.isnan(fgd.difference(off[:1], real[:1], real[:1]).low)
+    assert fgd.of_chosen(empty, [empty[0], *real[1:]])(np.arange(5)) == pytest.approx(9.0), "too short for a window"
+    assert math.isnan(fgd.of_chosen(empty, real)(np.array([0, 0])))

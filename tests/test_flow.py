@@ -10,8 +10,9 @@ import torch
 from learning import learn
 
 from data_module.motion.movement import MovementBasis, pasts_of
-from generator.flow import CIRCUMSTANCES, FlowGenerator, FlowInputs, FlowTime, _fade
-from generator.model import GROUP_WIDTH, GeneratorConfig, GeneratorWidths
+from generator.flow import FlowGenerator, FlowInputs, FlowTime, _fade
+from generator.flow_run import CIRCUMSTANCES
+from generator.settings import GROUP_WIDTH, GeneratorConfig, GeneratorWidths
 from gesticulator.sampling.loop import Keys
 
 FRAMES, WIDTH, AUDIO = 4, 3, 5

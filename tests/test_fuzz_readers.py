@@ -49,7 +49,8 @@ NO_CASE = {
         gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:* gesticulator/export/usd.py:write_usd""",
     "runs in a child process, whose parent has a case": "gesticulator/export/fbx_child.py:animate",
     "a model that another library reads": """
-        data_module/text/alignment.py:_loaded_decoder data_module/text/word_vectors.py:WordEncoder.open
+        data_module/text/alignment.py:_loaded_decoder data_module/text/word_vectors.py:_bert
+        data_module/text/word_vectors.py:WordEncoder.open
         gesticulator/gesticulator.py:Gesticulator.word_encoder""",
     "LMDB's library maps the file into memory and trusts it; each value that it gives has a case": """
         data_module/corpora/ted.py:_database""",

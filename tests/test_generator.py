@@ -11,12 +11,10 @@ from generator import losses
 from generator.model import (
     BlockInputs,
     Generator,
-    GeneratorConfig,
-    GeneratorWidths,
     GumbelCodes,
     StyleCodes,
-    positional_block,
 )
+from generator.settings import GeneratorConfig, GeneratorWidths, positional_block
 
 FRAMES, WIDTH, AUDIO, LEXEME, CONTROL = 6, 5, 4, 7, 6
 CONFIG = GeneratorConfig(motion_features=8, audio_features=6, style_width=4, position_width=4, hidden=24, groups=4,

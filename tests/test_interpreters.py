@@ -13,7 +13,8 @@ from learning import learn
 
 from data_module.errors import InputError
 from interpreters import INTERPRETERS
-from interpreters.advantage import AdvantageInterpreter, Critics
+from interpreters.advantage import Critics
+from interpreters.advantage_run import AdvantageInterpreter
 from interpreters.base import (
     EVERY_NEED,
     BlockFeatures,

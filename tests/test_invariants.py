@@ -16,7 +16,8 @@ from data_module.layers import freeze
 from data_module.motion import rotation
 from data_module.speech.beats import BeatSettings, BeatTracker
 from data_module.types import Array, Speech
-from generator.model import Generator, GeneratorConfig, GeneratorWidths
+from generator.model import Generator
+from generator.settings import GeneratorConfig, GeneratorWidths
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages.windows import Sequence, Windows, with_silence
 from interpreters.base import BlockFeatures

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from data_module.motion.movement import MovementBasis, Pasts, body_parts, joined, pasts_of
+from data_module.motion.movement import MovementBasis, Pasts, joined, pasts_of
+from data_module.motion.movement_run import body_parts
 from data_module.motion.skeletons import CHARACTERS
 from lexicon.movement import MovementLexicon
 from lexicon.settings import LexiconConfig

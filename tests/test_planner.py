@@ -14,8 +14,9 @@ from gesticulator.bundle.features import SpeechBlock
 from gesticulator.systems.movement import GOES_ON_PAUSING, HOLD, VOICE_RETURNS, phrasing
 from gesticulator.training.stages.heads import units_of
 from interpreters.base import BlockFeatures
-from interpreters.planner import APEXES, CLASSES, HANDS, PHASES, SIZES, UnitDecision, UnitPlanner
+from interpreters.planner import UnitPlanner
 from interpreters.settings import PlannerConfig
+from interpreters.units import APEXES, CLASSES, HANDS, PHASES, SIZES, UnitDecision
 
 FRAMES, WIDTH, SPEAKERS, LEXEMES = 4, 6, 2, 5
 

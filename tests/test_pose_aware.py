@@ -50,19 +50,19 @@ def block(batch: dict[str, Tensor], i: int) -> BlockFeatures:
 
 def test_a_steady_motion_has_its_speed_and_no_acceleration() -> None:
     past = torch.arange(5.0)[:, None] * torch.tensor([[1.0, -2.0, 0.0]])  # so much a frame
-    last, velocity, acceleration = pose_of(past).chunk(3)
+    last, velocity, acceleration = pose_of(past)
     assert last.tolist() == [4, -8, 0]
     assert velocity.tolist() == [5, -10, 0]  # a whole block of five frames on
     assert acceleration.abs().max() == 0
 
 
 def test_what_is_a_function_of_time_has_the_same_derivatives_however_the_block_before_was_cut() -> None:
-    def seen(before: float, own: float) -> Tensor:
+    def seen(before: float, own: float) -> tuple[Tensor, Tensor, Tensor]:
         at = -before / 1000 * torch.arange(999, -1, -1, dtype=torch.float64)  # a thousand frames, the last at time 0
-        return pose_of((3 * at + 2 * at ** 2)[:, None], torch.tensor([before, own]))
+        return pose_of((3 * at + 2 * at ** 2)[:, None], (before, own))
 
     for before in (0.2, 0.5):
-        _, velocity, acceleration = seen(before, 0.4).tolist()
+        _, velocity, acceleration = map(float, seen(before, 0.4))
         assert velocity == pytest.approx(3 * 0.4, rel=1e-3)  # d/dt at 0, times the seconds of this block
         assert acceleration == pytest.approx(4 * 0.4 ** 2 / 1000, rel=1e-6)  # d^2/dt^2, for one frame of a thousand
 

@@ -16,11 +16,11 @@ from data_module.corpora.table import open_corpus
 from data_module.corpora.takes import read_motion
 from data_module.errors import InputError
 from data_module.motion import kinematics
-from data_module.motion.skeletons import to_character
+from data_module.motion.skeletons import FINGER_JOINTS, WHOLE_BODY, to_character
 from data_module.types import Motion, Word
 
 LAYOUTS: dict[str, Callable[[Path], Path]] = {"trinity": published.trinity, "zeroeggs": published.zeroeggs,
-                                              "mocca": published.mocca}
+                                              "mocca": published.mocca, "genea": published.genea}
 
 
 def _named(reader: Reader) -> dict[str, Item]:
@@ -114,6 +114,60 @@ def test_mocca_as_published(tmp_path: Path) -> None:
     assert "not published: here speaker01_clip04" in notes
 
 
+# ---------------------------------------------------------------------------------------------------- GENEA
+
+
+def test_talking_with_hands_as_genea_gave_it(tmp_path: Path) -> None:
+    reader = open_corpus("genea", published.genea(tmp_path, 2022), Options())
+    items = _named(reader)
+    assert {name: (item.info.split, item.info.speaker, item.info.group) for name, item in items.items()} == {
+        "trn_2022_v1_000": ("train", "speaker1", "trn_2022_v1_000"),
+        "trn_2022_v1_001": ("train", "speaker2", "trn_2022_v1_001"),
+        "val_2022_v1_000": ("val", "unknown", "val_2022_v1_000")}
+    assert "1 recordings are in no metadata.csv" in "\n".join(reader.notes())
+    recording = load(reader, items["trn_2022_v1_001"])
+    _same(recording.motion, published.moving(4.0, 30.0, seed=1, skeleton=published.hands_rig()))
+    assert isinstance(recording, Imported) and recording.unit == "0.01 m, as published" and recording.words == "given"
+    assert (recording.motion.fps, len(recording.motion)) == (30.0, 120)
+    assert recording.speech.words == (Word("So", 0.3, 0.55), Word("we", 0.55, 0.9), Word("", 0.9, 1.5),
+                                      Word("went.", 2.0, 3.0))
+    # Only fingers that were measured count; the rig has neither a second neck joint nor toes.
+    lacking = {"Neck1", "LeftToeBase", "RightToeBase"}
+    whole = load(reader, items["trn_2022_v1_000"])
+    assert set(to_character(whole.motion, skeleton=WHOLE_BODY).absent) == lacking
+    assert set(to_character(recording.motion, skeleton=WHOLE_BODY).absent) == lacking | set(FINGER_JOINTS)
+
+
+def test_both_people_of_a_genea_2023_conversation(tmp_path: Path) -> None:
+    source = published.genea(tmp_path, 2023)
+    # The main agent's motion of the test is withheld.
+    published.write_clicks(source / "tst" / "main-agent" / "wav" / "tst_2023_v0_000_main-agent.wav", 4.0)
+    reader = open_corpus("genea", source, Options())
+    items = _named(reader)
+    assert {name: (item.info.split, item.info.speaker, item.info.group) for name, item in items.items()} == {
+        "trn_2023_v0_000_interloctr": ("train", "speaker3", "trn_2023_v0_000"),
+        "trn_2023_v0_000_main-agent": ("train", "speaker17", "trn_2023_v0_000"),
+        "tst_2023_v0_000_interloctr": ("test", "speaker3", "tst_2023_v0_000")}
+    assert "left out tst_2023_v0_000_main-agent: tst_2023_v0_000_main-agent.bvh is missing" in reader.notes()
+    assert [set(published.hands_rig().names) & set(reader.read(item).motion.absent) != set()
+            for item in items.values()] == [True, False, True]
+    (source / "trn" / "metadata.csv").write_text("trn_2023_v0_000,17,finger_incl\n")
+    assert _named(open_corpus("genea", source, Options()))["trn_2023_v0_000_interloctr"].info.speaker == "unknown"
+    (source / "trn" / "metadata.csv").write_text("prefix\ntrn_2023_v0_000,17,finger_incl,3\n")
+    with pytest.raises(InputError, match=r"metadata\.csv: line 2: trn_2023_v0_000,17,finger_incl,3 is not a name"):
+        open_corpus("genea", source, Options())
+
+
+@pytest.mark.parametrize("row", ["0.2\tabc\tword", "0.2\t0.4 word", "word", "start\tend\tword"])
+def test_a_bad_row_of_words_is_named_by_its_line(row: str, tmp_path: Path) -> None:
+    source = published.genea(tmp_path)
+    file = source / "trn" / "tsv" / "trn_2022_v1_000.tsv"
+    file.write_text(f"0.0\t0.2\n{row}\n")
+    reader = open_corpus("genea", source, Options())
+    with pytest.raises(DroppedError, match=r"trn_2022_v1_000\.tsv: line 2: is not a start, an end and a text"):
+        reader.read(reader.items()[0])
+
+
 # ---------------------------------------------------------------------------------------------------- any folder
 
 
@@ -189,7 +243,7 @@ def test_a_folder_without_the_data_is_refused(name: str, tmp_path: Path) -> None
 @pytest.mark.parametrize(("kind", "content", "message"), [
     (".bvh", b"HIERARCHY\nROOT Hips\n{\nMOTION\nFrame Time: 0.1\n", "is not a BVH file"),
     (".bvh", b"\xff\xfe\x00", "is not text"),
-    (".bvh", None, "its header says 120 frames at 60 fps but 119 rows follow"),
+    (".bvh", None, r"its header says 120 frames at \d0 fps but 119 rows follow"),
     (".wav", b"RIFF", ""),
 ])
 def test_a_broken_file_is_named_and_the_rest_is_read(name: str, kind: str, content: bytes | None, message: str,

@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile
+from scipy.stats import kendalltau
 
 from data_module.blocks import cut
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.bvh import write_bvh
-from data_module.motion.kinematics import resample
+from data_module.motion.kinematics import positions_of, resample
+from data_module.motion.positions import POINTS
 from data_module.motion.representation import bone_directions, ted_positions
 from data_module.motion.skeletons import CHARACTER, facing
 from data_module.motion.smplx import SKELETON as SMPLX
@@ -34,8 +36,9 @@ from eval.metrics import METRICS, fgd
 from eval.metrics.encode import encode_motion
 from eval.metrics.gesture_features import RawFeatures
 from eval.score import command as score
-from eval.score.command import flags, mean_of
+from eval.score.command import ScoreRow, flags, mean_of
 from eval.score.played_rows import PlayedBundle
+from eval.score.ratings import agreement, ratings_table, tau
 from eval.score.tables import FLOOR, STILL, Flag, Scores, tables
 from eval.stats import Interval
 from eval.table import Marked, Provenance, load, save
@@ -189,6 +192,36 @@ def test_positions_of_teds_joints_come_back_whatever_they_face_and_their_unit(tr
     assert read_motion(tmp_path / "ted.npy").fps == FPS
 
 
+def write_points(file: Path, motion: Motion) -> None:
+    """The points of a motion, the waist where the character has its third joint of the spine."""
+    places = positions_of(facing(motion))
+    points: dict[str, Any] = {name: places[:, CHARACTER.index({"Waist": "Spine2"}.get(name, name))].astype(np.float16)
+                              for name in POINTS}
+    np.savez(file, **points, Hips=np.zeros((1, 3)))
+
+
+def test_points_by_joint_come_back(truth: dict[str, Clip], tmp_path: Path) -> None:
+    motion = truth["clip0"].motion
+    write_points(tmp_path / "a.points.npz", motion)
+    (files, _), got = foreign.find_motions(tmp_path), read_motion(tmp_path / "a.points.npz")
+    assert list(files) == ["a"] and got.fps == 60.0 and "Head" in got.absent
+    waist, names = CHARACTER.index("Spine2"), [name for name in POINTS if name not in ("Waist", "Head")]
+    first, second = (places - places[:, waist, None] for places in map(positions_of, (facing(motion), got)))
+    for name in names:
+        off = np.linalg.norm(first - second, axis=-1)[:, CHARACTER.index(name)]
+        assert off.max() < 0.005, f"{name}: {off.max()} m, seen from the waist"
+
+
+@pytest.mark.parametrize(("change", "says"), [
+    ({"Neck": None}, "has other joints"), ({"Neck": np.zeros((7, 3))}, "not the same frames"),
+    ({"Neck": np.full((8, 3), np.nan)}, "not numbers")])
+def test_points_that_cannot_be_used(change: dict[str, Any], says: str, tmp_path: Path) -> None:
+    points = {name: np.random.default_rng(0).normal(size=(8, 3)) for name in POINTS} | change
+    np.savez(tmp_path / "a.points.npz", **{name: value for name, value in points.items() if value is not None})
+    with pytest.raises(InputError, match=says):
+        read_motion(tmp_path / "a.points.npz")
+
+
 def test_smplx_and_bvh_are_read_with_their_rates(truth: dict[str, Clip], tmp_path: Path) -> None:
     motion = truth["clip0"].motion
     write_bvh(tmp_path / "a.bvh", motion)
@@ -276,7 +309,8 @@ def test_a_real_take_as_a_foreign_system(outside_data: Path, tmp_path: Path) -> 
 # ----------------------------------------------------------------------------------------- what a user runs into
 
 def asked(truth: Path, systems: list[str], **others: Any) -> Namespace:
-    told: dict[str, Any] = {"speech": None, "fgd": None, "bundle": None, "seed": 0, "split": "test"}
+    told: dict[str, Any] = {"speech": None, "fgd": None, "bundle": None, "seed": 0, "split": "test",
+                            "ratings": None}
     return Namespace(truth=truth, system=systems, **{**told, **others})
 
 
@@ -364,6 +398,97 @@ def test_the_table_says_whether_the_sample_suffices() -> None:
     assert doubt(9.0, 0.5, (200, 300)) == ""
     assert doubt(9.0, 0.5, (100, 300)) == "100 windows, and 160 are needed"
     assert doubt(0.4, 0.5, (200, 300)) == "not distinguishable from 0"
+
+
+# ------------------------------------------------------------------------------------------------- beside people
+
+def test_tau_is_kendalls_b_ties_and_all() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        first, second = rng.integers(4, size=(2, 7)).astype(float)
+        np.testing.assert_allclose(tau(first, second), kendalltau(first, second).statistic)
+    order = np.array([1.0, 2.0, 3.0, 4.0])
+    assert tau(order, order) == 1.0 and tau(-order, order) == -1.0 and np.isnan(tau(np.ones(4), order))
+    assert tau(np.array([1.0, np.nan, 3.0, 2.0]), order) == pytest.approx(1 / 3), "as if of the three others"
+
+
+def test_the_interval_holds_the_true_tau_of_few_systems_and_clips() -> None:
+    rng, within = np.random.default_rng(1), 0
+    for _ in range(200):
+        truly, noise = rng.normal(size=(2, 7))
+        # Of two normal variables with this correlation, sin(pi tau / 2), tau is 0.6.
+        ratings = np.sin(0.3 * np.pi) * truly + np.cos(0.3 * np.pi) * noise
+        clips = truly + 0.3 * rng.normal(size=(12, 7))
+        drawn = clips[rng.integers(12, size=(300, 12))].mean(axis=1)
+        found = agreement(-clips.mean(axis=0), -drawn, ratings)
+        within += found.low <= 0.6 <= found.high or not np.isfinite(found.low)
+    assert within > 186
+
+
+def test_a_perfect_order_has_no_interval_and_one_that_is_hardly_any_a_wide_one() -> None:
+    ratings = np.array([3.0, 2.0, 1.0, 0.0])
+    perfect = agreement(-ratings, np.tile(-ratings, (50, 1)), ratings)
+    assert perfect.mean == 1.0 and np.isnan(perfect.low), "of redrawn systems each is in order, which proves nothing"
+    once = np.array([0.0, 0.0, 0.0, 1.0])
+    found = agreement(once, np.tile(once, (500, 1)), ratings)
+    assert found.low <= 0.0 < found.mean, "many draws have no other than equal figures"
+
+
+def fabricated(name: str, **values: list[float]) -> ScoreRow:
+    still = Motion(CHARACTER, rotation.from_exponential_map(np.zeros((2, 16, 3))), np.zeros((2, 3)), FPS)
+    return ScoreRow(name, "system", [still] * 2, [], {key: np.array(row) for key, row in values.items()},
+                    {"speed_distance": lambda chosen: float(np.mean(np.array(values["maje"])[chosen]))})
+
+
+def test_metrics_stand_beside_people_and_controls() -> None:
+    """Doses of damage 1, 2, 3: "maje" orders them, "pmb_A" praises damage, "eye_elbow" is as far off either side."""
+    doses = [fabricated(f"dose{dose}", maje=[dose, dose + 0.1], pmb_A=[10 * dose] * 2, eye_elbow=[elbow] * 2)
+             for dose, elbow in ((1, 31.0), (2, 28.0), (3, 33.0))]
+    truth = fabricated(TRUTH, maje=[0.0, 0.0], pmb_A=[0.0, 0.0], eye_elbow=[30.0, 30.0])
+    rated = {"dose1": 50.0, "dose2": 40.0, "dose3": 30.0, TRUTH: 70.0}
+    metrics = {name: METRICS[name] for name in ("maje", "pmb_A", "eye_elbow", "speed_distance", "chance_A")}
+    found = [Flag("maje", "still", ["dose1", "dose3"]), Flag("maje", "shuffled", ["dose1"]),
+             Flag("pmb_A", "jitter", ["dose3"])]
+    table = ratings_table([*doses, fabricated("unrated", maje=[9.0, 9.0])], truth, rated, metrics, found, 0)
+    got = {name: table.rows[METRICS[name].heading] for name in metrics if name != "chance_A"}
+    assert len(table.rows) == len(got), "what is no judgement has no tau"
+    means = {name: row["systems"].mean for name, row in got.items()}  # type: ignore[union-attr]
+    assert means == {"maje": 1.0, "pmb_A": -1.0, "eye_elbow": 1.0, "speed_distance": 1.0}
+    assert got["pmb_A"]["person"].mean == -1.0  # type: ignore[union-attr]
+    assert all(got[name]["person"] is None for name in ("maje", "eye_elbow", "speed_distance")), "by construction"
+    assert (got["maje"]["motion"], got["maje"]["moment"], got["pmb_A"]["motion"]) == ("still", "shuffled", "")
+
+
+def test_the_command_shows_what_people_say(truth: dict[str, Clip], tmp_path: Path) -> None:
+    few = {name: truth[name] for name in ("clip0", "clip1")}
+    places = {"person": write_clips(tmp_path / "person", few)}
+    for name, metres in (("a", 0.01), ("b", 0.03), ("c", 0.09)):
+        (tmp_path / name).mkdir()
+        for clip_name, own in few.items():
+            write_bvh(tmp_path / name / f"{clip_name}.bvh", jittered([own.motion], 1, metres)[0])
+        places[name] = tmp_path / name
+    (tmp_path / "people.json").write_text('{"person": 70, "a": 60.5, "b": 50, "c": 40, "M": 3}')
+    out = tmp_path / "s.json"
+    assert door(["--truth", str(places["person"]), *(f"--system={name}={places[name]}" for name in "abc"),
+                 "--ratings", str(tmp_path / "people.json"), "--out", str(out)]) == 0
+    about, *_, worth = load(out)
+    assert worth.facts["ratings"] == {TRUTH: 70.0, "a": 60.5, "b": 50.0, "c": 40.0}
+    assert any("people.json: M is no row" in note for note in about.facts["notes"])
+    taus = {name: worth.rows[METRICS[name].heading]["systems"].mean for name in ("maje", "jerk_hands")}  # type: ignore[union-attr]
+    assert taus == {"maje": 1.0, "jerk_hands": 1.0}
+    assert "mirrored" not in worth.rows[METRICS["jerk_hands"].heading]["moment"]  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(("text", "says"), [
+    ("[70, 60]", "is not a JSON object"), ('{"a": "good"}', "rates a with good"), ('{"a": true}', "rates a with True"),
+    ('{"a": 1, "b": 2, "c": 3}', "rates 1 of the systems"), ('{"a": NaN}', "is not valid JSON")])
+def test_ratings_that_cannot_be_used_are_one_line(text: str, says: str, tmp_path: Path,
+                                                  capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "people.json").write_text(text)
+    with pytest.raises(SystemExit) as stop:
+        door(["--truth", str(tmp_path), "--system", f"a={tmp_path}", "--ratings", str(tmp_path / "people.json")])
+    complaint = capsys.readouterr().err
+    assert stop.value.code == 2 and says in complaint and len(complaint.splitlines()) == 1
 
 
 # -------------------------------------------------------------------------------------------- as a bundle reads it

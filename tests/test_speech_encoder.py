@@ -18,15 +18,14 @@ from torch import Tensor, nn
 
 from data_module.errors import InputError
 from data_module.speech.speech_encoder import (
-    LEVELS,
     NEGATIVES,
     PREDICTION_STEPS,
     PredictiveCoding,
     SpeechEncoder,
     TextContrast,
-    hop_and_reach,
     load_fairseq,
 )
+from data_module.speech.speech_encoder_run import LEVELS, hop_and_reach
 from data_module.types import Array
 from gesticulator.training.stages.speech import crops_of
 

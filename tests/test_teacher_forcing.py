@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from data_module.motion.movement import PAST, Pasts
+from data_module.motion.movement import Pasts
+from data_module.motion.movement_run import PAST
 from gesticulator.bundle.features import Normaliser, Statistics
 from gesticulator.training import presets
 from gesticulator.training.stages import Corpus

@@ -9,8 +9,9 @@ from learning import learn
 
 from gesticulator.training.stages.heads import RATE, spans, style_of
 from interpreters.base import BlockFeatures
-from interpreters.planner import CODE, UnitStyleInterpreter
+from interpreters.planner import UnitStyleInterpreter
 from interpreters.settings import StyleConfig
+from interpreters.units import CODE
 
 FRAMES, WIDTH, SPEAKERS = 4, 6, 2
 

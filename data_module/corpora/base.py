@@ -25,12 +25,14 @@ class Options:
     """The user's options that every reader takes; a reader with more has a class derived from it.
 
     fps: frames per second of the motion files, if their header is wrong. unit: metres per unit of the motion files, if
-    it cannot be guessed. seed: random seed of a synthetic corpus, recorded in its store; 1 for files.
+    it cannot be guessed. seed: random seed of a synthetic corpus, recorded in its store; 1 for files. joints: joint of
+    `WHOLE_BODY` -> its name in the motion files (`data_module.motion.joint_map`), if their names are not known.
     """
 
     fps: float | None = None
     unit: float | None = None
     seed: int = 1
+    joints: Mapping[str, str] | None = None
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,9 @@ CORPORA: Registry[RegistryEntry] = Registry("corpora", "a data set that can be r
     "beat2": RegistryEntry(
         "BEAT2: beat_english_v2.0.0, with smplxflame_30/, wave16k/ and train_test_split.csv",
         "data_module.corpora.beat2:Beat2"),
+    "genea": RegistryEntry(
+        "Talking With Hands as GENEA 2022 or 2023 gave it, with trn/ and val/ (main-agent/, interloctr/), each with "
+        "bvh/, wav/ and tsv/", "data_module.corpora.genea:Genea"),
     "ted": RegistryEntry(
         "TED Gesture: ted_dataset, with lmdb_train/, lmdb_val/ and lmdb_test/", "data_module.corpora.ted:Ted"),
 }, RegistryEntry)

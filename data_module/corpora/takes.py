@@ -130,7 +130,7 @@ def read_motion(path: Path, options: Options, published: float | None = None) ->
         unit, how = published, "as published"
     else:
         try:
-            unit = skeletons.guess_unit(raw.skeleton, skeletons.find_table(raw.skeleton.names))
+            unit = skeletons.guess_unit(raw.skeleton, skeletons.find_table(raw.skeleton.names, options.joints))
             how = "guessed by the length of the spine"
         except InputError:
             unit, how = CENTIMETRES, "assumed"

@@ -6,8 +6,8 @@ everything is radians and metres.
 
 from __future__ import annotations
 
-import io
 import os
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -35,6 +35,8 @@ CENTIMETRES = 0.01
 _LARGEST = 1e9
 # Bytes (1 GiB): an hour of a body with fingers at 120 frames a second.
 _LARGEST_FILE = 1 << 30
+# Frames that are written at once.
+_SLICE = 1024
 FRAME_RATE_ADVICE = "give the frame rate"
 """Advice for a file of doubtful frame rate, which commands replace by their option."""
 
@@ -142,7 +144,9 @@ def _frame_rate(frame_time: float) -> float:
 
 def _rows(body: str, width: int, path: str) -> Array:
     try:
-        values = (np.loadtxt(io.StringIO(body), dtype=np.float64, ndmin=2, comments=None) if body.strip()
+        # Line by line: io.StringIO holds four bytes for each character, a gigabyte for an hour.
+        lines = (line[0] for line in re.finditer(r"[^\n]+", body))
+        values = (np.loadtxt(lines, dtype=np.float64, ndmin=2, comments=None) if body and not body.isspace()
                   else np.zeros((0, width)))
     except ValueError:
         raise InputError(path, "has a motion row that is not all numbers or not as long as the others",
@@ -150,7 +154,7 @@ def _rows(body: str, width: int, path: str) -> Array:
     if values.shape[1] != width or len(values) == 0:
         raise InputError(path, f"has {len(values)} motion rows of {values.shape[1]} values where its skeleton needs "
                          f"{width}", "export it again")
-    if not (np.abs(values) <= _LARGEST).all():
+    if not (values.max() <= _LARGEST and values.min() >= -_LARGEST):
         raise InputError(path, "has motion values that are not numbers, or far too large", "export it again")
     return values
 
@@ -161,7 +165,7 @@ def read_bvh(path: str | os.PathLike[str], *, fps: float | None = None, unit: fl
     fps: the frame rate, if that of the header is wrong. A frame count in the header other than the number of rows is an
     InputError without it, and a `BvhWarning` with it. unit: metres per unit of the file; by default guessed from the
     distance of hips and head (else centimetres). Positions of joints other than the root are read as constant offsets
-    (their mean), as in most rigs.
+    (their mean), as in most rigs; where the root only carries the hips, their way is added to that of the root.
     """
     where = str(path)
     for name, value in (("frame rate", fps), ("unit", unit)):
@@ -213,6 +217,7 @@ def _assemble(header: _Header, rows: Array, fps: float) -> Motion:
     rotations[..., 0] = 1.0
     offsets = skeleton.offsets.copy()
     root = np.tile(offsets[0], (len(rows), 1))
+    carried = np.zeros_like(root)
     column = 0
     for joint, joint_channels in enumerate(header.channels):
         order, angles = "", []
@@ -226,12 +231,17 @@ def _assemble(header: _Header, rows: Array, fps: float) -> Motion:
                 root[:, _PLACES[channel]] = values
             else:
                 offsets[joint, _PLACES[channel]] = values.mean()
+                # Below a root that only carries them, the hips (of spine and legs) may make the way through the room.
+                if joint == 1 and skeleton.parents.count(0) == 1 and skeleton.parents.count(1) > 2:
+                    carried[:, _PLACES[channel]] = values - offsets[joint, _PLACES[channel]]
         if order:
-            rotations[:, joint] = _compose(np.stack(angles, axis=-1), order)
+            rotations[:, joint] = rotation.continuous(_compose(np.stack(angles, axis=-1), order))
+    if carried.any():
+        root += rotation.rotate(rotations[:, 0], carried)
     # The root's positions contain its offset, or replace it.
     offsets[0] = 0.0
     fixed = Skeleton(skeleton.names, skeleton.parents, offsets, skeleton.end_sites)
-    return Motion(fixed, rotation.continuous(rotations), root, fps)
+    return Motion(fixed, rotations, root, fps)
 
 
 def _compose(angles: Array, order: str) -> Array:
@@ -258,18 +268,35 @@ def write_bvh(path: str | os.PathLike[str], motion: Motion, unit: float = CENTIM
     tips = {joint: tip for joint, tip in skeleton.end_sites.items() if joint not in skeleton.parents}
     lines, written_order = hierarchy(skeleton.names, skeleton.parents, skeleton.offsets, tips, channels)
     head = "\n".join([*lines, "MOTION", f"Frames: {len(motion)}", f"Frame Time: {1.0 / motion.fps:.10f}", ""])
-    places = motion.root_positions if unit == 1.0 else motion.root_positions * (1.0 / unit)
-    euler = np.empty((len(motion), len(orders), 3))
-    for order in set(orders):
-        at = [joint for joint, each in enumerate(orders) if each == order]
-        euler[:, at] = rotation.to_euler(motion.rotations[:, at], order)
-    # Unwrapped angles are smooth in tools that interpolate the channels separately.
-    angles = np.degrees(np.unwrap(euler, axis=0))
-    values = np.concatenate([places, angles[:, written_order].reshape(len(motion), -1)], axis=1)
     with new_file(path) as out:
         out.write(head.encode())
-        # Straight into the file: the text of an hour is 300 MB. Adding 0 turns -0 into 0.
-        np.savetxt(out, values + 0.0, fmt="%.6f")
+        before, added = np.zeros((2, 1, len(orders), 3))
+        # Straight into the file and in slices: the angles of an hour are 280 MB, and their text 300.
+        for first in range(0, len(motion), _SLICE):
+            part = motion.crop(first, first + _SLICE)
+            euler = np.empty((len(part), len(orders), 3))
+            for order in set(orders):
+                at = [joint for joint, each in enumerate(orders) if each == order]
+                euler[:, at] = rotation.to_euler(part.rotations[:, at], order)
+            # Unwrapped angles are smooth in tools that interpolate the channels separately.
+            unwrapped, added = _unwrapped(euler, before if first else euler[:1], added)
+            before = euler[-1:]
+            angles = np.degrees(unwrapped)[:, written_order].reshape(len(part), -1)
+            places = part.root_positions if unit == 1.0 else part.root_positions * (1.0 / unit)
+            # Adding 0 turns -0 into 0.
+            np.savetxt(out, np.concatenate([places, angles], axis=1) + 0.0, fmt="%.6f")
+
+
+def _unwrapped(angles: Array, before: Array, turns: Array) -> tuple[Array, Array]:
+    """As `np.unwrap` along time, bit for bit, for a slice of it. angles: [T, J, 3] radians; before: [1, J, 3] those of
+    the frame before; turns: [1, J, 3] what was added to that. The unwrapped angles, and what was added to the last."""
+    steps = np.diff(angles, axis=0, prepend=before)
+    short = np.mod(steps + np.pi, 2.0 * np.pi) - np.pi
+    # Half a turn keeps its sign.
+    short[(short == -np.pi) & (steps > 0)] = np.pi
+    change = np.where(np.abs(steps) < np.pi, 0.0, short - steps)
+    added = np.cumsum(np.concatenate([turns, change]), axis=0)[1:]
+    return angles + added, added[-1:]
 
 
 def _order_of(joint: str) -> str:

@@ -20,16 +20,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from data_module.motion.movement_run import PAST, state_before
 from data_module.types import Array
 
-PAST = 3
-"""Frames of the past of a block: enough for a pose, a velocity and an acceleration."""
 # Ridge of the predictor, on features of unit deviation: negligible for tens of thousands of blocks, but it keeps a fit
 # to few blocks stable.
 _RIDGE = 1.0
-_TORSO = ("Hips", "Spine")
-_HEAD = ("Neck", "Head")
-_FINGERS = ("Thumb", "Index", "Middle", "Ring", "Pinky", "Little")
 # Least deviation of a coefficient, by which others divide: a joint that never moves has 0.
 _LEAST_SCALE = 1e-6
 # Weights relative to an arm (1): fingers hardly define a gesture but have four times as many dimensions, and with the
@@ -37,20 +33,6 @@ _LEAST_SCALE = 1e-6
 _SHARES = {"torso": 0.4, "head": 0.4, "left fingers": 0.3, "right fingers": 0.3}
 LIMITS = (0.03, 99.97)
 """Percentiles of the training coefficients that are used as limits."""
-
-
-def body_parts(joints: Sequence[str]) -> dict[str, tuple[int, ...]]:
-    """Part of the body -> its columns, three per joint: torso, head, and for each side arm and fingers. Joints of other
-    names make one part, "body"."""
-    parts: dict[str, list[int]] = {}
-    for index, joint in enumerate(joints):
-        side = next((s for s in ("Left", "Right") if joint.startswith(s)), "")
-        if side:
-            name = f"{side.lower()} {'fingers' if any(finger in joint for finger in _FINGERS) else 'arm'}"
-        else:
-            name = "torso" if joint.startswith(_TORSO) else "head" if joint.startswith(_HEAD) else "body"
-        parts.setdefault(name, []).extend(range(3 * index, 3 * index + 3))
-    return {name: tuple(columns) for name, columns in parts.items()}
 
 
 @dataclass(frozen=True)
@@ -63,11 +45,8 @@ class Pasts:
 
     def state(self) -> tuple[Tensor, Tensor, Tensor]:
         """Last pose, velocity and acceleration [..., D_m], per frame of the block."""
-        ratio = self.ratio[..., None]
-        # Every block has K frames, so a longer block has longer steps: velocities per frame scale with the ratio.
-        last, before = self.frames[..., 2, :], self.frames[..., 1, :]
-        velocity = (last - before) * ratio
-        return last, velocity, velocity - (before - self.frames[..., 0, :]) * ratio
+        last, velocity, acceleration = state_before(self.frames, self.ratio)
+        return last, velocity, acceleration
 
     def __getitem__(self, rows: Tensor | slice) -> Pasts:
         return Pasts(self.frames[rows], self.ratio[rows])

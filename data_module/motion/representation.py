@@ -122,11 +122,11 @@ _TO_NECK, _TO_NOSE, _TO_CROWN = 0, 1, 2
 _SHOULDER_BONES = {"Left": 3, "Right": 6}
 
 # In the frame of the head. With this nose the rest pose bends at the nose as TED's mean pose does (by 52 degrees).
-_NOSE_OFFSET = np.array([0.0, 0.078, 0.063])
-_CROWN_OFFSET = CHARACTER.end_sites[CHARACTER.index("Head")]
+NOSE_OFFSET = np.array([0.0, 0.078, 0.063])
+CROWN_OFFSET = CHARACTER.end_sites[CHARACTER.index("Head")]
 _NOTHING = np.zeros(3)
 # For each of the ten: the joint of the character that carries it, and where in that joint's frame.
-_POINTS = (("Spine2", _NOTHING), ("Neck", _NOTHING), ("Head", _NOSE_OFFSET), ("Head", _CROWN_OFFSET),
+_POINTS = (("Spine2", _NOTHING), ("Neck", _NOTHING), ("Head", NOSE_OFFSET), ("Head", CROWN_OFFSET),
            *((side + joint, _NOTHING) for side in ("Left", "Right") for joint in ("Arm", "ForeArm", "Hand")))
 # For each of the ten: the joints whose rotations determine its position.
 _CARRIED_BY = ((), (), ("Head",), ("Head",), *((side + "Arm",) * (joint > 0) + (side + "ForeArm",) * (joint > 1)
@@ -217,7 +217,7 @@ def _torso(bones: Array, fps: float) -> Array:
 def _neck_and_head(bones: Array, torso: Array, fps: float) -> tuple[Array, Array]:
     """[T, 4] the rotations of neck and head for the directions of nose and crown from the neck."""
     to_nose, to_crown = bones[:, _TO_NOSE], bones[:, _TO_CROWN]
-    rest = _CROWN_OFFSET - _NOSE_OFFSET
+    rest = CROWN_OFFSET - NOSE_OFFSET
     rest = rest / np.linalg.norm(rest)
     start = _swing(rotation.rotate(torso[:1], rest), to_crown[:1], rotation.rotate(torso[:1], _LEFT))
     left = _followed(to_crown, np.cross(to_crown, to_nose), rotation.rotate(rotation.multiply(start, torso[:1]),
@@ -226,15 +226,15 @@ def _neck_and_head(bones: Array, torso: Array, fps: float) -> tuple[Array, Array
 
     # The triangle of neck joint, head joint and nose has two known sides: the neck, and head joint to nose.
     neck = CHARACTER.offsets[CHARACTER.index("Neck1")] + CHARACTER.offsets[CHARACTER.index("Head")]
-    neck_length, nose_length = float(np.linalg.norm(neck)), float(np.linalg.norm(_NOSE_OFFSET))
-    nose = rotation.rotate(head, _NOSE_OFFSET)
+    neck_length, nose_length = float(np.linalg.norm(neck)), float(np.linalg.norm(NOSE_OFFSET))
+    nose = rotation.rotate(head, NOSE_OFFSET)
     cosine = np.sum(to_nose * nose, axis=-1) / nose_length
     excess = np.arccos(np.clip(cosine, -1.0, 1.0)) - math.asin(neck_length / nose_length)
     normal = np.cross(nose, to_nose)
     size = np.linalg.norm(normal, axis=-1, keepdims=True)
     normal = np.where(size > _EPS, normal / np.maximum(size, _EPS), left)
     head = rotation.multiply(rotation.from_exponential_map(normal * np.maximum(excess, 0.0)[:, None]), head)
-    nose = rotation.rotate(head, _NOSE_OFFSET)
+    nose = rotation.rotate(head, NOSE_OFFSET)
     along = _reach(to_nose, nose, neck_length)
     return rotation.multiply(_swing(rotation.rotate(torso, neck), along, left), torso), head
 

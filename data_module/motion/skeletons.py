@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from data_module.errors import InputError
+from data_module.errors import InputError, shown
 from data_module.motion import kinematics, rotation
 from data_module.types import Array, Motion, Skeleton
 
@@ -153,6 +153,12 @@ NAME_TABLES: dict[str, dict[str, str]] = {
             **_sided("J_Bip_{side}_{part}", ("Shoulder", "UpperArm", "LowerArm", "Hand"),
                      ("UpperLeg", "LowerLeg", "Foot", "ToeBase"), "J_Bip_{side}_{finger}{place}",
                      ("RL", ("Thumb", "Index", "Middle", "Ring", "Little"), "123"))},
+    # Talking With Hands as the GENEA challenges gave it. Twist joints lie between the joints of an arm, and thumb0, a
+    # bone of the wrist, before the thumb's three joints.
+    "genea": {"Hips": "b_root", **{f"Spine{place or ''}": f"b_spine{place}" for place in range(4)},
+              "Neck": "b_neck0", "Head": "b_head",
+              **_sided("b_{side}_{part}", ("shoulder", "arm", "forearm", "wrist"), ("upleg", "leg", "foot"),
+                       "b_{side}_{finger}{place}", ("rl", ("thumb", "index", "middle", "ring", "pinky"), "123"))},
 }
 """The names of the character's joints in each family of skeletons; prefixes up to a colon ("mixamorig:") are ignored,
 and a space in a name is the same as "_"."""
@@ -162,9 +168,16 @@ REQUIRED = ("Hips", "Spine", "Neck", "Head",
 """The joints that every source must have; the others may be absent."""
 
 
-def find_table(names: Sequence[str]) -> Mapping[str, int]:
+def find_table(names: Sequence[str], given: Mapping[str, str] | None = None) -> Mapping[str, int]:
     """Joints of `WHOLE_BODY` -> index in `names`, by the table with the most joints of `CHARACTER` (and among
-    equals the most fingers and legs); InputError if none covers `REQUIRED`."""
+    equals the most fingers and legs); InputError if none covers `REQUIRED`. given: the user's own table
+    (`data_module.motion.joint_map`) in place of all; InputError if `names` lacks one of its joints."""
+    if given is not None:
+        lacking = [theirs for theirs in given.values() if theirs not in names]
+        if lacking:
+            raise InputError("skeleton", f"has no joint {shown(', '.join(lacking), 100)}, which --joints names",
+                             "correct that file")
+        return {joint: names.index(theirs) for joint, theirs in given.items()}
     # Reversed, so that of two equal names the first counts.
     plain = {name.rsplit(":", 1)[-1].replace(" ", "_").lower(): index
              for index, name in reversed(list(enumerate(names)))}
@@ -179,7 +192,8 @@ def find_table(names: Sequence[str]) -> Mapping[str, int]:
     if lacking:
         unknown = [name for index, name in enumerate(names) if index not in best.values()]
         raise InputError("skeleton", f"has no joint known as {', '.join(lacking)}; its unknown names are "
-                         f"{', '.join(unknown) or 'none'}", "rename them or give a joint table")
+                         f"{shown(', '.join(unknown), 100) or 'none'}",
+                         "rename them, or name them in a file for build --joints")
     return best
 
 

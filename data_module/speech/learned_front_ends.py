@@ -14,7 +14,8 @@ import torch
 
 from data_module.errors import InputError
 from data_module.speech.front_ends import AudioFeatures, FrontEnd, MelFrontEnd, scaled_windows
-from data_module.speech.speech_encoder import HIGH, LEVELS, LOW, SpeechEncoder, load_fairseq
+from data_module.speech.speech_encoder import SpeechEncoder, load_fairseq
+from data_module.speech.speech_encoder_run import HIGH, LEVELS, LOW
 from data_module.types import Array, Samples
 
 _LEVEL_COLUMNS = 2

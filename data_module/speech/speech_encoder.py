@@ -10,7 +10,6 @@ import argparse
 import os
 import pickle
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from typing import Any
 
 import torch
@@ -19,12 +18,8 @@ from torch import Tensor, nn
 
 from data_module.errors import InputError
 from data_module.layers import masked_mean
+from data_module.speech.speech_encoder_run import HIGH, LEVELS, LOW, SHAPES, hop_and_reach, pooling
 
-SHAPES = ((10, 5), (8, 4), (4, 2), (4, 2), (4, 2), (1, 1), (1, 1), (1, 1))
-"""Kernel and stride of the eight convolutions; the last four levels have 100 rows a second of 16 kHz sound."""
-LEVELS = len(SHAPES)
-LOW, HIGH = 2, 8
-"""The levels that the paper takes as a_low and a_high."""
 PROJECTION = 128
 """Width of the space in which Eq. 1 compares text with audio."""
 TEMPERATURE = 0.1
@@ -33,15 +28,6 @@ PREDICTION_STEPS, NEGATIVES = 12, 10
 """Of predictive coding: rows of 10 ms that it looks ahead, and negative rows from the same crop."""
 CONTEXT_WIDTH = 128
 """Width of the recurrent net of predictive coding that summarises the past."""
-
-
-def hop_and_reach(level: int) -> tuple[int, int]:
-    """Hop and receptive field of a level (1 to 8), samples."""
-    hop, reach = 1, 1
-    for kernel, stride in SHAPES[:level]:
-        reach += (kernel - 1) * hop
-        hop *= stride
-    return hop, reach
 
 
 class SpeechEncoder(nn.Module):
@@ -76,24 +62,9 @@ class SpeechEncoder(nn.Module):
         out = self(samples)
         pooled = []
         for level in which:
-            matrix = _pooling(level, samples.shape[1], frames).to(samples.device)
+            matrix = torch.from_numpy(pooling(level, samples.shape[1], frames)).to(samples.device)
             pooled.append((out[level - 1] @ matrix).transpose(1, 2))
         return tuple(pooled)
-
-
-@lru_cache(maxsize=64)
-@torch.inference_mode(False)  # kept for later calls, which may be training
-def _pooling(level: int, samples: int, frames: int) -> Tensor:
-    """[T_l, frames] pooling weights; a row belongs to the frame that contains the middle of its receptive field."""
-    hop, reach = hop_and_reach(level)
-    # No padding: row i covers samples [i hop, i hop + reach).
-    middles = hop * torch.arange((samples - reach) // hop + 1, dtype=torch.float64) + (reach - 1) / 2
-    owner = torch.floor(middles * frames / samples).long()
-    weights = F.one_hot(owner, frames).float()
-    # Frames shorter than a row's hop may own none: they take the nearest.
-    for empty in torch.nonzero(weights.sum(0) == 0).flatten().tolist():
-        weights[(middles - (empty + 0.5) * samples / frames).abs().argmin(), empty] = 1.0
-    return weights / weights.sum(0)
 
 
 class PredictiveCoding(nn.Module):

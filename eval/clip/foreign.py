@@ -4,6 +4,7 @@ A folder holds one motion file for each clip, and, unless another folder is told
 
 - `NAME.bvh`: any rig whose joints have known names (`skeletons.NAME_TABLES`);
 - `NAME.npz`: SMPL-X poses (`data_module.motion.smplx`);
+- `NAME.points.npz`: positions [T, 3] by joint (`positions.POINTS`), Y up, facing +Z, at 60 fps;
 - `NAME.npy`: positions [T, 10, 3] of TED's joints (`representation.TED_JOINTS`), Y up, in any unit, at 15 fps.
 
 `{"fps": 25}` in NAME.json, or in motion.json for all files of the folder, goes before the rate of the files. All become
@@ -20,14 +21,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
-import numpy as np
-
-from data_module.arrays import as_floats, read_npy
 from data_module.errors import InputError, shown
 from data_module.files import read_json
-from data_module.motion import rotation
 from data_module.motion.bvh import FRAME_RATE_ADVICE, BvhWarning, read_bvh
-from data_module.motion.representation import TED_JOINTS, rotations_from_positions
+from data_module.motion.positions import read_points, read_positions
 from data_module.motion.skeletons import FINGER_JOINTS, FINGERED, to_character
 from data_module.motion.smplx import read_smplx
 from data_module.speech.audio import SOUNDS, load_speech
@@ -38,10 +35,8 @@ MOTIONS = (".bvh", ".npz", ".npy")
 """Endings of motion files; where a name has several, the first of these is read."""
 SHARED, STORE = "motion.json", "store.json"
 """Files that tell the frame rate of a folder's motions, and that a folder is a store."""
-_EPS = 1e-9
-_FARTHEST = 1e9
-"""Units, whichever they are, of a position: a thousand kilometres in millimetres."""
-TED_FPS = 15.0
+TED_FPS, POINTS_FPS, POINTS = 15.0, 60.0, ".points"
+"""Frames a second of positions, and how the name of a file ends, before its .npz, that holds them by joint."""
 _RATE_ADVICE = 'give the frame rate: {"fps": RATE} in NAME.json beside it'
 
 
@@ -68,10 +63,11 @@ def find_motions(folder: Path) -> tuple[dict[str, Path], list[str]]:
     notes = []
     for file in sorted((file for file in folder.iterdir() if file.suffix.lower() in MOTIONS and file.is_file()),
                        key=lambda file: (MOTIONS.index(file.suffix.lower()), file.name)):
-        if file.stem in files:
+        name = file.stem.removesuffix(POINTS)
+        if name in files:
             # One name, one motion: the order of `MOTIONS` decides, and the other file is named to the reader.
-            notes.append(f"{file}: {files[file.stem].name} is read instead")
-        files.setdefault(file.stem, file)
+            notes.append(f"{file}: {files[name].name} is read instead")
+        files.setdefault(name, file)
     if not files:
         raise InputError(folder, "holds no motion", f"put NAME{' or NAME'.join(MOTIONS)} there")
     return dict(sorted(files.items())), notes
@@ -133,6 +129,8 @@ def read_motion(path: Path, fps: float | None = None, fingers: bool = False) -> 
     rate = fps if fps is not None else told_rate(path)
     if kind == ".npy":
         return read_positions(path, TED_FPS if rate is None else rate)
+    if path.stem.endswith(POINTS):
+        return read_points(path, POINTS_FPS if rate is None else rate)
     with warnings.catch_warnings():
         # A rate that is told answers the warning of a header that contradicts itself.
         warnings.simplefilter("ignore", BvhWarning)
@@ -160,23 +158,6 @@ def told_rate(path: Path) -> float | None:
         if rate is not None:
             return float(rate)
     return None
-
-
-def read_positions(path: Path, fps: float) -> Motion:
-    """Positions [T, 10, 3] of TED's joints as motion of the 16-joint character; InputError for anything else."""
-    points = read_npy(path)
-    if points.dtype.kind not in "fiu" or points.shape[1:] != (len(TED_JOINTS), 3) or len(points) == 0:
-        raise InputError(path, f"has {points.dtype} of shape {points.shape}",
-                         f"it should be numbers, [T, {len(TED_JOINTS)}, 3], of {', '.join(TED_JOINTS)}")
-    points = as_floats(points)
-    # NaN fails the comparison, too. Joints in one place have no bones.
-    if not (np.abs(points) < _FARTHEST).all() or not (np.ptp(points, axis=1) > _EPS).any(1).all():
-        raise InputError(path, "has positions that are not numbers, far too large or all in one place",
-                         "fill or cut these frames")
-    # Turned about the vertical so that the shoulders on the whole lie along X.
-    across = (points[:, 4] - points[:, 7]).mean(axis=0)
-    yaw = rotation.from_exponential_map(np.array([0.0, np.arctan2(across[2], across[0]), 0.0]))
-    return rotations_from_positions(rotation.rotate(yaw, points), fps)
 
 
 def named(entries: Sequence[str], what: str) -> dict[str, str]:

@@ -33,7 +33,7 @@ Two sets of features, one moved by (3, 4):
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +46,6 @@ __all__ = ["frechet_distance", "measure"]
 
 ENOUGH = 5
 """Windows for each feature, at least: "several times 32" for 32 features."""
-DRAWS = 200
 
 
 @dataclass(frozen=True)
@@ -126,8 +125,7 @@ def sampling_bias(of: Gaussian, first: int, second: int) -> float:
     return (1.0 / first + 1.0 / second) * (float(roots.sum()) + second_term)
 
 
-def measure(generated: Sequence[Array], real: Sequence[Array], *, paired: bool = False, seed: int = 0,
-            draws: int = DRAWS) -> Figure:
+def measure(generated: Sequence[Array], real: Sequence[Array], *, paired: bool = False, seed: int = 0) -> Figure:
     """FGD between the features [n, E] of generated clips and those of real ones, with its interval over clips.
 
     paired: clip k of both is of one speech, so both are drawn together. The interval is the basic bootstrap's (the
@@ -146,23 +144,13 @@ def measure(generated: Sequence[Array], real: Sequence[Array], *, paired: bool =
     # Paired clips are of one speech: redrawing them apart would widen the interval by what speeches differ.
     sizes = [len(generated)] if paired else [len(generated), len(real)]
     interval = stats.of_set(lambda *chosen: of_clips([generated[k] for k in chosen[0]], [real[k] for k in chosen[-1]]),
-                            *sizes, seed=seed, draws=draws, least=0.0)
+                            *sizes, seed=seed, least=0.0)
     return Figure(interval.mean, interval, sampling_bias(gaussian(_joined(real)), *counts), counts, needed)
 
 
-def difference(first: Sequence[Array], second: Sequence[Array], real: Sequence[Array]) -> Interval:
-    """FGD of the first clips' features [n, E] less that of the second's, clips redrawn together; NaN for one clip.
-
-    The interval is the basic bootstrap's, as in `measure`, for the same reason.
-    """
-    # A clip counts if all three have windows of it: the two systems must be compared on the same speech.
-    whole = np.flatnonzero([min(map(len, clips)) > 0 for clips in zip(first, second, real, strict=True)])
-
-    def apart(chosen: stats.Indices) -> float:
-        one, other, truth = ([clips[k] for k in whole[chosen]] for clips in (first, second, real))
-        return of_clips(one, truth) - of_clips(other, truth)
-
-    return stats.of_set(apart, len(whole), draws=DRAWS) if len(whole) > 1 else Interval.undefined(len(whole))
+def of_chosen(first: Sequence[Array], second: Sequence[Array]) -> Callable[[stats.Indices], float]:
+    """`of_clips` for the clips with these numbers, of features [n, E] of the same clips on both sides."""
+    return lambda chosen: of_clips([first[k] for k in chosen], [second[k] for k in chosen])
 
 
 def _root(covariance: Array) -> Array:

@@ -57,9 +57,10 @@ from eval.metrics.evaluate import (
     synchrony,
 )
 from eval.metrics.gesture_features import pooled, spaces
-from eval.metrics.mismatch import Mismatch, matrix, mismatch
+from eval.metrics.mismatch import Mismatch, mismatch
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
 from eval.score.played_rows import PlayedBundle
+from eval.score.ratings import FEWEST, ratings_table, read_ratings
 from eval.score.tables import BOBBING, FLOOR, STILL, Figures, Flag, Scores, tables
 from eval.stats import Indices, Interval
 from eval.table import Marked, publish
@@ -119,6 +120,11 @@ class ScoredClips:
         """The speakers' own motion as the bundle reads it."""
         return self.encoded(self.clips.motions[TRUTH])
 
+    @cached_property
+    def features(self) -> dict[str, list[Array]]:
+        """network -> [n, E] by clip of the speakers' own motion."""
+        return {key: pooled(self.clips.motions[TRUTH], network) for key, network in self.context.networks.items()}
+
     def encoded(self, motions: Sequence[Motion]) -> list[EncodedMotion | None]:
         """Motions of all clips as the bundle reads them; None where nothing is said."""
         return [None if speech is None or blocks is None else
@@ -138,6 +144,7 @@ class ScoredClips:
             eye_values(motion, voice, None if blocks is None else blocks.edges, self.context.space)
             for motion, voice, blocks in zip(motions, self.voices, self.blocks, strict=True)])
         row.features = {key: pooled(motions, network) for key, network in self.context.networks.items()}
+        row.sets |= {key: fgd.of_chosen(row.features[key], real) for key, real in self.features.items()}
         first, second = (np.array([speed_histogram(hand_speeds(motion)) for motion in clips])
                         for clips in (motions, speakers))
         row.sets["speed_distance"] = lambda chosen: hellinger(first[chosen].sum(0), second[chosen].sum(0))
@@ -239,21 +246,14 @@ def floor_figures(truth: ScoreRow, shared: ScoredClips) -> dict[str, Marked]:
     return out
 
 
-def differences(first: ScoreRow, second: ScoreRow, truth: ScoreRow, context: EvalContext) -> dict[str, Marked]:
+def differences(first: ScoreRow, second: ScoreRow, context: EvalContext) -> dict[str, Marked]:
     """First less second, paired over clips, with intervals."""
     out = {name: stats.paired(first.values[name], second.values[name], seed=context.seed)
            for name in (*CLIP_METRICS, *EYE_METRICS)}
-    for name in SET_METRICS:
-        if name in first.sets and name in second.sets:
-            out[name] = stats.of_set(_less(first.sets[name], second.sets[name]), len(first.motions), seed=context.seed)
-    for key in context.networks:
-        out[key] = fgd.difference(first.features[key], second.features[key], truth.features[key])
+    for name, figure in first.sets.items():
+        out[name] = stats.of_set(lambda chosen, one=figure, other=second.sets[name]: one(chosen) - other(chosen),
+                                 len(first.motions), seed=context.seed)
     return {name: Marked(value) for name, value in out.items()}
-
-
-def _less(first: Callable[[Indices], float], second: Callable[[Indices], float]) -> Callable[[Indices], float]:
-    """First less second, of the same clips."""
-    return lambda chosen: first(chosen) - second(chosen)
 
 
 def mismatches(rows: Sequence[ScoreRow], shared: ScoredClips) -> dict[str, dict[str, Mismatch]]:
@@ -262,11 +262,8 @@ def mismatches(rows: Sequence[ScoreRow], shared: ScoredClips) -> dict[str, dict[
     # All pairs of n clips are n squared tests, so a large set is thinned evenly.
     few = [known[k] for k in np.unique(np.linspace(0, len(known) - 1, min(MOST, len(known))).round().astype(int))]
     tracks = [track for k in few if (track := shared.tracks[k]) is not None]
-
-    def tried(name: str, beats: Sequence[MotionBeats]) -> Array:
-        return matrix(lambda i, j: synchrony(name, beats[i], tracks[j]), len(beats))
-
-    return {row.name: {name: mismatch(tried(name, [row.beats[k] for k in few]), seed=shared.context.seed)
+    return {row.name: {name: mismatch(np.array([[synchrony(name, row.beats[k], track) for track in tracks]
+                                                for k in few]).reshape(len(few), len(few)), seed=shared.context.seed)
                        for name in SYNCHRONY} for row in rows}
 
 
@@ -284,7 +281,7 @@ def flags(kinds: Mapping[str, str], figures: Figures, metrics: Mapping[str, Metr
             badness = _badness(metric, figures, name, control)
             beaten = [row for row in rivals if not_worse(badness, _badness(metric, figures, name, row))]
             if beaten:
-                found.append(Flag(name, control, f"does no worse than {', '.join(beaten)}"))
+                found.append(Flag(name, control, beaten))
     return found
 
 
@@ -307,8 +304,8 @@ def _badness(metric: Metric, figures: Figures, name: str, row: str) -> float:
     return -value if metric.good == "high" else value
 
 
-def score(context: EvalContext, clips: ClipSet) -> Scores:
-    """Measure all rows on the same clips."""
+def score(context: EvalContext, clips: ClipSet, ratings: Mapping[str, float] | None = None) -> Scores:
+    """Measure all rows on the same clips. ratings: people's, of systems and truth, three systems or more."""
     shared, seed = ScoredClips.of(context, clips), context.seed
     controls, notes = control_rows(clips, seed, shared.voices)
     rows = {name: shared.row(name, TRUTH if name == TRUTH else "system", motions)
@@ -320,14 +317,16 @@ def score(context: EvalContext, clips: ClipSet) -> Scores:
                **{key: replace(METRICS["fgd"], title=f"FGD, {key}") for key in context.networks}}
     systems = [row for row in rows.values() if row.kind == "system"]
     kinds = {**{name: row.kind for name, row in rows.items()}, FLOOR: "floor"}
+    found = flags(kinds, figures, metrics)
     # Differences are of systems alone: what a control differs by is said by its flags.
     return Scores(
         clips.names, round(clips.seconds, 2), clips.fps, metrics,
         kinds, figures,
-        {f"{a.name} - {b.name}": differences(a, b, rows[TRUTH], context)
+        {f"{a.name} - {b.name}": differences(a, b, context)
          for a, b in itertools.combinations(systems, 2)},
         mismatches(list(rows.values()), shared),
-        flags(kinds, figures, metrics), [*clips.notes, *notes])
+        found, [*clips.notes, *notes], ratings_table(systems, rows[TRUTH], ratings, metrics, found, seed) if ratings
+        else None)
 
 
 # --------------------------------------------------------------------------------------------------------- command
@@ -368,12 +367,16 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--bundle", metavar="DIR",
         help="bundle whose lexicon measures diversity, motion variance and lexeme accuracy")
     add("--split", default="test", choices=(*SPLITS, "all"), help="split of the store to compare (default: test)")
+    add("--ratings", type=Path, metavar="FILE.json",
+        help='people\'s ratings, {"NAME": NUMBER}, by the names of the systems and of the folder of --truth: shows how '
+        "each metric agrees with them")
     add("--seed", type=int, default=0)
     add("--out", type=Path, metavar="FILE.json", help="output file; a .md is written beside it")
 
 
 def scored(arguments: argparse.Namespace) -> Scores:
     """All figures of the command; InputError for input that cannot be used."""
+    ratings, unrated = known_ratings(arguments) if arguments.ratings else (None, [])
     bundle = None
     if arguments.bundle:
         bundle = bundles.load(bundle_folder(arguments.bundle))
@@ -381,9 +384,24 @@ def scored(arguments: argparse.Namespace) -> Scores:
         _ = bundle.block_lexicon
     folders, left_out = read_all(arguments)
     clips = common_clips(folders)
-    clips.notes[:0] = left_out
+    clips.notes[:0] = [*unrated, *left_out]
     context = EvalContext(models=bundle, networks=spaces(arguments.fgd), seed=arguments.seed)
-    return score(context, clips)
+    return score(context, clips, ratings)
+
+
+def known_ratings(arguments: argparse.Namespace) -> tuple[dict[str, float], list[str]]:
+    """The ratings of the rows, the person's under the truth's name, and notes on names that are no row; InputError for
+    fewer than three systems."""
+    ratings, systems = read_ratings(arguments.ratings), named(arguments.system, "--system")
+    person = arguments.truth.resolve().name
+    if person in ratings and person not in systems:
+        ratings[TRUTH] = ratings.pop(person)
+    few, strange = len(set(systems) & set(ratings)), listed(sorted(set(ratings) - {TRUTH, *systems}), 5)
+    if few < FEWEST:
+        raise InputError(arguments.ratings, f"rates {few} of the systems", f"a tau needs {FEWEST}: give ratings by the "
+                         "names of --system")
+    return ({name: rating for name, rating in ratings.items() if name in (TRUTH, *systems)},
+            [f"{arguments.ratings}: {strange} is no row"] if strange else [])
 
 
 def run(arguments: argparse.Namespace) -> int:

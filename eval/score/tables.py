@@ -22,16 +22,22 @@ Figures = dict[str, dict[str, Marked]]
 
 @dataclass(frozen=True)
 class Flag:
-    """A metric that a control beats or equals."""
+    """A metric by which a control is no worse than these rows."""
 
     metric: str
     control: str
-    says: str
+    beaten: Sequence[str]
+
+    @property
+    def says(self) -> str:
+        """For a reader."""
+        return f"does no worse than {', '.join(self.beaten)}"
 
 
 @dataclass(frozen=True)
 class Scores:
-    """All that was measured. metrics: by column, FGD by network; kinds: row -> truth, system, control or floor."""
+    """All that was measured. metrics: by column, FGD by network; kinds: row -> truth, system, control or floor; worth:
+    of metrics beside ratings, where there are any."""
 
     clips: Sequence[str]
     seconds: float
@@ -43,6 +49,7 @@ class Scores:
     mismatch: Mapping[str, Mapping[str, Mismatch]]
     flags: Sequence[Flag]
     notes: Sequence[str]
+    worth: Table | None = None
 
 
 _GOOD = {"low": "less is better", "high": "more is better", "near": "near the truth's is good", "": "no judgement"}
@@ -51,9 +58,8 @@ _PARTS = {"joints": "Joint errors against the speaker", "beats": "Motion beats a
           "eye hands": "Perceptual figures: two hands", "eye trunk": "Perceptual figures: trunk and idle motion",
           "eye strokes": "Perceptual figures: strokes", "eye voice": "Perceptual figures: synchrony",
           "eye posture": "Perceptual figures: posture", "eye together": "Perceptual figures: parts together",
-          "eye units": "Perceptual figures: gesture units", "eye phrases": "Perceptual figures: holds, pauses, onsets",
-          "eye frechet": "Perceptual figures: Frechet distance", "sets": "Sets of motion",
-          "fgd": "Sets of motion, by a network's features"}
+          "eye phrases": "Perceptual figures: holds and pauses", "eye frechet": "Perceptual figures: Frechet distance",
+          "sets": "Sets of motion", "fgd": "Sets of motion, by a network's features"}
 _ROWS = {TRUTH: "the speakers' own motion", STILL: "the truth's mean pose, clip by clip, without movement",
          "shuffled": "the truth of another clip with this speech", "reversed": "the truth played backwards",
          "jitter": "the truth with every joint 2 cm off, anew in each frame",
@@ -81,7 +87,7 @@ def tables(scores: Scores) -> list[Table]:
                                     metric.good) for name, metric in metrics.items()}
             out.append(Table(title, columns, {name: {key: row[key] for key in columns if key in row}
                                               for name, row in {**rows, **scores.differences}.items()}, "row"))
-    return [*out, _mismatch_table(scores), _flag_table(scores)]
+    return [*out, _mismatch_table(scores), _flag_table(scores), *([] if scores.worth is None else [scores.worth])]
 
 
 def _about(scores: Scores) -> Table:

@@ -28,7 +28,7 @@ from data_module.settings import (
 )
 from data_module.speech.beats import BeatSettings
 from data_module.speech.front_ends import EncoderConfig
-from generator.model import GeneratorConfig
+from generator.settings import GeneratorConfig
 from interpreters.settings import (
     CriticConfig,
     EpisodeConfig,
@@ -89,7 +89,7 @@ class TextConfig:
     """Encoding of the words."""
 
     encoder: str = ""
-    """Word encoder: "minilm", any BERT by name or folder, or empty for audio only."""
+    """Word encoder: "minilm", a folder with a BERT in the format of transformers, or empty for audio only."""
 
 
 @dataclass(frozen=True)

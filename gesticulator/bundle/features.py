@@ -120,7 +120,7 @@ def representation_of(config: Config) -> Representation:
 
 def body_columns(config: Config) -> dict[str, tuple[int, ...]]:
     """Body part -> its indices in D_m under these settings."""
-    from data_module.motion.movement import body_parts
+    from data_module.motion.movement_run import body_parts
     from data_module.motion.skeletons import CHARACTERS
 
     chosen = representation_of(config)

@@ -13,10 +13,11 @@ from itertools import combinations
 
 import numpy as np
 
+from data_module.motion.joint_map import NEEDED
 from data_module.motion.skeletons import FINGERS
 from data_module.types import Array
 from gesticulator.characters import shape
-from gesticulator.characters.mapping import ARM_PARTS, LACKS, LEG_PARTS, NEEDED, SIDES, SURE, RigMapping, ancestors
+from gesticulator.characters.mapping import ARM_PARTS, LACKS, LEG_PARTS, SIDES, SURE, RigMapping, ancestors
 from gesticulator.characters.names import Label, character_labels
 from gesticulator.characters.rig import UPS, Character, chosen, skeletons_of
 

@@ -8,13 +8,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, Literal
-
-import msgspec
+from typing import Any
 
 from data_module.errors import InputError, shown
-from data_module.files import read_json, write_text
-from data_module.motion.skeletons import FINGER_JOINTS, LEG_JOINTS
+from data_module.files import write_text
+from data_module.motion.joint_map import ADVICE, NEEDED, SINGLE, read_joint_map, with_chains
+from data_module.motion.skeletons import FINGER_JOINTS
 from data_module.motion.skeletons import SIDES as SIDES
 from gesticulator.characters.rig import Character
 
@@ -22,16 +21,11 @@ __all__ = ["RigMapping", "load_mapping", "save_mapping"]
 
 ARM_PARTS = ("Shoulder", "Arm", "ForeArm", "Hand")
 LEG_PARTS = ("UpLeg", "Leg", "Foot", "ToeBase")
-SINGLE = ("Hips", "Head", *(side + part for side in SIDES for part in ARM_PARTS), *LEG_JOINTS, *FINGER_JOINTS)
-"""Our joints that map to one node each; spine and neck are chains of any length."""
-NEEDED = ("Hips", "Head", *(side + part for side in SIDES for part in ("Arm", "ForeArm", "Hand")))
-"""Joints required for gesturing."""
 SURE = 0.6
 """Confidence below which a detected mapping is rejected unless the user provides it. Known names throughout give 1, a
 body-shaped tree without known names 0.7; each doubt subtracts a fifth or more."""
 LACKS = "it lacks "
 """How the doubt begins that lists the missing joints of `NEEDED`."""
-_ADVICE = "correct the mapping, or save a new one with --save-mapping"
 
 
 @dataclass(frozen=True)
@@ -58,11 +52,7 @@ class RigMapping:
 
     def named(self) -> dict[str, int]:
         """Our joint -> node, with the chains of spine and neck under our names (Spine, Spine1, ...; Neck, Neck1)."""
-        out = dict(self.joints)
-        for stem, chain, most in (("Spine", self.spine, 4), ("Neck", self.neck, 2)):
-            chosen = chain if len(chain) <= most else (*chain[:most - 1], chain[-1])
-            out |= {stem + (str(place) if place else ""): node for place, node in enumerate(chosen)}
-        return out
+        return with_chains(self.joints, self.spine, self.neck)
 
 
 def check(mapping: RigMapping, character: Character) -> None:
@@ -78,7 +68,7 @@ def check(mapping: RigMapping, character: Character) -> None:
                        *(("Neck", node) for node in mapping.neck)]:
         if node in used:
             raise InputError(character.path, f"has one node, {shown(character.names[node])}, for {used[node]} and "
-                             f"{name}", _ADVICE)
+                             f"{name}", ADVICE)
         used[node] = name
     chains = [(side + above, side + below) for parts in (ARM_PARTS[1:], LEG_PARTS[:3]) for side in SIDES
               for above, below in pairwise(parts)]
@@ -87,7 +77,7 @@ def check(mapping: RigMapping, character: Character) -> None:
         # A joint that is not below the one before would not move with it.
         if top is not None and low is not None and top not in ancestors(character.parents, low):
             raise InputError(character.path, f"does not have {shown(character.names[low])} under "
-                             f"{shown(character.names[top])}", _ADVICE)
+                             f"{shown(character.names[top])}", ADVICE)
     if mapping.confidence < SURE:
         raise InputError(character.path, f"has joints that can only be guessed, {mapping.confidence:.0%} sure: "
                          f"{'; '.join(mapping.doubts) or 'its names are unknown'}",
@@ -129,32 +119,16 @@ def save_mapping(path: str | os.PathLike[str], mapping: RigMapping, character: C
     write_text(path, json.dumps(to_json(mapping, character), indent=1, ensure_ascii=False) + "\n")
 
 
-class _MappingFile(msgspec.Struct):
-    """What is read of a mapping file."""
-
-    format: Literal[1]
-    joints: dict[str, str | None]
-    spine: list[str] = []
-    neck: list[str] = []
-
-
 def load_mapping(path: str | os.PathLike[str], character: Character) -> RigMapping:
     """Read a mapping for this character. `InputError` for an invalid one."""
-    document = read_json(path, "give a mapping as --save-mapping writes it")
-    try:
-        stored = msgspec.convert(document, _MappingFile)
-    except msgspec.ValidationError as error:
-        raise InputError(path, f"is not a mapping: {shown(str(error), 200)}", _ADVICE) from None
+    stored = read_joint_map(path)
     nodes = {key: node for node, key in enumerate(node_keys(character))}
 
     def find(key: str) -> int:
         if key not in nodes:
-            raise InputError(path, f"names {shown(key)}, which {character.path.name} does not have", _ADVICE)
+            raise InputError(path, f"names {shown(key)}, which {character.path.name} does not have", ADVICE)
         return nodes[key]
 
-    unknown = [name for name in stored.joints if name not in SINGLE]
-    if unknown:
-        raise InputError(path, f"has unknown joints {shown(', '.join(unknown), 100)}", _ADVICE)
     joints = {name: find(key) for name, key in stored.joints.items() if key is not None}
     return RigMapping(joints, tuple(map(find, stored.spine)), tuple(map(find, stored.neck)), given=True)
 

@@ -35,7 +35,7 @@ from interpreters.base import BlockFeatures, Interpreter, select
 
 if TYPE_CHECKING:
     from gesticulator.sampling.cutter import BlockCutter
-    from interpreters.planner import UnitDecision
+    from interpreters.units import UnitDecision
 
 OnBlock = Callable[[int, int], None]
 """Called after each block with the number of finished blocks and the total."""

@@ -26,10 +26,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_module.motion.kinematics import fade_weights
-from data_module.motion.movement import PAST, Pasts
+from data_module.motion.movement import Pasts
+from data_module.motion.movement_run import PAST
 from data_module.motion.skeletons import CHARACTERS
 from data_module.types import Array
-from generator.flow import Circumstances, FlowGenerator, FlowInputs, alone
+from generator.flow import FlowGenerator, FlowInputs
+from generator.flow_run import Circumstances, alone
 from gesticulator.body.life import SIDES
 from gesticulator.bundle.features import CONTROL_WIDTH, Flags, SpeechBlock, body_columns
 from gesticulator.sampling.candidates import CandidateChooser, CandidateMotion
@@ -51,7 +53,8 @@ from gesticulator.sampling.loop import (
     tensor,
 )
 from interpreters.base import BlockFeatures
-from interpreters.planner import CLASSES, PHASES, UnitDecision, UnitStyleInterpreter
+from interpreters.planner import UnitStyleInterpreter
+from interpreters.units import CLASSES, PHASES, UnitDecision
 from lexicon.movement import MovementLexicon, MovementVqVae, basis_for, code_width
 
 if TYPE_CHECKING:
@@ -92,7 +95,7 @@ def movement_lexicon(settings: LexiconConfig, frames: int, parts: Mapping[str, t
 
 def generator(sizes: Sizes) -> FlowGenerator:
     """The generator of RG 5.2 with a head that samples by conditional flow matching (`generator.flow`)."""
-    from generator.model import GeneratorWidths
+    from generator.settings import GeneratorWidths
 
     config = sizes.config
     widths = GeneratorWidths(sizes.frames, sizes.motion, sizes.low, codebook_shape(config)[1], CONTROL_WIDTH,
@@ -312,7 +315,7 @@ LIVELY_NOISE = 0.08
 WAXING = 0.8
 """Deviation of the style codes' own rise and fall over seconds."""
 LIVELINESS = (1.0, 0.5, 0.5, 0.0)
-"""The direction of a style code (`interpreters.planner.CODE`) in which gestures become livelier."""
+"""The direction of a style code (`interpreters.units.CODE`) in which gestures become livelier."""
 _OUTWARDS = (0.0, 0.0, 0.0, 1.0)
 """The direction of a style code in which hands are farther from the body."""
 FAST_STEPS = 2
@@ -392,8 +395,8 @@ class FlowSampler:
         before, duration, _ = torch.tensor(speech.durations, dtype=torch.float32, device=self.device)
         pasts = Pasts(past[:, -PAST:], (duration / before)[None])
         base = basis.base(pasts)
-        where, place = state.place.step(speech.durations, speech.silent)
-        where = where.to(self.device)
+        at, place = state.place.step(speech.durations, speech.silent)
+        where = torch.as_tensor(at, device=self.device)
         if speech.foreseen and self.generator.config.after_dropout:
             where = alone(where)
         style, style_state = self._style(state.style, block)
@@ -480,7 +483,7 @@ class FlowSampler:
         features, none = block.features, self.generator.lexemes
         control = features.control
         gains = {"audio": AUDIO_GUIDANCE, "lexeme": LEXEME_GUIDANCE}
-        row = None if block.unit is None or not self.generator.unit_width else block.unit.row.to(self.device)
+        row = None if block.unit is None or not self.generator.unit_width else torch.as_tensor(block.unit.row)
         if row is not None:
             gains["unit"] = UNIT_GUIDANCE
         if control is not None:

@@ -93,7 +93,8 @@ def lexicon(sizes: Sizes) -> Lexicon:
 
 def generator(sizes: Sizes) -> Generator:
     """G, E_M, E_A and, in training, a style code for each block (RG 5.2, 5.3, Eq. 5 to 14)."""
-    from generator.model import Generator, GeneratorWidths
+    from generator.model import Generator
+    from generator.settings import GeneratorWidths
 
     config = sizes.config
     widths = GeneratorWidths(sizes.frames, sizes.motion, sizes.low, codebook_shape(config)[1], CONTROL_WIDTH)

@@ -23,11 +23,11 @@ from gesticulator.training.stages.lexicon import LABELS, TOKENS, model_sizes
 from gesticulator.training.stages.q_network import EPISODES, recorded_episodes
 from gesticulator.training.stages.reward import REWARD, TAUGHT_REWARD
 from gesticulator.training.stages.speech import CORPUS
-from interpreters.advantage import CRITICS, GAMMA, Critics
+from interpreters.advantage import Critics
 from interpreters.episodes import Episode
 from interpreters.lstm import LstmInterpreter
 from interpreters.reward_table import Centred, EnsembleReward
-from interpreters.settings import CriticConfig
+from interpreters.settings import CRITICS, GAMMA, CriticConfig
 
 Array = NDArray[np.float32]
 _CHECKED = 2_000

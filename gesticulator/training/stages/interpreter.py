@@ -94,7 +94,8 @@ def teacher_logits(model: LstmInterpreter, corpus: Corpus, blocks: NDArray[np.in
     # Other words than those of the blocks measure how much the words matter.
     text = corpus.text((blocks if words is None else words)[1:])[None] if model.config.reads else None
     # The first block is the seed: it is given, and has no score.
-    pose = pose_of(*corpus.before(blocks[1:]))[None] if model.config.pose_features else None
+    past, durations = corpus.before(blocks[1:])
+    pose = torch.cat(pose_of(past, durations.to(past).T[..., None]), -1)[None] if model.config.pose_features else None
     who = torch.tensor([int(corpus.speaker_of[corpus.recording[blocks[0]]])])
     speaker = functional.one_hot(who, model.speakers).float()
     logits, _ = model.scores(previous, corpus.high[rows].float()[None], speaker, None, text, pose=pose)

@@ -2,6 +2,8 @@
 
 `meanings.csv` lists the labels ("point_there") with the words and phrases that call for them in English, German and
 Spanish; `licensed_clips.csv` lists clips of strokes and of free motion with their label and their phases in seconds.
+`words.toml` has the English words that ask for other strokes, and the beat strokes that any stressed syllable may take;
+their names are those of `data/strokes`, and a performer without a stroke takes the next name.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from pathlib import Path
 
 from gesticulator.directing.meaning_cues import meaning_cues
 from gesticulator_performer.syllables import is_function_word
-from gesticulator_performer.tables import complete_rows
+from gesticulator_performer.tables import complete_rows, table
 
 LANGUAGES = ("en", "de", "es")
 MEANINGS, CLIPS = "meanings.csv", "licensed_clips.csv"
@@ -34,6 +36,23 @@ _COMMON_WORDS = {
     "es": "yo mi tú usted tu nosotros todos no nada aquí allí sí pero también",
 }
 _COMMON_OF = {language: frozenset(words.split()) for language, words in _COMMON_WORDS.items()}
+LOW, MID, HIGH = "low", "mid", "high"
+BEATS: dict[str, tuple[str, ...]] = {
+    LOW: ("BeatLow", "BeatFlip", "BeatFistMid"),
+    MID: ("BeatMid", "BeatForward", "BeatPointMid", "BeatFistMid"),
+    HIGH: ("BeatHigh", "Chop", "BeatForward"),
+}
+"""Lexemes of beats by prominence of the syllable."""
+
+_TABLE = table("words.toml")
+# Groups of strokes with one meaning, best first.
+_STROKES: dict[str, tuple[str, ...]] = {
+    name: tuple(group["strokes"].split()) for name, group in _TABLE["lexemes"].items()}
+# Words so common that a stroke on them is rare.
+_SELDOM = frozenset(_TABLE["common"]["words"].split())
+_ASKING = {tuple(phrase.split()): _STROKES[name] for phrase, name in _TABLE["phrases"].items()}
+_LOOKUP = {word: _STROKES[name] for name, group in _TABLE["lexemes"].items() for word in group["words"].split()}
+_LONGEST_PHRASE = max(map(len, _ASKING))
 
 
 @dataclass(frozen=True)
@@ -65,26 +84,13 @@ class Cues:
     labels with their chances; clips: by file stem; wanted: all labels.
 
     detected: whether the detector of the product (`gesticulator.directing.meaning_cues`) calls for the labels that it
-    knows: it reads phrases with their guards, and does not fire on idioms, homonyms and negations. Then two gestures
-    with a meaning are at least `apart` seconds apart, and a label does not come again within `again` seconds.
+    knows: it reads phrases with their guards, and does not fire on idioms, homonyms and negations.
     """
 
     phrases: Mapping[str, Mapping[tuple[str, ...], Mapping[str, float]]]
     clips: Mapping[str, MeantClip]
     wanted: frozenset[str] = frozenset()
     detected: bool = False
-
-    @property
-    def apart(self) -> float:
-        return 3.0 if self.detected else 0.0
-
-    @property
-    def again(self) -> float:
-        return 20.0 if self.detected else 0.0
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        return tuple(sorted({clip.label for clip in self.clips.values()}))
 
     def asked(self, words: Sequence[str], language: str = "en", pauses: Sequence[float] = ()) -> dict[int, Asked]:
         """What the words of a speech ask for, by index. At each place the longest phrase counts; its last content word
@@ -160,3 +166,40 @@ def _phrases(rows: Mapping[str, Mapping[str, str]], language: str) -> dict[tuple
                 emotional = "emotion" in row["category"].split(";")
                 weights.setdefault(words, {})[label] = _EMOTIONAL if emotional else 1.0
     return {words: {label: weight / sum(of.values()) for label, weight in of.items()} for words, of in weights.items()}
+
+
+def lexemes_of(words: Sequence[str], index: int) -> tuple[tuple[str, ...], float]:
+    """Candidate lexemes for the word at `index`, best first, and the weight of the request (0 to 1). Phrases take
+    precedence over words; the last word of a phrase carries its stroke. ((), 0) for other words."""
+    for length in range(min(_LONGEST_PHRASE, index + 1), 1, -1):
+        phrase = tuple(plain(word) for word in words[index - length + 1:index + 1])
+        if phrase in _ASKING:
+            return _ASKING[phrase], 1.0
+    word = plain(words[index])
+    if word in _LOOKUP:
+        return _LOOKUP[word], 0.35 if word in _SELDOM else 1.0
+    return (), 0.0
+
+
+def beat_level(prominence: float) -> str:
+    """Level of the beats for a syllable of this prominence: low, mid or high."""
+    if prominence < 0.35:
+        return LOW
+    return MID if prominence < 1.1 else HIGH
+
+
+MOVEMENTS: dict[str, tuple[tuple[str, ...], ...]] = {
+    movement: tuple(_STROKES[name] for name in names.split()) for movement, names in {
+        "large": "big all", "small": "small", "self": "me", "forward": "you there give", "left": "left",
+        "right": "right", "sideways": "negate no"}.items()}
+"""Movement feature that a word can ask for, in the order of `talks.features_of` -> the lexemes that ask for it."""
+
+
+def movements_of(words: Sequence[str]) -> list[int]:
+    """For each word the index of its feature in `MOVEMENTS`, -1 for none and for words that are too common."""
+    out = []
+    for index in range(len(words)):
+        lexemes, strength = lexemes_of(words, index)
+        kinds = [kind for kind, known in enumerate(MOVEMENTS.values()) if lexemes in known]
+        out.append(kinds[0] if kinds and strength == 1.0 else -1)
+    return out

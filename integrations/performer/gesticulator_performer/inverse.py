@@ -1,7 +1,8 @@
 """Synthesise speech for recorded motion: stressed vowels fall on motion beats, phrases and pauses follow the motion.
 
 The motion is a real person's. It is cut into phrases at its rests; for each of them the best phrase of a pool is
-aligned with the motion beats, and its sound is stretched so that vowels and beats coincide.
+aligned with the motion beats, and its sound is stretched so that vowels and beats coincide. The pool of a voice holds
+the time of every vowel.
 """
 
 from __future__ import annotations
@@ -15,16 +16,20 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from data_module.motion.motion_beats import beats_of_speed
-from data_module.types import Array, Speech, Word
-from gesticulator_performer import voices
-from gesticulator_performer.sentence_pool import Pool, stretched
+from data_module.types import Array, Samples, Speech, Word
+from gesticulator_performer import cues, text, voices
+from gesticulator_performer.joints import FPS
 from gesticulator_performer.sound import RATE, Sounded, decibels, recorded, with_tilt
-from gesticulator_performer.syllables import Nucleus, listen
+from gesticulator_performer.syllables import Nucleus, Phrase, Spoken, listen
 from gesticulator_performer.takes import WRISTS, arms_speed
 from gesticulator_performer.text import Part
-from gesticulator_performer.torso import FPS
-from gesticulator_performer.types import Phrase, Spoken
 
+_LEAST_LETTERS, _LONGEST_LETTERS = 6, 70
+# Probability that a phrase is joined with the next of its sentence, because motion has phrases of up to 6 s.
+_JOINED = 0.55
+# Silence between the phrases while their prominence is measured, seconds.
+_PAUSE = 0.3
+NO_VOWEL = np.inf
 SLOWEST, FASTEST = 0.80, 1.25
 """Bounds of the playing rate of a phrase, relative to the voice's own rate."""
 # Delay of the vowel after the motion beat, seconds: mean, standard deviation, and the largest deviation.
@@ -55,10 +60,94 @@ _MOVED_SHARE, _MOVED = 0.4, (0.35, 0.9)
 # Effort = .3 tanh(.55 (local + global energy)) + .6 noise; energy is the z-score of the phrase's mean log speed. Size
 # goes with effort mildly: two of three real speakers show no correlation of loudness with hand speed.
 _EFFORT_OF_ENERGY, _EFFORT_NOISE = 0.3, 0.6
+# Mean and spread of the mean log speed of the stretches of all takes, as measured; 0.2 is added to the spread so that
+# the variation within a talk counts more.
+_ENERGY, _ENERGY_SPREAD = 0.41, 0.66
 # Effort that hands carried a standard deviation and more above the talk's mean add, at full strength of that link.
 _EFFORT_OF_CARRIAGE = 0.5
 # DB of loudness per unit of local log speed.
 _BESIDE = 0.25
+
+
+@dataclass(frozen=True)
+class Pool:
+    """The phrases of a voice. texts: [B]; durations: [B] seconds; vowels: [B, I] seconds of vowel onsets from each
+    phrase's first sample, infinite beyond the last; prominence: [B, I]; asks: [B, I] index in `cues.MOVEMENTS` of
+    the movement that the vowel's word asks for, -1 for none; level: the RMS over all phrases."""
+
+    voice: str
+    texts: tuple[str, ...]
+    durations: Array
+    vowels: Array
+    prominence: Array
+    asks: Array
+    level: float
+
+
+def phrase_texts(rng: np.random.Generator, count: int, split: str, used: set[str]) -> tuple[str, ...]:
+    """`count` new phrases of the grammar, some of them joined; none is in `used`, to which they are added."""
+    phrases: list[str] = []
+    while len(phrases) < count:
+        for utterance in text.compose(rng, 60.0, split, used):
+            waiting = ""
+            for place, part in enumerate(utterance.parts):
+                waiting = f"{waiting} {part.text}".strip()
+                goes_on = len(waiting) < _LONGEST_LETTERS and rng.random() < _JOINED
+                if goes_on and place < len(utterance.parts) - 1:
+                    continue
+                if len(waiting) >= _LEAST_LETTERS and waiting not in used:
+                    phrases.append(waiting)
+                    used.add(waiting)
+                waiting = ""
+    return tuple(phrases[:count])
+
+
+def make_pool(voice: str, texts: Sequence[str]) -> Pool:
+    spoken = voices.sound_all([text.Part(one, 0.0, _PAUSE) for one in texts], voices.VOICES[voice])
+    gap = np.zeros(round(_PAUSE * RATE), dtype=np.float32)
+    offset, pieces = 0, []
+    nuclei: list[Nucleus] = []
+    phrases: list[Phrase] = []
+    words: list[Word] = []
+    for one in spoken:
+        at = offset / RATE
+        nuclei += [replace(n, start=n.start + at, vowel=n.vowel + at, end=n.end + at, word=n.word + len(words))
+                   for n in voices.nuclei_of(one.phones)]
+        words += [replace(w, start=w.start + at, end=w.end + at) for w in one.words]
+        phrases.append(Phrase(at, at + len(one.samples) / RATE, 0.0))
+        pieces += [one.samples, gap]
+        offset += len(one.samples) + len(gap)
+    speech = Speech(np.concatenate(pieces), RATE, tuple(words))
+    syllables = listen(speech, phrases, nuclei, "en")
+    counts = [len(voices.nuclei_of(one.phones)) for one in spoken]
+    starts = np.cumsum([0, *counts])
+    first_words = np.cumsum([0, *(len(one.words) for one in spoken)])
+    shape = (len(spoken), max(counts))
+    vowels, prominence, asks = np.full(shape, NO_VOWEL), np.zeros(shape), np.full(shape, -1)
+    for k, (one, phrase) in enumerate(zip(spoken, phrases, strict=True)):
+        inside = syllables[starts[k]:starts[k + 1]]
+        vowels[k, :len(inside)] = [s.vowel - phrase.start for s in inside]
+        prominence[k, :len(inside)] = [s.prominence for s in inside]
+        wanted = cues.movements_of([w.text for w in one.words])
+        for place, syllable in enumerate(inside):
+            best = max(s.prominence for s in inside if s.word == syllable.word)
+            if syllable.prominence == best:
+                asks[k, place] = wanted[syllable.word - first_words[k]]
+    level = float(np.sqrt(np.mean(np.concatenate([one.samples for one in spoken]) ** 2))) + 1e-9
+    return Pool(voice, tuple(texts), np.array([len(one.samples) / RATE for one in spoken]), vowels, prominence,
+                asks, level)
+
+
+def stretched(samples: Samples, anchors: Array) -> Samples:
+    """Time-stretch samples at 16 kHz with the pitch unchanged: WSOLA with windows of 40 ms. anchors: [K, 2] seconds in
+    and out, rising in both columns, the first (0, 0), the last at the end of the samples."""
+    import pytsmod
+
+    marks = np.round(anchors.T * RATE).astype(int)
+    marks[0, -1] = min(marks[0, -1], len(samples) - 1)
+    keep = np.concatenate([[True], (np.diff(marks) > 0).all(axis=0)])
+    out = pytsmod.wsola(samples.astype(np.float64), marks[:, keep], win_size=640, syn_hop_size=320, tolerance=200)
+    return np.asarray(out, dtype=np.float32).ravel()[:marks[1, -1]]
 
 
 @dataclass(frozen=True)
@@ -72,7 +161,7 @@ class Window:
 @dataclass(frozen=True)
 class Wanted:
     """The requirements of a window on its phrase. beats: [n] seconds, rising, at which vowels should fall; strength:
-    [n]; movement: [n, M] z-scores of the features of motion (`meaning.MOVEMENTS`) at each beat."""
+    [n]; movement: [n, M] z-scores of the features of motion (`cues.MOVEMENTS`) at each beat."""
 
     window: Window
     beats: Array
@@ -100,32 +189,24 @@ class Match:
     beats: int
 
 
-@dataclass(frozen=True)
-class Energy:
-    """Mean and standard deviation of mean log speed over the takes, for the global part of effort."""
-
-    mean: float
-    spread: float
-
-
 def log_speed(speed: Array) -> Array:
     """[T] log of the arms' speed smoothed over 0.1 s, with a floor of 0.1 m/s."""
     return np.log(gaussian_filter1d(speed, 0.1 * FPS, mode="nearest") + 0.1)
 
 
-def speech_for(places: Array, pool: Pool, energy: Energy, movements: Array,
+def speech_for(places: Array, pool: Pool, movements: Array,
                rng: np.random.Generator) -> Spoken:
     """Speech for the joint positions [T, 16, 3] (60 fps, facing frame) of a talk. movements: [T, M] z-score of each of
-    `meaning.MOVEMENTS` at each frame. InputError comes from the voice's program. Same arguments and generator state,
+    `cues.MOVEMENTS` at each frame. InputError comes from the voice's program. Same arguments and generator state,
     same bytes."""
     speed = arms_speed(places)
     windows = phrase_windows(speed, rng)
     beats = beats_of_speed(speed, FPS)
     strength = _strengths(speed, beats)
     targets = beats + np.clip(rng.normal(_LEAD, _LOOSENESS, len(beats)), _LEAD - _LOOSEST, _LEAD + _LOOSEST)
-    efforts = _efforts(log_speed(speed), windows, energy, _carried(places), rng)
+    efforts = _efforts(log_speed(speed), windows, _carried(places), rng)
     features = movements[np.minimum((beats * FPS).astype(int) + 6, len(movements) - 1)]
-    free = np.ones(len(pool), dtype=bool)
+    free = np.ones(len(pool.texts), dtype=bool)
     laid: list[tuple[Match, Sounded, float]] = []
     for window, effort in zip(windows, efforts, strict=True):
         near = np.flatnonzero((targets > window.start + 0.02) & (targets < window.end + 0.05))
@@ -209,14 +290,14 @@ def _means(track: Array, windows: Sequence[Window]) -> Array:
                      for w in windows])
 
 
-def _efforts(level: Array, windows: Sequence[Window], energy: Energy, carried: Array,
+def _efforts(level: Array, windows: Sequence[Window], carried: Array,
              rng: np.random.Generator) -> list[float]:
     """The effort of each window, -1 to 1, from the energy of its motion, and from how its hands are `carried` [T]."""
     if not windows:
         return []
     means = _means(level, windows)
     local = (means - means.mean()) / (means.std() + 1e-6)
-    whole = (means - energy.mean) / energy.spread
+    whole = (means - _ENERGY) / _ENERGY_SPREAD
     effort = _EFFORT_OF_ENERGY * np.tanh(0.55 * (local + whole))
     effort = effort + rng.normal(0.0, _EFFORT_NOISE, len(means))
     effort = effort + _EFFORT_OF_CARRIAGE * np.tanh(_means(carried, windows))
@@ -239,7 +320,7 @@ def _best(pool: Pool, free: NDArray[np.bool_], wanted: Wanted, rng: np.random.Ge
 
 
 def rewards(pool: Pool, chosen: NDArray[np.int64], wanted: Wanted) -> Array:
-    """[B, I, n] the reward for each vowel on each beat: stress on strong beats, words on motion of their meaning."""
+    """[B, I, n] the reward for each vowel on each beat: stress on strong beats, words on motion of their cues."""
     stress = 0.8 + _STRESS_REWARD * np.clip(pool.prominence[chosen], -1.2, 2.0)
     asks = pool.asks[chosen]
     fits = np.where(asks >= 0, 1.0, 0.0)[..., None] * wanted.movement.T[np.maximum(asks, 0)]

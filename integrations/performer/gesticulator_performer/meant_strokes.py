@@ -3,6 +3,10 @@
 A clip that is listed with a label shows that gesture. A performer without a stroke of a label borrows the strokes of
 all who have some. Some labels exist only in clips of free motion, or in clips that are no strokes to speak with (a hand
 at the chin); those are made into short strokes here.
+
+Skeletons of different makers differ in the pose that identity rotations mean: some hold the arms level, some half down.
+A bone of the borrower is turned so that it points where the lender's does. With B the rotation of the bind pose of a
+joint from borrower to lender and p its parent, the local rotation q becomes B_p^-1 q B.
 """
 
 from __future__ import annotations
@@ -11,37 +15,120 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from data_module.errors import InputError
+from data_module.motion import rotation
 from data_module.motion.bvh import read_bvh
-from data_module.types import Motion
-from gesticulator_performer.cues import CLIPS, Cues, MeantClip, read_cues
-from gesticulator_performer.lending import lent
-from gesticulator_performer.repertoire import Repertoire
-from gesticulator_performer.strokes import (
-    PerformerBody,
-    Stroke,
-    StrokeSet,
-    measured_stroke,
-    mirror,
-    standing_body,
-)
+from data_module.types import Array, Motion, Skeleton
+from gesticulator_performer import strokes as performed
+from gesticulator_performer.cues import Cues, MeantClip, read_cues
+from gesticulator_performer.strokes import SIDES, PerformerBody, Stroke, StrokeSet, mirror
+from gesticulator_performer.tables import read_clips, table
 
+if TYPE_CHECKING:
+    from gesticulator_performer.repertoire import Repertoire
+
+_NONE = np.array([1.0, 0.0, 0.0, 0.0])
+LENDER = "pn"
+_LEXEMES = table("clips.toml")["borrowed"]
 FOLDER = "meaning"
-# Whose clips of free motion are made into strokes.
-_PEOPLE = ("rocketbox_f", "rocketbox_m")
+_CLIPS = table("clips.toml")["meanings"]
 # Seconds from the start of such a stroke to its beat, to the end of its hold and to its end, at most: some clap for a
 # quarter of a minute.
 _LONGEST_PREPARATION, _LONGEST_HOLD, _RETRACTION = 1.2, 0.9, 0.7
-# Labels that are lent with the head's motion.
-_HEAD = frozenset({"nod", "head_shake"})
-# Labels in which a hand touches the head or the other hand.
-_FAITHFUL = frozenset({"chin_think", "head_scratch", "clap"})
-# Clips of people who listen for long and whose hands move for another reason; wild clips; a hand on the hip.
-_UNFIT = frozenset({"m_gestic_listen_accept_05", "f_gestic_listen_deny_05", "m_gestic_listen_deny_06", "f_wave_02",
-                    "f_cheer_02", "brad_Idle01_Think01"})
+
+
+def lent(stroke: Stroke, lender: PerformerBody, borrower: PerformerBody, head: bool = False, trunk: bool = False
+         ) -> Stroke:
+    """The stroke of a lender for a borrower: the arms' joints of the same name point where the lender's do. Joints that
+    the lender lacks and the trunk stay at rest; with `head` the neck and the head move as the lender's, with `trunk`
+    the spine, too."""
+    arms = np.stack([_arm(stroke.arms[side], side, lender, borrower) for side in (0, 1)])
+    turns = np.zeros((stroke.trunk.shape[0], len(borrower.trunk), 3))
+    theirs = [lender.skeleton.names[j] for j in lender.trunk]
+    for place, joint in enumerate(borrower.trunk):
+        name = borrower.skeleton.names[joint]
+        if name in theirs and (trunk or (head and name.startswith(("Neck", "Head")))):
+            turns[:, place] = stroke.trunk[:, theirs.index(name)]
+    return replace(stroke, speaker=borrower.name, arms=arms, trunk=turns, _splines={})
+
+
+def _arm(logs: Array, side: int, lender: PerformerBody, borrower: PerformerBody) -> Array:
+    """Log rotations [T, A, 3] against the borrower's rest from the lender's [T, B, 3] against theirs."""
+    theirs = [lender.skeleton.names[j] for j in lender.arms[side]]
+    joints = [j for j in borrower.arms[side] if borrower.skeleton.names[j] in theirs]
+    of = [theirs.index(borrower.skeleton.names[j]) for j in joints]
+    binds = bind_differences(lender.skeleton, borrower.skeleton, SIDES[side])
+    own = np.stack([binds.get(j, _NONE) for j in joints])
+    parents = np.stack([binds.get(borrower.skeleton.parents[j], _NONE) for j in joints])
+    before = rotation.multiply(rotation.conjugate(borrower.rest[joints]), rotation.conjugate(parents))
+    before = rotation.multiply(before, lender.rest[[lender.arms[side][k] for k in of]])
+    local = rotation.multiply(rotation.multiply(before[None], rotation.from_exponential_map(logs[:, of])), own[None])
+    out = np.zeros((len(logs), len(borrower.arms[side]), 3))
+    out[:, [borrower.arms[side].index(j) for j in joints]] = rotation.unroll(rotation.to_exponential_map(local))
+    return out
+
+
+def bind_differences(lender: Skeleton, borrower: Skeleton, side: str) -> dict[int, Array]:
+    """Joint of the borrower -> quaternion that turns its bone in the bind pose to the lender's, for one arm. The hand's
+    holds for its fingers; a clavicle and joints without the needed children have none."""
+    there = {side + name for name in ("Arm", "ForeArm", "Hand", "HandMiddle1", "HandIndex1")}
+    there &= set(lender.names) & set(borrower.names)
+    out: dict[int, Array] = {}
+    for name, end in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("Hand", "HandMiddle1")):
+        if side + end in there:
+            ours, theirs = (skeleton.offsets[skeleton.index(side + end)] for skeleton in (borrower, lender))
+            out[borrower.index(side + name)] = rotation.between(ours, theirs)
+    if {f"{side}HandMiddle1", f"{side}HandIndex1"} <= there:
+        out |= dict.fromkeys([j for j, name in enumerate(borrower.names) if name.startswith(f"{side}Hand")],
+                             _hand(lender, borrower, side, out[borrower.index(f"{side}Hand")]))
+    return out
+
+
+def _hand(lender: Skeleton, borrower: Skeleton, side: str, turn: Array) -> Array:
+    """`turn` of the middle finger, and then about it, so that the index fingers are on the same side of it."""
+    axis = lender.offsets[lender.index(f"{side}HandMiddle1")]
+    axis = axis / np.linalg.norm(axis)
+    ours = rotation.rotate(turn, borrower.offsets[borrower.index(f"{side}HandIndex1")])
+    theirs = lender.offsets[lender.index(f"{side}HandIndex1")]
+    across = [vector - float(vector @ axis) * axis for vector in (ours, theirs)]
+    return rotation.multiply(rotation.between(*across), turn)
+
+
+def lexemes_of_clip(stem: str) -> tuple[str, ...]:
+    """Lexemes of a clip by its file's stem ("pn_bigger_intense2"); () for one that is no stroke ("pn_idle")."""
+    return tuple(_LEXEMES.get(stem.removeprefix(LENDER + "_").rstrip("0123456789").removesuffix("_intense"), ()))
+
+
+def load_borrowed(folder: str | Path) -> tuple[PerformerBody, tuple[Stroke, ...]]:
+    rows = [row for row in read_clips(folder, {"file", "person", "emphasis"}) if row["person"] == LENDER]
+    chosen = [{"file": row["file"], "speaker": LENDER, "posture": "", "hand": "", "emphasis": row["emphasis"] or "1.0",
+               "lexeme": lexemes_of_clip(Path(row["file"]).stem)[0]}
+              for row in rows if lexemes_of_clip(Path(row["file"]).stem)]
+    if not chosen:
+        raise InputError(Path(folder) / "manifest.csv", f"names no stroke of {LENDER}",
+                         "take the manifest that came with the clips")
+    figure, strokes = performed.speaker_strokes(Path(folder), LENDER, chosen)
+    held_out = performed.held_out_keys((LENDER, stroke.base) for stroke in strokes)
+    return figure, tuple(replace(stroke, held_out=(LENDER, stroke.base) in held_out) for stroke in strokes)
+
+
+def with_borrowed(strokes: StrokeSet, lender: PerformerBody, borrowed: Sequence[Stroke]) -> StrokeSet:
+    """Add a lender's strokes for every performer, as `lent`. A lexeme takes the first of its names that the
+    performer knows."""
+    out = list(strokes.strokes)
+    for performer in strokes.performers:
+        known = {stroke.lexeme for stroke in strokes.of(performer, "test")}
+        for stroke in borrowed:
+            # A mirror image has its own lexeme already ("YouLeft" becomes "YouRight").
+            wanted = [stroke.lexeme, *lexemes_of_clip(stroke.base)[1:]]
+            usual = "BeatMid" if "BeatMid" in known else stroke.lexeme
+            lexeme = next((name for name in wanted if name in known), usual)
+            out.append(replace(lent(stroke, lender, strokes.figures[performer]), lexeme=lexeme))
+    return StrokeSet(tuple(out), strokes.figures)
 
 
 def with_meanings(strokes: StrokeSet, source: Path) -> StrokeSet:
@@ -57,7 +144,7 @@ def with_meanings(strokes: StrokeSet, source: Path) -> StrokeSet:
         known = {stroke.meaning for stroke in own if stroke.speaker == performer} | {""}
         # A label that is made of further clips may be the performer's own.
         foreign = [stroke for stroke in own if stroke.speaker != performer]
-        out += [lent(stroke, bodies[stroke.speaker], bodies[performer], stroke.meaning in _HEAD)
+        out += [lent(stroke, bodies[stroke.speaker], bodies[performer], stroke.meaning in _CLIPS["head"])
                 for stroke in (*further, *foreign) if stroke.meaning not in known]
     return replace(strokes, strokes=_playable(out), cues=cues)
 
@@ -74,23 +161,21 @@ def _labelled(stroke: Stroke, cues: Cues) -> Stroke:
     if clip is None:
         return stroke
     if stroke.clip == stroke.base:
-        return replace(stroke, meaning=clip.label, faithful=clip.label in _FAITHFUL)
+        return replace(stroke, meaning=clip.label, faithful=clip.label in _CLIPS["faithful"])
     return replace(stroke, meaning=mirror(replace(stroke, meaning=clip.label)).meaning,
-                   faithful=clip.label in _FAITHFUL)
+                   faithful=clip.label in _CLIPS["faithful"])
 
 
 def _further_clips(source: Path, cues: Cues, strokes: StrokeSet) -> list[tuple[MeantClip, Motion]]:
-    """The clips with phases that are no strokes yet: those of `_PEOPLE`, and those of labels that have none."""
+    """The clips with phases that are no strokes yet: those of the listed people, and those of labels that have none."""
     known = {stroke.base for stroke in strokes.strokes}
     there = {clip.label for clip in cues.clips.values() if clip.stem in known}
     folders = {folder for folder in ("strokes", "free_motion") if (source / folder / "manifest.csv").is_file()}
     out = []
     for clip in cues.clips.values():
-        able = clip.person in _PEOPLE or (clip.label not in there and clip.person in strokes.figures)
-        if clip.phases and able and clip.stem not in known | _UNFIT and Path(clip.file).parts[0] in folders:
-            if not (source / clip.file).is_file():
-                raise InputError(source / clip.file, f"does not exist, but {CLIPS} lists it",
-                                 "take the clips that came with the tables")
+        able = clip.person in _CLIPS["people"] or (clip.label not in there and clip.person in strokes.figures)
+        fit = able and clip.stem not in known.union(_CLIPS["unfit"])
+        if clip.phases and fit and Path(clip.file).parts[0] in folders:
             out.append((clip, read_bvh(source / clip.file, unit=1.0)))
     return out
 
@@ -98,9 +183,9 @@ def _further_clips(source: Path, cues: Cues, strokes: StrokeSet) -> list[tuple[M
 def _lenders(clips: Iterable[tuple[MeantClip, Motion]]) -> dict[str, PerformerBody]:
     motions: dict[str, list[Motion]] = defaultdict(list)
     for clip, motion in clips:
-        if clip.person in _PEOPLE:
+        if clip.person in _CLIPS["people"]:
             motions[clip.person].append(motion)
-    return {person: standing_body(person, own) for person, own in motions.items()}
+    return {person: performed.standing_body(person, own) for person, own in motions.items()}
 
 
 def _made(bodies: dict[str, PerformerBody], clip: MeantClip, motion: Motion) -> list[Stroke]:
@@ -110,13 +195,13 @@ def _made(bodies: dict[str, PerformerBody], clip: MeantClip, motion: Motion) -> 
     row = {"file": clip.file, "speaker": figure.name, "posture": "", "lexeme": clip.label.title().replace("_", ""),
            "emphasis": str(emphasis)}
     listed = (max(0.0, ready - 0.5), emphasis, max(end, emphasis + 0.1), max(relax, end) + 0.5)
-    stroke = measured_stroke(figure, row, motion.rotations, motion.fps, listed)
+    stroke = performed.measured_stroke(figure, row, motion.rotations, motion.fps, listed)
     if stroke is None:
         return []
     hold_end = min(stroke.hold_end, stroke.beat + _LONGEST_HOLD)
     stroke = replace(stroke, start=max(stroke.start, stroke.beat - _LONGEST_PREPARATION), hold_end=hold_end,
                      end=min(stroke.end, hold_end + _RETRACTION), meaning=clip.label,
-                     faithful=clip.label in _FAITHFUL, steady=True)
+                     faithful=clip.label in _CLIPS["faithful"], steady=True)
     stroke = _cut(stroke)
     return [stroke, mirror(stroke)]
 

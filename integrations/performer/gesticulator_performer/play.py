@@ -22,26 +22,14 @@ from data_module.motion.kinematics import minimum_jerk, quintic_offset
 from data_module.motion.motion_beats import acting_speed, beats_of_speed
 from data_module.types import Array, Motion
 from gesticulator_performer import plan as planning
-from gesticulator_performer.carriage import carriage
-from gesticulator_performer.hands import Levels, Manner, PhraseHands, waiting_levels
-from gesticulator_performer.plan import BRAKE, Casting, Habits, Planned
+from gesticulator_performer import trunk as living
+from gesticulator_performer.joints import FPS, TORSO_RADIUS, capsule_depth
+from gesticulator_performer.plan import BRAKE, Casting, Habits, Levels, Manner, PhraseHands, Planned, waiting_levels
 from gesticulator_performer.strokes import LEFT, RIGHT, SIDES, PerformerBody, StrokeSet
-from gesticulator_performer.styles import NEUTRAL, StyleTrack
+from gesticulator_performer.syllables import Spoken
 from gesticulator_performer.takes import MIRROR
-from gesticulator_performer.torso import FPS, TORSO_RADIUS, capsule_depth
-from gesticulator_performer.trunk import (
-    Segment,
-    idle_arms,
-    living_fingers,
-    pitch_accents,
-    postures,
-    spread,
-    sway,
-    trunk_track,
-    with_activity,
-    yaw_scale,
-)
-from gesticulator_performer.types import Spoken
+from gesticulator_performer.trunk import Segment
+from gesticulator_performer.voices import NEUTRAL, StyleTrack
 
 # Fitting the motion to its plan.
 # Most renderings of both arms that bring the measured beats to the planned ones.
@@ -196,7 +184,7 @@ def perform(spoken: Spoken, performer: str, strokes: StrokeSet, staging: Staging
     """Perform `spoken` with the body and the strokes of `performer`: 60 fps on the performer's skeleton.
 
     The hands act independently, and the trunk is a real person's. The result depends on the arguments and the state of
-    `rng` alone. Held-out strokes are played in the split "test" only. InputError for an unknown performer.
+    `rng` alone. Held-out strokes are played in the split "test" only.
     """
     casting = planning.cast(spoken, performer, staging.manner, staging.style, rng)
     planned = planning.plan(spoken, performer, strokes, casting, rng, split)
@@ -306,11 +294,11 @@ def _score(figure: PerformerBody, planned: tuple[Planned, ...], spoken: Spoken, 
     moving = lively * _in_speech(spoken, frames)
     drift = np.stack([_drift(figure, moving[side], manner.drift, frames, rng) for side in (LEFT, RIGHT)])
     joints = min(drift.shape[-1], 12)
-    drift[..., :joints] += (1.0 - lively)[..., None] * idle_arms(segments, frames, rng)[..., :joints]
+    drift[..., :joints] += (1.0 - lively)[..., None] * living.idle_arms(segments, frames, rng)[..., :joints]
     size = np.exp(casting.style.at(np.arange(frames) / FPS) @ _SMALL_OF_STYLE)
     calm = _calm(planned, frames)
     drift *= size[:, None]
-    carried = carriage(figure, spoken.phrases, spoken.syllables, frames, FPS)
+    carried = living.carriage(figure, spoken.phrases, spoken.syllables, frames, FPS)
     drift += lively[..., None] * carried.reshape(drift.shape)
     drift *= calm[..., None]
     wanted = manner.small_beats, planning.drives(spoken)
@@ -456,10 +444,10 @@ def _living_trunk(figure: PerformerBody, planned: tuple[Planned, ...], spoken: S
     names = [figure.skeleton.names[j] for j in figure.trunk]
     spines = [k for k, name in enumerate(names) if name.startswith("Spine")]
     skull = [k for k, name in enumerate(names) if name.startswith(("Neck", "Head"))]
-    track = trunk_track(segments, spoken, speaking, gain, rng)
-    track = with_activity(track, _activity(planned, frames))
-    hips, spine, head = spread(track, (1, len(spines), len(skull)))
-    posture = postures(frames, rng)
+    track = living.trunk_track(segments, spoken, speaking, gain, rng)
+    track = living.with_activity(track, _activity(planned, frames))
+    hips, spine, head = living.spread(track, (1, len(spines), len(skull)))
+    posture = living.postures(frames, rng)
     out = np.zeros((frames, len(figure.trunk), 3))
     out[:, 0] = hips
     out[:, spines] = (spine + posture[:, 0] / len(spines))[:, None]
@@ -467,11 +455,11 @@ def _living_trunk(figure: PerformerBody, planned: tuple[Planned, ...], spoken: S
     out[:, skull, 0] += (_NOD_GAIN * _nods(spoken, habits, frames, rng) / len(skull))[:, None]
     # The chest rises and falls about fifteen times a minute.
     out[:, spines[-1], 0] += np.radians(0.5) * np.sin(2.0 * np.pi * np.arange(frames) / FPS / 3.9)
-    out[:, spines] += (sway(frames, rng) * (1.0 - 0.7 * speaking)[:, None] / len(spines))[:, None]
-    out[:, spines] += (pitch_accents(spoken.syllables, frames, rng) / len(spines))[:, None]
+    out[:, spines] += (living.sway(frames, rng) * (1.0 - 0.7 * speaking)[:, None] / len(spines))[:, None]
+    out[:, spines] += (living.pitch_accents(spoken.syllables, frames, rng) / len(spines))[:, None]
     _add_bends_with_strokes(out, planned, (spines, skull), rng)
     _add_clips(out, planned)
-    out[..., 1] *= yaw_scale(out[..., 1].sum(axis=1))
+    out[..., 1] *= living.yaw_scale(out[..., 1].sum(axis=1))
     return out
 
 
@@ -725,7 +713,7 @@ def _assemble(score: _Score, arms: Array) -> Motion:
         rotations[:, joint] = _turned(figure.rest[joint], score.trunk[:, k])
     for side in (LEFT, RIGHT):
         logs = arms[side].reshape(score.frames, -1, 3)
-        logs = np.concatenate([logs[:, :_REACHING], living_fingers(logs[:, _REACHING:], side)], axis=1)
+        logs = np.concatenate([logs[:, :_REACHING], living.living_fingers(logs[:, _REACHING:], side)], axis=1)
         for k, joint in enumerate(figure.arms[side]):
             rotations[:, joint] = _turned(figure.rest[joint], logs[:, k])
     # The feet stay in place: the legs undo the turn of the hips, and the hips turn about the hip sockets.

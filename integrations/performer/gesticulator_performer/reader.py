@@ -1,7 +1,7 @@
 """The scripted performer as a data set: real motion combined with speech by rule.
 
 Part A ("motion"): continuous real motion with speech synthesised for it. Part B ("talk"): synthetic speech performed
-with real strokes by independent hands, over a real person's trunk. Part C ("style"): the same in audible styles. Real
+with real strokes by independent hands, over a real person's trunk. Part C ("style"): the same in audible voices. Real
 readings ("reading") are performed as B. Without the folder `free_motion` there are only B and C, over a trunk that
 sways by formula.
 
@@ -19,7 +19,8 @@ import functools
 import hashlib
 import importlib.util
 import os
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -34,18 +35,16 @@ from data_module.speech.audio import load_speech
 from data_module.store import Recording, RecordingInfo, Split
 from data_module.text.alignment import alignment
 from gesticulator.directing import meaning_cues
-from gesticulator_performer import play, styles, tables, text, voices
-from gesticulator_performer.hands import STEADY, draw_manner
-from gesticulator_performer.lending import load_borrowed, with_borrowed
-from gesticulator_performer.meant_strokes import with_meanings, with_repertoire
+from gesticulator_performer import play, tables, text, voices
+from gesticulator_performer.inverse import Pool, make_pool, phrase_texts
+from gesticulator_performer.meant_strokes import load_borrowed, with_borrowed, with_meanings, with_repertoire
+from gesticulator_performer.plan import STEADY, draw_manner
 from gesticulator_performer.repertoire import Repertoire, read_repertoire, write_takes
-from gesticulator_performer.sentence_pool import Pool, make_pool, phrase_texts
 from gesticulator_performer.strokes import StrokeSet, load_strokes, read_manifest
-from gesticulator_performer.syllables import find_syllables
+from gesticulator_performer.syllables import Spoken, find_syllables
 from gesticulator_performer.takes import Library, RealTake, list_takes, load_takes, split_of_takes
 from gesticulator_performer.talks import talk_for_motion
 from gesticulator_performer.trunk import Segment, trunk_segments
-from gesticulator_performer.types import Spoken
 
 SHARES = {"motion": 0.36, "talk": 0.46, "style": 0.18}
 """Shares of the hours of synthetic speech. Part A has 10 minutes of real motion, so more of it would be repetition."""
@@ -95,30 +94,6 @@ CREDITS = {
 
 
 @dataclass(frozen=True)
-class Script:
-    """The script of a recording of part B or C; styled: whether its style drifts."""
-
-    utterances: tuple[text.Utterance, ...]
-    styled: bool = False
-
-
-@dataclass(frozen=True)
-class MotionScript:
-    """The script of a recording of part A: its main group of motion and its length in seconds."""
-
-    group: str
-    seconds: float
-
-
-@dataclass(frozen=True)
-class Reading:
-    """A real reading: "whole", or its "head" before or "tail" after the cut."""
-
-    stem: str
-    part: str = "whole"
-
-
-@dataclass(frozen=True)
 class PerformerOptions(Options):
     """The options of a synthetic corpus. data: the folder of the source where --source is not given. hours: of
     synthetic speech. repertoire: folder of takes of named gestures, or None."""
@@ -129,7 +104,8 @@ class PerformerOptions(Options):
 
 
 class Performer:
-    """A reader whose recordings are synthesised."""
+    """A reader whose recordings are synthesised. Content of an item: the utterances of a talk; of a reading "whole",
+    or its "head" before or "tail" after the cut; of motion None."""
 
     @staticmethod
     def arguments(parser: argparse.ArgumentParser) -> None:
@@ -167,6 +143,8 @@ class Performer:
                 raise InputError(source / needed, "does not exist",
                                  "--source is the folder that holds strokes/, free_motion/, meaning/ and speech/")
         self._source = source
+        self._performers = sorted({row["speaker"] for row in read_manifest(source / "strokes")})
+        self._stems = sorted(file.stem for file in (source / "speech").glob("*.flac"))
         if options.repertoire is not None:
             if not options.repertoire.exists():
                 count = write_takes(options.repertoire, options.seed)
@@ -197,18 +175,17 @@ class Performer:
         return [*self._motion_talks(), *self._talks("talk", used), *self._talks("style", used), *self._readings()]
 
     def read(self, item: Item) -> Recording:
-        if isinstance(item.content, MotionScript):
+        if item.info.part == "motion":
             return self._speech_for_motion(item)
-        rng = self._rng(item.index, _STYLE)
-        style = styles.NEUTRAL
-        if isinstance(item.content, Script) and item.content.styled:
-            style = styles.draw_style(2.0 * LONGEST, rng)
-            spoken = styles.styled_speech(item.content.utterances, item.info.voice, style,
-                                          self._rng(item.index, _VOICE))
-        elif isinstance(item.content, Script):
-            spoken = voices.speak(item.content.utterances, item.info.voice, self._rng(item.index, _VOICE))
-        else:
+        rng, sound = self._rng(item.index, _STYLE), self._rng(item.index, _VOICE)
+        style = voices.NEUTRAL
+        if item.info.part == "reading":
             spoken = self._reading(item)
+        elif item.info.part == "talk":
+            spoken = voices.speak(item.content, item.info.voice, sound)
+        else:
+            style = voices.draw_style(2.0 * LONGEST, rng)
+            spoken = voices.styled_speech(item.content, item.info.voice, style, sound)
         manner = STEADY if item.info.part == "style" else draw_manner(rng)
         staging = play.Staging(manner, self._segments(item.info.split), style)
         played = play.perform(spoken, item.info.speaker, self._strokes, staging, self._rng(item.index, _PLAY),
@@ -218,13 +195,12 @@ class Performer:
         return Recording(info, replace(spoken.speech, speaker=info.speaker), played.motion, stands=True)
 
     def _speech_for_motion(self, item: Item) -> Recording:
-        script: MotionScript = item.content
         takes = [take for take in self._library.talks() if self._take_splits[take.name] == item.info.split]
         pool = self._pool(item.info.voice, item.info.split)
-        talk = talk_for_motion(script.group, script.seconds, self._library, takes, pool, self._rng(item.index, _PLAY))
-        spoken = talk.spoken
-        info = replace(item.info, language=spoken.language, sources=talk.takes)
-        return Recording(info, replace(spoken.speech, speaker=info.speaker), talk.motion, stands=True)
+        motion, spoken, used = talk_for_motion(item.info.speaker, item.size, self._library, takes, pool,
+                                               self._rng(item.index, _PLAY))
+        info = replace(item.info, language=spoken.language, sources=used)
+        return Recording(info, replace(spoken.speech, speaker=info.speaker), motion, stands=True)
 
     def notes(self) -> Sequence[str]:
         return ()
@@ -275,64 +251,46 @@ class Performer:
                 out[voice, split] = phrase_texts(rng, POOL[split], source, used[source])
         return out, used
 
-    @functools.cached_property
-    def _performers(self) -> tuple[str, ...]:
-        return tuple(sorted({row["speaker"] for row in read_manifest(self._source / "strokes")}))
-
-    @functools.cached_property
-    def _stems(self) -> tuple[str, ...]:
-        return tuple(sorted(file.stem for file in (self._source / "speech").glob("*.flac")))
-
     def _motion_talks(self) -> list[Item]:
         """Part A: in each split the groups with takes there, in turns."""
-        mean = (SHORTEST_MOTION + LONGEST_MOTION) / 2
         items = []
-        turns = dict.fromkeys(POOL, 0)
-        count = max(1, round(self._options.hours * SHARES["motion"] * 3600 / mean))
-        for place, split, lengths in self._places("motion", count, (SHORTEST_MOTION, LONGEST_MOTION)):
+        for place, split, turn, _, seconds in self._places("motion", (SHORTEST_MOTION, LONGEST_MOTION)):
             able = {take.group for take in self._takes if self._take_splits[take.name] == split}
             groups = [group for group in MOTION_GROUPS if group in able]
-            group = groups[turns[split] % len(groups)]
-            voice = MOTION_VOICES[split][turns[split] % len(MOTION_VOICES[split])]
-            turns[split] += 1
-            index = _FIRST["motion"] + place
-            seconds = float(self._rng(index, _TEXT).uniform(*lengths))
+            group, voice = groups[turn % len(groups)], MOTION_VOICES[split][turn % len(MOTION_VOICES[split])]
             name = f"motion_{place:04d}_{group}"
             info = RecordingInfo(name, split, group, voice, "en", group=name, part="motion")
-            items.append(Item(info, index, MotionScript(group, seconds), seconds))
+            items.append(Item(info, _FIRST["motion"] + place, None, seconds))
         return items
 
-    def _places(self, part: str, count: int, lengths: tuple[float, float]
-                ) -> list[tuple[int, Split, tuple[float, float]]]:
-        """(place, split, range of the length in seconds) of `count` recordings of a part and of those of `ADDED`."""
+    def _places(self, part: str, lengths: tuple[float, float]
+                ) -> Iterator[tuple[int, Split, int, np.random.Generator, float]]:
+        """(place, split, turn in the split, generator of the text, seconds) of the recordings of a part and of those of
+        `ADDED`."""
+        count = max(1, round(self._options.hours * SHARES[part] * 3600 / (sum(lengths) / 2)))
         places: list[tuple[int, Split, tuple[float, float]]] = [(k, split_of(k), lengths) for k in range(count)]
         for number, (split, counts) in enumerate(ADDED.items()):
             added = round(counts[part] * min(1.0, self._options.hours / ADDED_HOURS))
             places += [((5 + number) * _ADDED + k, split, ADDED_LENGTH) for k in range(added)]
-        return places
+        turns = Counter[str]()
+        for place, split, between in places:
+            rng = self._rng(_FIRST[part] + place, _TEXT)
+            yield place, split, turns[split], rng, float(rng.uniform(*between))
+            turns[split] += 1
 
     def _talks(self, part: str, used: dict[str, set[str]]) -> list[Item]:
         """Parts B and C with their texts; no sentence of `used` (by grammar, updated) is repeated."""
-        mean = (SHORTEST + LONGEST) / 2
-        count = max(1, round(self._options.hours * SHARES[part] * 3600 / mean))
-        turns = dict.fromkeys(("train", "val", "test"), 0)
         items = []
-        for place, split, lengths in self._places(part, count, (SHORTEST, LONGEST)):
-            turn = turns[split]
-            turns[split] += 1
+        for place, split, turn, rng, seconds in self._places(part, (SHORTEST, LONGEST)):
             performer = self._performers[turn % len(self._performers)]
             choice = voices.TEST_VOICES if split == "test" else voices.TRAIN_VOICES
             # Each round of the performers begins with another voice, so that every pair occurs.
             voice = choice[(turn + turn // len(self._performers)) % len(choice)]
-            index = _FIRST[part] + place
-            rng = self._rng(index, _TEXT)
-            seconds = float(rng.uniform(*lengths))
             source = "test" if split == "test" else "train"
             written = text.compose(rng, seconds, source, used[source], repertoire=self._repertoire is not None)
-            script = Script(tuple(written), part == "style")
             name = f"{part}_{place:04d}_{performer}"
             info = RecordingInfo(name, split, performer, voice, "en", group=name, part=part)
-            items.append(Item(info, index, script, seconds))
+            items.append(Item(info, _FIRST[part] + place, tuple(written), seconds))
         return items
 
     def _readings(self) -> list[Item]:
@@ -352,19 +310,18 @@ class Performer:
                     info = RecordingInfo(f"read_{group}_{performer}", split, performer, stem, language, group=group,
                                          part="reading")
                     index = _FIRST["reading"] + number * 100 + place * 10 + player
-                    items.append(Item(info, index, Reading(stem, part), LONGEST))
+                    items.append(Item(info, index, part, LONGEST))
         return items
 
     def _reading(self, item: Item) -> Spoken:
         """A real reading with its syllables; word times are known for English only."""
-        reading: Reading = item.content
-        speech = load_speech(self._source / "speech" / f"{reading.stem}.flac")
-        if reading.part != "whole":
+        speech = load_speech(self._source / "speech" / f"{item.info.voice}.flac")
+        if item.content != "whole":
             at = tail_begins(speech.samples, speech.sample_rate)
-            samples = speech.samples[:at] if reading.part == "head" else speech.samples[at:]
+            samples = speech.samples[:at] if item.content == "head" else speech.samples[at:]
             speech = replace(speech, samples=np.ascontiguousarray(samples))
         if item.info.language == "en":
-            transcript = read_text(self._source / "speech" / f"{reading.stem}.txt", "save it as text in UTF-8")
+            transcript = read_text(self._source / "speech" / f"{item.info.voice}.txt", "save it as text in UTF-8")
             speech = replace(speech, words=alignment(speech, transcript).words)
         return find_syllables(speech, item.info.language)
 

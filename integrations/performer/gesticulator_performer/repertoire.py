@@ -18,20 +18,18 @@ from pathlib import Path
 
 import numpy as np
 
-from data_module.errors import InputError
 from data_module.files import lock, new_folder, write_text
 from data_module.motion import rotation
 from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.motion.skeletons import FINGERED
-from data_module.types import Array, Motion
+from data_module.types import Motion
 from gesticulator.directing.named_gestures import GestureDraw, drawn_gesture, laid_over
 from gesticulator.plan.gestures import REPERTOIRE, NamedGesture
 from gesticulator.plan.plan import GestureCue
 from gesticulator_performer import strokes as performed
-from gesticulator_performer.lending import lent
-from gesticulator_performer.strokes import PerformerBody, Stroke, logs_against, mirror
+from gesticulator_performer.meant_strokes import lent
+from gesticulator_performer.strokes import SCRIPTED, PerformerBody, Stroke, logs_against, mirror
 from gesticulator_performer.tables import complete_rows
-from gesticulator_performer.types import SCRIPTED
 
 ENOUGH = 3
 """Captured strokes of a label, mirror images apart, from which on its scripted takes are not played."""
@@ -42,7 +40,6 @@ COLUMNS = ("file", "label", "size", "hand", "licence", "start", "stroke", "apex"
 the stroke ends, and hold and retraction end."""
 SIZES: Mapping[str, float] = {"small": 0.65, "medium": 1.0, "large": 1.4}
 """The sizes of takes, as factors on the medium one."""
-_ADVICE = "name a folder that does not exist, and the build draws takes into it"
 _BODY = "script"
 # Lent takes in memory, about 70 kB each.
 _REMEMBERED = 300
@@ -107,8 +104,6 @@ class Repertoire:
 def read_repertoire(folder: str | Path) -> Repertoire:
     """The takes of a folder; the clips are read when they are played. InputError for a missing folder."""
     folder = Path(folder)
-    if not (folder / TAKES).is_file():
-        raise InputError(folder, f"holds no {TAKES}", _ADVICE)
     rows = complete_rows(folder / TAKES, frozenset(COLUMNS))
     outlines = [_outline(row) for row in rows]
     held_out = performed.held_out_keys((_BODY, outline.base) for outline in outlines)
@@ -165,17 +160,12 @@ def _take(cue: GestureCue, at: float, draw: GestureDraw, seed: int) -> tuple[Mot
     begin = at - draw.phases.before - _AROUND
     frames = round((draw.phases.before + draw.phases.after + 2.0 * _AROUND) * _FPS) + 1
     times = begin + np.arange(frames) / _FPS
-    poses = laid_over(np.repeat(_hanging()[None], frames, axis=0), times, [(cue, at)], seed)
+    hanging = np.zeros((frames, len(FINGERED), 3))
+    hanging[:, FINGERED.index("LeftArm"), 2], hanging[:, FINGERED.index("RightArm"), 2] = -_ARMS_DOWN, _ARMS_DOWN
+    poses = laid_over(hanging.reshape(frames, -1), times, [(cue, at)], seed)
     turns = rotation.from_exponential_map(poses.reshape(frames, -1, 3))
     root = np.repeat([[0.0, _HIPS, 0.0]], frames, axis=0)
     return Motion(FINGERED, turns, root, _FPS), begin
-
-
-def _hanging() -> Array:
-    """[3 J] the pose of a character whose arms hang."""
-    pose = np.zeros((len(FINGERED), 3))
-    pose[FINGERED.index("LeftArm"), 2], pose[FINGERED.index("RightArm"), 2] = -_ARMS_DOWN, _ARMS_DOWN
-    return pose.reshape(-1)
 
 
 def _hand(draw: GestureDraw) -> str:

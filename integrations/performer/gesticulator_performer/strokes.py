@@ -23,37 +23,20 @@ from data_module.motion.bvh import read_bvh
 from data_module.types import Array, Motion, Skeleton
 from gesticulator_performer.cues import Cues, mirrored
 from gesticulator_performer.joints import with_rhythm
-from gesticulator_performer.tables import read_clips
+from gesticulator_performer.tables import read_clips, table
 
 if TYPE_CHECKING:
     from gesticulator_performer.repertoire import Repertoire
 
+SCRIPTED = "script_"
+"""Beginning of the name of a clip that was drawn from a script; all others were captured from people."""
 LEFT, RIGHT = 0, 1
 SIDES = ("Left", "Right")
 ACTING_SIDES: dict[str, tuple[int, ...]] = {"left": (LEFT,), "right": (RIGHT,), "both": (LEFT, RIGHT), "none": ()}
 HELD_OUT_SHARE = 0.15
 """Share of each person's clips that are held out for test."""
 
-# Retargeted from one another: the same person, who must not be on both sides of a split.
-_PERSON = {"brad2": "brad"}
-_POSTURE = {"brad": "Idle01", "brad2": "Idle01", "connor": "IdleStand01", "garza": "IdleStand01"}
-# Another start pose, the wrong hand, or a hand inside the torso.
-_DROPPED = frozenset({
-    "brad_Idle01_ChopBoth01", "brad_Idle01_NegativeLf01", "brad_Idle01_ReceiveLf01", "brad_Idle01_SafeRt01",
-    "brad_Idle03_ReceiveLf01", "brad_Idle03_Shrug01", "brad2_Idle01_ToLocIdle01",
-    "connor_IdleCross01_ThrowAwayRt01", "connor_IdleStand01_NoLeftRt01", "connor_IdleStand01_StopLeftRt01",
-})
-# Postures and fidgets carry no stroke; the last two hold a hand at the face for seconds.
-_NO_STROKE = frozenset({
-    "ToIdle", "ToLocIdle", "Idle", "IdleStand", "WeightShift", "ArmStretch", "ShoulderStretch", "SqueezeHand",
-    "TouchHands", "ScratchChest", "ScratchHead", "ScratchTemple", "Contemplate", "Think",
-})
-_NOT_FASTER = frozenset({"brad2_Idle01_YouLf02", "brad2_Idle01_Shrug02", "brad2_Idle01_BeatFistMidLf02",
-                         "connor_IdleStand01_NegateRightMidBt01"})
-# Speakers whose clavicles hardly move -> the share of the shoulders' rhythm that is added.
-_RIGID = {"connor": 0.8, "garza": 0.8}
-# Speakers whose forearms point outward -> degrees by which the upper arms are turned inward about their length.
-_OUTWARD = {"brad": 12.0}
+_CLIPS = table("clips.toml")["strokes"]
 _COLUMNS = frozenset({"file", "speaker", "posture", "lexeme", "hand", "emphasis"})
 # Least travel of a hand in a stroke, metres; anything smaller is a fidget.
 _MIN_REACH = 0.05
@@ -157,9 +140,6 @@ class StrokeSet:
         return tuple(sorted(self.figures))
 
     def of(self, performer: str, split: str = "train") -> tuple[Stroke, ...]:
-        if performer not in self.figures:
-            raise InputError(performer, "is not a performer of these strokes",
-                             f"take one of {', '.join(self.performers)}")
         captured = tuple(s for s in self.strokes if s.speaker == performer and (split == "test" or not s.held_out))
         return (*captured, *self.repertoire.usable(captured, split)) if self.repertoire else captured
 
@@ -286,8 +266,6 @@ def home_pose(strokes: Iterable[Stroke], share: float = 0.9) -> Array:
         times = np.linspace(stroke.beat, stroke.hold_end, 5)
         for side in stroke.sides:
             holds[side].append(stroke.arm_at(side, times).mean(axis=0))
-    if not holds[LEFT] or not holds[RIGHT]:
-        raise ValueError("no stroke of one of the arms")
     joints = stroke.arms.shape[2]
     return share * np.stack([np.mean(holds[side], axis=0).reshape(joints, 3) for side in (LEFT, RIGHT)])
 
@@ -308,7 +286,7 @@ def load_strokes(folder: str | Path) -> StrokeSet:
     """Read `manifest.csv` and the BVH clips beside it (metres) into strokes, each with its mirror image. InputError if
     the manifest or a clip is missing or broken."""
     rows = [row for row in read_manifest(folder)
-            if Path(row["file"]).stem not in _DROPPED and row["lexeme"] not in _NO_STROKE]
+            if Path(row["file"]).stem not in _CLIPS["dropped"] and row["lexeme"] not in _CLIPS["no_stroke"]]
     strokes: list[Stroke] = []
     figures: dict[str, PerformerBody] = {}
     for speaker in sorted({row["speaker"] for row in rows}):
@@ -325,7 +303,7 @@ def read_manifest(folder: str | Path) -> list[dict[str, str]]:
 
 
 def _key(stroke: Stroke) -> tuple[str, str]:
-    return _PERSON.get(stroke.speaker, stroke.speaker), stroke.base.removeprefix(stroke.speaker + "_")
+    return _CLIPS["person"].get(stroke.speaker, stroke.speaker), stroke.base.removeprefix(stroke.speaker + "_")
 
 
 def speaker_strokes(folder: Path, speaker: str, rows: list[dict[str, str]]) -> tuple[PerformerBody, list[Stroke]]:
@@ -336,18 +314,22 @@ def speaker_strokes(folder: Path, speaker: str, rows: list[dict[str, str]]) -> t
         if not motion.skeleton.same_joints(skeleton):
             raise InputError(folder / row["file"], f"has other joints than {rows[0]['file']}",
                              "take the clips that came with the manifest")
-    try:
-        if speaker in _OUTWARD:
-            motions = [replace(motion, rotations=_turned_in(skeleton, motion.rotations, _OUTWARD[speaker]))
-                       for motion in motions]
-        if speaker in _RIGID:
-            motions = [replace(motion, rotations=with_rhythm(skeleton, motion.rotations, motion.fps, _RIGID[speaker]))
-                       for motion in motions]
-        return _figure_and_strokes(speaker, rows, motions)
-    except (KeyError, ValueError) as error:
-        raise InputError(folder / rows[0]["file"],
-                         f"and the other clips of {shown(speaker)} make no performer ({error})",
-                         "take the clips that came with the manifest") from None
+    if speaker in _CLIPS["outward"]:
+        motions = [replace(motion, rotations=_turned_in(skeleton, motion.rotations, _CLIPS["outward"][speaker]))
+                   for motion in motions]
+    if speaker in _CLIPS["rigid"]:
+        share = _CLIPS["rigid"][speaker]
+        motions = [replace(motion, rotations=with_rhythm(skeleton, motion.rotations, motion.fps, share))
+                   for motion in motions]
+    standing = [m for m, row in zip(motions, rows, strict=True) if row["posture"] == _CLIPS["posture"].get(speaker, "")]
+    figure = standing_body(speaker, standing or motions)
+    measured = [measured_stroke(figure, row, motion.rotations, motion.fps)
+                for row, motion in zip(rows, motions, strict=True)]
+    strokes = [one for stroke in measured if stroke is not None for one in (stroke, mirror(stroke))]
+    if {side for stroke in strokes for side in stroke.sides} != {LEFT, RIGHT}:
+        raise InputError(folder / rows[0]["file"], f"and the other clips of {shown(speaker)} move one arm alone",
+                         "take the clips that came with the manifest")
+    return replace(figure, home=home_pose(strokes)), strokes
 
 
 def _turned_in(skeleton: Skeleton, rotations: Array, degrees: float) -> Array:
@@ -359,18 +341,6 @@ def _turned_in(skeleton: Skeleton, rotations: Array, degrees: float) -> Array:
         joint = skeleton.index(side + "Arm")
         out[:, joint] = rotation.multiply(out[:, joint], turn)
     return out
-
-
-def _figure_and_strokes(speaker: str, rows: list[dict[str, str]], motions: Sequence[Motion]
-                        ) -> tuple[PerformerBody, list[Stroke]]:
-    standing = [m for m, row in zip(motions, rows, strict=True) if row["posture"] == _POSTURE.get(speaker, "")]
-    figure = standing_body(speaker, standing or motions)
-    strokes = []
-    for row, motion in zip(rows, motions, strict=True):
-        stroke = measured_stroke(figure, row, motion.rotations, motion.fps)
-        if stroke is not None:
-            strokes += [stroke, mirror(stroke)]
-    return replace(figure, home=home_pose(strokes)), strokes
 
 
 def standing_body(speaker: str, motions: Sequence[Motion]) -> PerformerBody:
@@ -403,4 +373,4 @@ def measured_stroke(figure: PerformerBody, row: Mapping[str, str], rotations: Ar
     logs = np.stack([logs_against(figure.rest, rotations, joints) for joints in figure.arms])
     return Stroke(stem, stem, row["speaker"], row["lexeme"], hand, fps, logs,
                   logs_against(figure.rest, rotations, figure.trunk), start, beat, hold_end, end,
-                  steady=stem in _NOT_FASTER)
+                  steady=stem in _CLIPS["not_faster"])

@@ -12,7 +12,6 @@ from scipy.signal import butter, find_peaks, resample_poly, sosfiltfilt
 
 from data_module.types import Array, Samples, Speech, Word
 from gesticulator_performer.tables import table
-from gesticulator_performer.types import Phrase, Spoken, Syllable
 
 HOP = 0.01
 """Seconds between the measurements of loudness and pitch."""
@@ -20,6 +19,43 @@ LOWEST, HIGHEST = 60.0, 420.0
 """Range of the pitch search, hertz: from a creaking bass to a high voice."""
 FUNCTION_WORDS = {language: frozenset(words.split())
                   for language, words in table("words.toml")["function_words"].items()}
+
+
+@dataclass(frozen=True)
+class Syllable:
+    """A spoken syllable, seconds. `vowel` is the onset of its vowel, where a gesture's beat belongs.
+
+    word: index into the words of the speech. loudness: dB against the recording's median syllable. pitch: semitones
+    against the recording's median (0 where unvoiced). prominence: z-score, the weighted sum of loudness, duration and
+    pitch with a bonus for content words.
+    """
+
+    start: float
+    vowel: float
+    end: float
+    word: int
+    loudness: float
+    pitch: float
+    prominence: float
+
+
+@dataclass(frozen=True)
+class Phrase:
+    """A stretch of speech between pauses, seconds, with the effort (-1 to 1) it was spoken with."""
+
+    start: float
+    end: float
+    effort: float
+
+
+@dataclass(frozen=True)
+class Spoken:
+    """Speech with everything that the performer uses; `speech.words` holds the words, `language` is ISO 639-1."""
+
+    speech: Speech
+    syllables: tuple[Syllable, ...]
+    phrases: tuple[Phrase, ...]
+    language: str
 
 
 @dataclass(frozen=True)

@@ -26,25 +26,15 @@ from data_module.motion.relaxed_hands import with_relaxed_hands
 from data_module.motion.skeletons import CHARACTER, FINGERED
 from data_module.store import Split
 from data_module.types import Array, Motion
-from gesticulator_performer import mended_arms
-from gesticulator_performer.joints import with_loose_wrists, with_rhythm
+from gesticulator_performer import joints as anatomy
+from gesticulator_performer.joints import FPS, facing_positions, torso_depth, with_loose_wrists, with_rhythm
 from gesticulator_performer.strokes import arm_joints
-from gesticulator_performer.tables import read_clips
-from gesticulator_performer.torso import FPS, facing_positions, torso_depth
+from gesticulator_performer.tables import read_clips, table
 
-GROUPS: dict[str, tuple[str, ...]] = {
-    "conversation": ("cmu_18_", "cmu_19_"),
-    "story": ("cmu_138_",),
-    "traffic": ("cmu_13_", "cmu_14_"),
-    "lesson": ("cmu_80_",),
-    "presenter": ("f_gestic_presentation", "m_gestic_presentation", "m_idle_angry", "m_idle_nervous", "f_invite"),
-}
+_CLIPS = table("clips.toml")["takes"]
+GROUPS: dict[str, tuple[str, ...]] = {group: tuple(beginnings) for group, beginnings in _CLIPS["groups"].items()}
 """Activity in a take -> prefixes of its file names."""
-IDLING = ("gestic_listen", "idle_neutral", "idle_breathe", "idle_look_around")
-"""Parts of the file names of takes of people who stand and listen or wait."""
-_HANGING = ("idle_neutral", "idle_breathe")
-# Duplicates of other takes.
-_TWINS = frozenset({"f_gestic_listen_sad_01"})
+_HANGING = tuple(_CLIPS["standing"])
 TEST_SHARE, VALIDATION_SHARE = 0.2, 0.1
 """Shares of the takes of each group."""
 
@@ -151,7 +141,7 @@ def list_takes(folder: str | Path) -> list[tuple[RealTake, Path]]:
     for row in read_clips(folder, {"file", "person", "licence"}):
         stem = Path(row["file"]).stem
         group = group_of(stem)
-        if group and stem not in _TWINS:
+        if group and stem not in _CLIPS["twins"]:
             take = RealTake(stem, row["person"], group, row["licence"], np.zeros((0, len(FINGERED), 3)))
             listed.append((take, Path(folder) / row["file"]))
     if not any(any(part in take.name for part in _HANGING) for take, _ in listed):
@@ -165,7 +155,7 @@ def group_of(stem: str) -> str:
     for group, beginnings in GROUPS.items():
         if stem.startswith(beginnings):
             return group
-    return "idling" if any(part in stem for part in IDLING) else ""
+    return "idling" if any(part in stem for part in (*_CLIPS["listening"], *_HANGING)) else ""
 
 
 def library_of(read: Sequence[tuple[RealTake, Array]]) -> Library:
@@ -193,8 +183,8 @@ def on_character(file: Path) -> Motion:
 
 def _read(take: RealTake, file: Path) -> tuple[RealTake, Array]:
     motion = on_character(file)
-    if mended_arms.subject_of(take.name):
-        motion = replace(motion, rotations=with_loose_wrists(mended_arms.mended(take.name, motion.rotations)))
+    if anatomy.subject_of(take.name):
+        motion = replace(motion, rotations=with_loose_wrists(anatomy.mended(take.name, motion.rotations)))
     motion = with_relaxed_hands(motion)
     rotations = rotation.continuous(rotation.normalise(motion.rotations))
     yaw = rotation.continuous(rotation.yaw_of(rotations[:, 0])[:, None])[:, 0]
@@ -291,15 +281,15 @@ def _chest_travel(library: Library, logs: Array) -> float:
 def stretches(library: Library, take: RealTake, limits: MotionRange) -> list[Array]:
     """The usable stretches [T, 46, 3] of a take: hands in range and outside the torso, without long idling."""
     for gain in _GAINS:
-        rotations = mended_arms.narrowed(library.rotations(calmed(library, take, gain, limits.trunk)))
-        places, wide = facing_positions(rotations), mended_arms.wide(rotations)
+        rotations = anatomy.narrowed(library.rotations(calmed(library, take, gain, limits.trunk)))
+        places, wide = facing_positions(rotations), anatomy.wide(rotations)
         high = places[:, list(WRISTS), 1].max(axis=1)
         if np.percentile(high, _HIGH_PERCENTILE) <= limits.height and wide.mean() <= _WIDE_SHARE:
             break
     bad = (high > limits.height + _TOO_HIGH) | (torso_depth(places) > _GRAZE) | idling(places) | hanging(places)
     bad |= gaussian_filter1d(wide.astype(float), 0.5 * FPS) > _WIDE_STAY
     bad = gaussian_filter1d(bad.astype(float), 0.1 * FPS) > 0.35
-    share = _RHYTHM[bool(mended_arms.subject_of(take.name))]
+    share = _RHYTHM[bool(anatomy.subject_of(take.name))]
     logs = library.logs(with_rhythm(FINGERED if rotations.shape[1] > len(CHARACTER) else CHARACTER, rotations, FPS,
                                     share))
     return [logs[a:b] for a, b in runs(~bad) if b - a >= _LEAST_STRETCH * FPS]

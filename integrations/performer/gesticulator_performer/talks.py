@@ -1,4 +1,4 @@
-"""Talks of a real person's motion with speech synthesised for it."""
+"""Talks of a real person's motion, joined where pose and velocity agree best, with speech synthesised for it."""
 
 from __future__ import annotations
 
@@ -10,28 +10,34 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from data_module.motion import rotation
-from data_module.motion.kinematics import minimum_jerk
-from data_module.motion.skeletons import CHARACTERS, FINGERED, HIP_HEIGHT
+from data_module.motion.kinematics import minimum_jerk, quintic_offset
+from data_module.motion.skeletons import CHARACTER, CHARACTERS, FINGERED, HIP_HEIGHT
 from data_module.types import Array, Motion
 from gesticulator_performer import inverse
-from gesticulator_performer.chaining import Chain, chain, seam_ratio
-from gesticulator_performer.sentence_pool import Pool
-from gesticulator_performer.takes import (
-    ARM_SIDES,
-    HIPS,
-    SKULL,
-    SPINE,
-    WRISTS,
-    Library,
-    MotionRange,
-    RealTake,
-    mirrored,
-    stretches,
-)
-from gesticulator_performer.torso import FPS, facing_positions
+from gesticulator_performer import takes as real
+from gesticulator_performer.inverse import Pool
+from gesticulator_performer.joints import FPS, facing_positions
+from gesticulator_performer.syllables import Spoken
+from gesticulator_performer.takes import Library, MotionRange, RealTake
 from gesticulator_performer.trunk import calm, pitch_accents, postures, sway, yaw_scale
-from gesticulator_performer.types import Spoken
 
+# Seconds: a difference in velocity costs as much as the difference in pose that it makes in this time.
+_VELOCITY = 0.12
+# Frames between the candidate places at which a stretch may be left or entered.
+_STEP = 3
+# A stretch is left in the last 35 % and entered in the first 40 % of its length.
+_LEAVE, _ENTER = 0.35, 0.4
+# Least seconds of a stretch that are played.
+_LEAST = 2.0
+# The next stretch is drawn at random from this many with the lowest cost.
+_BEST = 3
+# Seconds over which the offset at a seam fades, for close poses and for distant ones.
+_FADE, _LONGEST_FADE = 0.45, 0.9
+# Square root of the cost at which the longest fade is used (weighted radians).
+_FAR = 3.0
+# Weights of the joints in the cost of a seam.
+_WEIGHTS = np.array([{"Hips": 0.7, "LeftArm": 2.0, "RightArm": 2.0, "LeftForeArm": 1.5, "RightForeArm": 1.5,
+                      "LeftHand": 0.3, "RightHand": 0.3}.get(name, 1.0) for name in CHARACTER.names])
 # Ranges drawn per talk: the highest position of the hands (metres over the hips), the gain of the trunk, and the factor
 # by which the motion is slowed down.
 _HEIGHTS, _TRUNKS, _SLOWER = (0.40, 0.66), (0.9, 1.3), (1.0, 1.3)
@@ -53,10 +59,6 @@ _DIP_RISE, _DIP_FALL, _DIP_LATE = 0.24, 0.4, 0.03
 _HOLD_SHARE, _HOLD_SECONDS, _HOLD_OF = 0.3, (0.5, 0.9), 0.24
 # Seconds between such moments at least; the speed below which a hand may be held, m/s; metres over the hips.
 _HOLDS_APART, _HELD_FROM, _RAISED = 0.9, 0.45, 0.06
-ENERGY = inverse.Energy(0.41, 0.66)
-"""Mean and spread of the mean log speed (`inverse.log_speed`) of the stretches of all takes, as measured; 0.2 is added
-to the spread so that the variation within a talk counts more."""
-
 # Point near the chest that a hand moves to for "me", metres from the hips.
 _HEART = np.array([0.0, 0.38, 0.12])
 # Least height over the hips, metres, of a hand that counts as raised.
@@ -64,17 +66,95 @@ _GESTURING = 0.05
 
 
 @dataclass(frozen=True)
-class MadeTalk:
-    """Motion with speech synthesised for it. takes: names of those used."""
+class Chain:
+    """A talk made of stretches. logs: [T, J, 3]; edges: [K + 1] seconds at which stretches begin, and the end;
+    used: [K] indices of the stretches."""
 
-    motion: Motion
-    spoken: Spoken
-    takes: tuple[str, ...]
+    logs: Array
+    edges: Array
+    used: tuple[int, ...]
+
+
+def chain(stretches: Sequence[Array], seconds: float, rng: np.random.Generator, recent: int = 6) -> Chain:
+    """Join stretches [T, J, 3] at 60 fps until `seconds` are filled, without repeating any of the last `recent`. Each
+    seam is at the two places where pose and velocity are nearest; the remaining offset fades by a quintic. ValueError
+    with fewer than two stretches."""
+    if len(stretches) < 2:
+        raise ValueError("a chain needs two stretches at least")
+    recent = min(recent, len(stretches) - 1)
+    features = [_features(logs) for logs in stretches]
+    now, start = int(rng.integers(len(stretches))), 3
+    out = np.zeros((0, *stretches[0].shape[1:]))
+    used, edges, fade = [now], [0.0], 0.0
+    while True:
+        leave, following, enter, cost = _next(stretches, features, used[-recent:], now, start, rng)
+        out = _joined(out, stretches[now], start, leave, fade)
+        if len(out) >= seconds * FPS:
+            break
+        edges.append(len(out) / FPS)
+        used.append(following)
+        now, start = following, enter
+        fade = _FADE + (_LONGEST_FADE - _FADE) * min(1.0, float(np.sqrt(cost)) / _FAR)
+    frames = round(seconds * FPS)
+    return Chain(out[:frames], np.array([*edges, frames / FPS]), tuple(used))
+
+
+def _features(logs: Array) -> Array:
+    """[T, 96] weighted poses and velocities, fingers left out; the cost of a seam is the squared distance of two rows.
+    """
+    logs = logs[:, :len(_WEIGHTS)]
+    velocity = np.gradient(logs, 1.0 / FPS, axis=0) * _VELOCITY
+    both = np.concatenate([logs * _WEIGHTS[:, None], velocity * _WEIGHTS[:, None]], axis=1)
+    return both.reshape(len(logs), -1)
+
+
+def _next(stretches: Sequence[Array], features: Sequence[Array], recent: Sequence[int], now: int, start: int,
+          rng: np.random.Generator) -> tuple[int, int, int, float]:
+    """(frame at which to leave `now`, next stretch, frame at which to enter it, cost of the seam)."""
+    length = len(stretches[now])
+    first = min(max(start + round(_LEAST * FPS), round(length * (1.0 - _LEAVE))), length - 2)
+    ends = np.arange(first, length - 1, _STEP)
+    options: list[tuple[float, int, int, int]] = []
+    for k, logs in enumerate(stretches):
+        if k in recent:
+            continue
+        last = max(4, min(round(len(logs) * _ENTER), len(logs) - round(_LEAST * FPS) - 10))
+        starts = np.arange(3, last, _STEP)
+        gap = features[now][ends][:, None] - features[k][starts][None]
+        cost = np.einsum("ijk,ijk->ij", gap, gap)
+        a, b = np.unravel_index(int(cost.argmin()), cost.shape)
+        options.append((float(cost[a, b]), k, int(ends[a]), int(starts[b])))
+    options.sort()
+    cost_of, k, leave, enter = options[int(rng.integers(min(_BEST, len(options))))]
+    return leave, k, enter, cost_of
+
+
+def _joined(out: Array, logs: Array, start: int, leave: int, fade: float) -> Array:
+    piece = logs[start:leave + 1].copy()
+    if len(out) >= 3:
+        times = np.arange(len(piece)) / FPS
+        offset = quintic_offset(out[-3:].reshape(3, -1), logs[start - 3:start].reshape(3, -1), times, fade, FPS)
+        piece += offset.reshape(piece.shape)
+    return np.concatenate([out, piece])
+
+
+def seam_ratio(hands: Array, edges: Array) -> float:
+    """Mean acceleration of the faster hand within two frames of the inner edges (seconds), divided by that elsewhere.
+    hands: [T, 2, 3] metres at 60 fps. 1 without an inner edge."""
+    acceleration = np.linalg.norm(np.diff(hands, 2, axis=0), axis=-1).max(axis=1)
+    at = np.round(edges[1:-1] * FPS).astype(int)
+    at = at[(at > 2) & (at < len(acceleration) - 3)]
+    near = np.zeros(len(acceleration), dtype=bool)
+    near[(at[:, None] + np.arange(-2, 2)).ravel()] = True
+    if not near.any() or near.all():
+        return 1.0
+    return float(acceleration[near].mean() / max(acceleration[~near].mean(), 1e-9))
 
 
 def talk_for_motion(group: str, seconds: float, library: Library, takes: Sequence[RealTake], pool: Pool,
-                    rng: np.random.Generator) -> MadeTalk:
-    """A talk from the given takes alone, with speech for it from `pool`. group: its manner, a key of `takes.GROUPS`."""
+                    rng: np.random.Generator) -> tuple[Motion, Spoken, tuple[str, ...]]:
+    """A talk from the given takes alone, with speech for it from `pool`, and the names of the takes used. group: its
+    manner, a key of `takes.GROUPS`."""
     limits = MotionRange(float(rng.uniform(*_HEIGHTS)), float(rng.uniform(*_TRUNKS)))
     slower = 1.0 if group == _SLOW_GROUP else float(rng.uniform(*_SLOWER))
     named = _named_stretches(library, takes, group, limits, rng)
@@ -82,9 +162,9 @@ def talk_for_motion(group: str, seconds: float, library: Library, takes: Sequenc
     pieces = []
     for _, logs in named:
         turned = bool(rng.random() < 0.5) if mixed else flip
-        pieces.append(_slowed(_one_handed(library, mirrored(logs) if turned else logs, rng), slower))
+        pieces.append(_slowed(_one_handed(library, real.mirrored(logs) if turned else logs, rng), slower))
     joined, places = _smoothest(library, pieces, seconds, rng)
-    spoken = inverse.speech_for(places, pool, ENERGY, features_of(places), rng)
+    spoken = inverse.speech_for(places, pool, features_of(places), rng)
     logs = with_life(joined.logs, spoken, rng)
     rotations = library.rotations(logs)
     root = np.tile([0.0, HIP_HEIGHT, 0.0], (len(rotations), 1))
@@ -92,13 +172,13 @@ def talk_for_motion(group: str, seconds: float, library: Library, takes: Sequenc
     lacking = {joint for take in takes if take.name in used for joint in take.filled}
     motion = Motion(CHARACTERS[rotations.shape[1]], rotations, root, FPS,
                     filled=tuple(joint for joint in FINGERED.names if joint in lacking))
-    return MadeTalk(motion, spoken, used)
+    return motion, spoken, used
 
 
 def features_of(places: Array) -> Array:
-    """[T, 7] z-scores, clipped to [-2, 2.5], of the features in `meaning.MOVEMENTS`, from facing positions [T, 16, 3].
+    """[T, 7] z-scores, clipped to [-2, 2.5], of the features in `cues.MOVEMENTS`, from facing positions [T, 16, 3].
     """
-    left, right = (places[:, wrist] for wrist in WRISTS)
+    left, right = (places[:, wrist] for wrist in real.WRISTS)
     apart = np.linalg.norm(right - left, axis=1)
     up = np.maximum(left[:, 1], right[:, 1]) > _GESTURING
     near = -np.minimum(np.linalg.norm(left - _HEART, axis=1), np.linalg.norm(right - _HEART, axis=1))
@@ -118,7 +198,7 @@ def _smoothest(library: Library, pieces: Sequence[Array], seconds: float,
     for _ in range(_CHAINS):
         joined = chain(pieces, seconds, rng, recent=len(pieces))
         joined, places = _held(library, joined, facing_positions(library.rotations(joined.logs)), rng)
-        ratio = seam_ratio(places[:, list(WRISTS)], joined.edges)
+        ratio = seam_ratio(places[:, list(real.WRISTS)], joined.edges)
         if best is None or ratio < best[0]:
             best = ratio, joined, places
         if ratio <= _ROUGHEST:
@@ -143,7 +223,7 @@ def hold_times(places: Array, rng: np.random.Generator) -> Array:
     A hold begins where the speed of a raised hand has a minimum. For D seconds the pace is 1 - c h(u) at the share u
     of them, with h rising and falling as sin^2 over a quarter each and c such that D seconds show `_HOLD_OF`.
     """
-    hands = gaussian_filter1d(places[:, list(WRISTS)], 0.05 * FPS, axis=0, mode="nearest")
+    hands = gaussian_filter1d(places[:, list(real.WRISTS)], 0.05 * FPS, axis=0, mode="nearest")
     speed = np.linalg.norm(np.gradient(hands, 1.0 / FPS, axis=0), axis=-1).max(axis=1)
     minima = find_peaks(-speed, distance=round(_HOLDS_APART * FPS), prominence=0.1)[0]
     raised = hands[minima, :, 1].max(axis=1) >= _RAISED
@@ -171,14 +251,14 @@ def _named_stretches(library: Library, takes: Sequence[RealTake], group: str, li
     for take in sorted(order, key=lambda t: t.group != group):
         if len(out) >= _STRETCHES:
             break
-        out += [(take.name, logs) for logs in stretches(library, take, limits)]
+        out += [(take.name, logs) for logs in real.stretches(library, take, limits)]
     return out
 
 
 def _one_handed(library: Library, logs: Array, rng: np.random.Generator) -> Array:
     """A stretch whose hands do the same, now and then with one of them resting; any other as it is."""
-    side, draw = ARM_SIDES[int(rng.random() < 0.5)], rng.random()
-    heights = facing_positions(library.rotations(logs))[:, list(WRISTS), 1]
+    side, draw = real.ARM_SIDES[int(rng.random() < 0.5)], rng.random()
+    heights = facing_positions(library.rotations(logs))[:, list(real.WRISTS), 1]
     alike = np.asarray(np.corrcoef(heights.T))[0, 1] if heights.std(axis=0).min() > 1e-6 else 0.0
     if draw >= _ONE_HANDED or alike < _ALIKE:
         return logs
@@ -200,13 +280,13 @@ def with_life(logs: Array, spoken: Spoken, rng: np.random.Generator) -> Array:
     speaking = np.zeros(frames)
     for phrase in spoken.phrases:
         speaking[round(phrase.start * FPS):round(phrase.end * FPS)] = 1.0
-    out[:, list(SKULL)] = calm(out[:, list(SKULL)], speaking)
-    out[:, list(SKULL), 0] += (_dips(spoken, frames, rng) / len(SKULL))[:, None]
+    out[:, list(real.SKULL)] = calm(out[:, list(real.SKULL)], speaking)
+    out[:, list(real.SKULL), 0] += (_dips(spoken, frames, rng) / len(real.SKULL))[:, None]
     posture = postures(frames, rng)
     weight = sway(frames, rng) + pitch_accents(spoken.syllables, frames, rng)
-    for joints, bends in ((SPINE, posture[:, 0] + weight), (SKULL, posture[:, 1])):
+    for joints, bends in ((real.SPINE, posture[:, 0] + weight), (real.SKULL, posture[:, 1])):
         out[:, list(joints)] += (bends / len(joints))[:, None]
-    trunk = [*HIPS, *SPINE, *SKULL]
+    trunk = [*real.HIPS, *real.SPINE, *real.SKULL]
     out[:, trunk, 1] *= yaw_scale(out[:, trunk, 1].sum(axis=1))
     return out
 

@@ -1,4 +1,12 @@
-"""Text to perform: sentences of the grammar in phrases, each with an effort and a pause."""
+"""Text to perform: sentences of the grammar in phrases, each with an effort and a pause.
+
+Topics with their words, and templates by meaning, are read from `sentences/`. A file of templates has the kind of the
+sentences that follow on a line of its own; a template begins with a space. Its slots, {thing} {other} {things} {athing}
+{person} {someone} {place} {elsewhere} {adj} {do} {did} {doing}, are filled from one topic; {n} is a small number and
+{time} a time of day. `|` ends a phrase, `...` is a hesitation, and a template after "=" is held out for test. Topics
+and templates of the two splits share no entry, so no sentence of one split can be spoken in the other. The phrasebooks
+of the other languages have slots of their own and attach no meaning to words: the performer follows stress alone.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +18,19 @@ from typing import TypeVar
 import numpy as np
 
 from data_module.errors import InputError
-from gesticulator_performer import grammar
-from gesticulator_performer.grammar import PHRASEBOOKS, Phrasebook, Topic
+from gesticulator_performer.tables import entries, table, templates
 
+
+@dataclass(frozen=True)
+class Topic:
+    """The words of one everyday subject. Verbs are (base, past, -ing); each takes a thing as its object."""
+
+    name: str
+    things: tuple[str, ...]
+    people: tuple[str, ...]
+    places: tuple[str, ...]
+    verbs: tuple[tuple[str, str, str], ...]
+    adjectives: tuple[str, ...]
 SPLITS = ("train", "test")
 CHARACTERS_PER_SECOND = {"cmn": 7.5}
 """Characters a second that the voices speak, for languages other than those with 17 letters and spaces a second."""
@@ -23,6 +41,48 @@ _VOWELS = "aeiou"
 _PLURALS = {"wolf": "wolves", "shelf": "shelves", "goose": "geese"}
 _PARTICIPLES = {"threw": "thrown", "drew": "drawn", "stole": "stolen", "hid": "hidden"}
 _T = TypeVar("_T")
+
+
+def _topic(row: dict[str, str]) -> Topic:
+    split = [tuple(verb.split("/")) for verb in row["verbs"].split()]
+    return Topic(row["name"], *(tuple(row[name].split()) for name in ("things", "people", "places")),
+                 tuple((base, past, running) for base, past, running in split), tuple(row["adjectives"].split()))
+
+
+_WORDS = table("sentences/topics.toml")
+TOPICS = {split: tuple(map(_topic, _WORDS[split])) for split in SPLITS}
+NUMBERS, TIMES = tuple(_WORDS["shared"]["numbers"].split()), entries(_WORDS["shared"]["times"], ",")
+OPENERS = {"train": entries(_WORDS["shared"]["openers"], "/"), "test": entries(_WORDS["shared"]["test_openers"], "/")}
+TEMPLATES, MEANINGS, _CORE, _MORE, _FURTHER = (
+    {split: templates(name, split == "test") for split in SPLITS}
+    for name in ("en", "meanings", "core", "more", "further"))
+"""Split -> templates by kind; those of MEANINGS call for a gesture with captured strokes, by its label."""
+REPERTOIRE = {split: _CORE[split] | _MORE[split] | {
+    label: (*MEANINGS[split][label], *lines) for label, lines in _FURTHER[split].items()} for split in SPLITS}
+"""Templates for the gestures without captured strokes, and for those whose templates the detector seldom finds."""
+
+
+def _repeated(times: dict[str, int]) -> tuple[str, ...]:
+    """Each label as often as it says, to draw from."""
+    return tuple(label for label, count in times.items() for _ in range(count))
+
+
+_LABELS = {name: frozenset(words.split()) for name, words in table("words.toml")["labels"].items()}
+# Labels whose cues other sentences contain anyway are written for twice; those whose cues hardly occur elsewhere, or
+# weigh little, nine times; the others five times.
+MEANING_KINDS = _repeated({label: 2 if label in _LABELS["often_elsewhere"] else
+                           9 if label in _LABELS["seldom_elsewhere"] else 5 for label in MEANINGS["train"]})
+"""The labels to draw a sentence's from, each as often as it needs to be."""
+MEANING_SHARE = 0.75
+"""Share of the English sentences that are written for a gesture with a meaning: with it each of the 32 gestures is
+played at least 30 times in the training split of 4.4 hours."""
+# With all named gestures: core gestures four times, the others three times, and three more for labels whose cue phrases
+# often lose against others or seldom find an arm free.
+REPERTOIRE_KINDS = _repeated({label: (4 if label in _CORE["train"] else 3) + 3 * (label in _LABELS["seldom_played"])
+                              for label in REPERTOIRE["train"] | MEANINGS["train"]})
+"""The same where every named gesture can be played."""
+REPERTOIRE_SHARE = 0.9
+"""Share of its sentences that are written for a gesture with a meaning: of a hundred gestures each is to come often."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +116,7 @@ def compose(rng: np.random.Generator, seconds: float, split: str, used: set[str]
     sentence (AR(1), 0.7) and varies from phrase to phrase. Same generator state, same text.
     """
     used = set() if used is None else used
-    source = _English(split, repertoire) if language == "en" else _Phrases(PHRASEBOOKS[language, split])
+    source = _English(split, repertoire) if language == "en" else _Phrases(split, language)
     pace = CHARACTERS_PER_SECOND.get(language, _LETTERS_PER_SECOND)
     utterances: list[Utterance] = []
     mood = float(rng.normal(0, 0.5))
@@ -79,12 +139,12 @@ class _English:
     """Draws English sentences; consecutive ones share a topic."""
 
     def __init__(self, split: str, repertoire: bool) -> None:
-        self.topics, self.templates = grammar.TOPICS[split], grammar.TEMPLATES[split]
-        self.meanings, self.openers = grammar.MEANINGS[split], grammar.OPENERS[split]
-        self.kinds, self.share = grammar.MEANING_KINDS, grammar.MEANING_SHARE
+        self.topics, self.templates = TOPICS[split], TEMPLATES[split]
+        self.meanings, self.openers = MEANINGS[split], OPENERS[split]
+        self.kinds, self.share = MEANING_KINDS, MEANING_SHARE
         if repertoire:
-            self.meanings = self.meanings | grammar.REPERTOIRE[split]
-            self.kinds, self.share = grammar.REPERTOIRE_KINDS, grammar.REPERTOIRE_SHARE
+            self.meanings = self.meanings | REPERTOIRE[split]
+            self.kinds, self.share = REPERTOIRE_KINDS, REPERTOIRE_SHARE
         self._topic, self._left = self.topics[0], 0
 
     def draw(self, rng: np.random.Generator) -> tuple[str, str]:
@@ -99,17 +159,19 @@ class _English:
 
 
 class _Phrases:
-    """Draws sentences of a phrasebook."""
+    """Draws sentences of the phrasebook of another language than English."""
 
-    def __init__(self, book: Phrasebook) -> None:
-        self.book, self.openers = book, book.openers
+    def __init__(self, split: str, language: str) -> None:
+        book = table(f"sentences/{language}.toml")[split]
+        self.slots = {name: entries(line, ",") for name, line in book["slots"].items()}
+        self.templates, self.openers = tuple(book["templates"].splitlines()), entries(book["openers"], "/")
 
     def draw(self, rng: np.random.Generator) -> tuple[str, str]:
         slots: dict[str, str] = {}
-        for name, entries in self.book.slots.items():
-            order = rng.permutation(len(entries))
-            slots |= {f"{name}{rank + 1 if rank else ''}": entries[i] for rank, i in enumerate(order[:3])}
-        return "phrase", _one(rng, self.book.templates).format(**slots)
+        for name, words in self.slots.items():
+            order = rng.permutation(len(words))
+            slots |= {f"{name}{rank + 1 if rank else ''}": words[i] for rank, i in enumerate(order[:3])}
+        return "phrase", _one(rng, self.templates).format(**slots)
 
 
 def _one(rng: np.random.Generator, entries: Sequence[_T]) -> _T:
@@ -134,13 +196,13 @@ def _new_sentence(rng: np.random.Generator, source: _English | _Phrases, used: s
 def _fill(rng: np.random.Generator, topic: Topic, template: str) -> str:
     """The template with words of the topic in its slots; no word occurs twice."""
     things, people, places, numbers = ([words[i] for i in rng.permutation(len(words))[:4]] for words in (
-        topic.things, topic.people, topic.places, grammar.NUMBERS))
+        topic.things, topic.people, topic.places, NUMBERS))
     base, past, running = _one(rng, topic.verbs)
     return template.format(
         thing=things[0], other=things[1], things=plural(things[2]), things2=plural(things[3]),
         athing=with_article(things[2]), athing2=with_article(things[3]), person=people[0], someone=people[1],
         place=places[0], elsewhere=places[1], adj=_one(rng, topic.adjectives), do=base, did=past,
-        done=_PARTICIPLES.get(past, past), doing=running, n=numbers[0], n2=numbers[1], time=_one(rng, grammar.TIMES))
+        done=_PARTICIPLES.get(past, past), doing=running, n=numbers[0], n2=numbers[1], time=_one(rng, TIMES))
 
 
 def plural(noun: str) -> str:

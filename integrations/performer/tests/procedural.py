@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 from gesticulator_performer import plan
 from gesticulator_performer import strokes as performed
-from gesticulator_performer.hands import STEADY, Manner
+from gesticulator_performer.plan import STEADY, Manner
 from gesticulator_performer.play import Played, Staging, perform
 from gesticulator_performer.strokes import PerformerBody, Stroke, StrokeSet
-from gesticulator_performer.styles import NEUTRAL, StyleTrack
+from gesticulator_performer.syllables import Phrase, Spoken, Syllable
 from gesticulator_performer.takes import MIRROR
 from gesticulator_performer.trunk import Segment
-from gesticulator_performer.types import Phrase, Spoken, Syllable
+from gesticulator_performer.voices import NEUTRAL
 from test_takes import hanging, moving
 
 from data_module.motion import rotation
@@ -107,10 +107,10 @@ def said(text: str, repeat: int = 1, language: str = "en") -> Spoken:
                   tuple(phrases), language)
 
 
-def played(spoken: Spoken, strokes: StrokeSet, seed: int, manner: Manner = STEADY, style: StyleTrack = NEUTRAL,
+def played(spoken: Spoken, strokes: StrokeSet, seed: int, manner: Manner = STEADY,
            performer: str = PERFORMER) -> Played:
     """A performance of `spoken`."""
-    return perform(spoken, performer, strokes, Staging(manner, segments(), style), np.random.default_rng(seed))
+    return perform(spoken, performer, strokes, Staging(manner, segments()), np.random.default_rng(seed))
 
 
 def planned(spoken: Spoken, strokes: StrokeSet, seed: int, split: str = "train") -> tuple[plan.Planned, ...]:

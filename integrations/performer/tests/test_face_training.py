@@ -5,16 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from gesticulator_performer.face import training
 from gesticulator_performer.face.known_phones import VisemeSpan, labels, of_ipa, spans
-from gesticulator_performer.face.training import (
-    FaceTraining,
-    LabelledRows,
-    VisemeNet,
-    fit,
-    rows_of,
-    stacked,
-    with_long_pause,
-)
+from gesticulator_performer.face.training import FaceTraining, LabelledRows, VisemeNet, fit, stacked
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -43,14 +36,14 @@ def test_a_longer_pause_is_silence_and_keeps_what_was_before() -> None:
     rng = np.random.default_rng(0)
     visemes = np.concatenate([np.full(30, 10), np.zeros(10, int), np.full(200, 12)])
     piece = LabelledRows(rng.standard_normal((480, 33)).astype(np.float32), visemes)
-    longer = with_long_pause(piece, np.random.default_rng(1))
+    longer = training.with_long_pause(piece, np.random.default_rng(1))
     assert len(longer.labels) == 240 and (longer.labels == SILENT).sum() >= 35
     assert np.array_equal(longer.rows[:80], piece.rows[:80])
 
 
 def test_streamed_features_are_those_of_the_training() -> None:
     sound = np.random.default_rng(1).normal(0.0, 0.05, 2 * SAMPLE_RATE).astype(np.float32)
-    streamed, whole = np.array(LipFeatures().feed(sound)), stacked(rows_of(sound))
+    streamed, whole = np.array(LipFeatures().feed(sound)), stacked(training.rows_of(sound))
     np.testing.assert_allclose(streamed[5:60], whole[5:60], atol=2e-3)
     assert streamed.shape[1] == STACKED
 
@@ -82,5 +75,5 @@ def test_a_phones_shapes_tile_its_time(visemes: list[int], start: float, length:
 
 
 def test_a_frame_has_the_shape_at_its_middle() -> None:
-    found = labels([VisemeSpan(3, 0.04, 0.1), VisemeSpan(5, 0.1, 0.12)], 8, 50.0)
-    assert found.tolist() == [0, 0, 3, 3, 3, 5, 0, 0]
+    track = [VisemeSpan(3, 0.04, 0.1), VisemeSpan(5, 0.1, 0.12)]
+    assert labels(track, 8, 50.0).tolist() == [0, 0, 3, 3, 3, 5, 0, 0]

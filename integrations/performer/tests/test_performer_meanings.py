@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import string
 from collections import Counter
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from gesticulator_performer import cues as tables
+from gesticulator_performer import text
 from gesticulator_performer.cues import Cues, mirrored, plain, read_cues
-from gesticulator_performer.lending import lent
+from gesticulator_performer.meant_strokes import lent
 from gesticulator_performer.plan import HABITS
 from gesticulator_performer.strokes import PerformerBody, Stroke, StrokeSet, mirror
-from gesticulator_performer.text import Utterance, compose
-from hypothesis import given
+from gesticulator_performer.text import Utterance, compose, sentence_key
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from procedural import PERFORMER, planned, procedural_strokes, said
 
@@ -22,53 +25,31 @@ from data_module.files import read_table
 from data_module.motion import kinematics, rotation
 from data_module.types import Array
 
-MEANINGS = """label,category,cues_en,cues_de,cues_es,offensive,talk
-point_there,deictic;place,there; over there; far away,dort; da drüben,allí,no,yes
-point_left,deictic,on the left; turn left,links,a la izquierda,no,yes
-point_right,deictic,on the right; that's right,rechts,a la derecha,no,yes
-shrug,emblem,I don't know; no idea,weiß nicht,no sé,no,yes
-sweep_no,metaphoric,no; not at all,nein,no,no,yes
-nod,emblem,yes,ja,sí,no,yes
-cheer_arms,emblem;emotion,yes; hooray,hurra,hurra,no,yes
-shoo,emblem,go away,geh weg,vete,yes,yes
-walk_off,emblem,I leave,ich gehe,me voy,no,no
-unshown,emblem,hidden,geheim,secreto,no,yes
-"""
-CLIPS = "file,person,label,ready,strokeStart,emphasis,stroke,relax\n" + "".join(
-    f"strokes/{PERFORMER}/{lexeme}.bvh,{PERFORMER},{label},,,,,\n" for lexeme, label in (
-        ("Me", "shrug"), ("You", "point_there"), ("Left", "point_left"), ("Negate", "sweep_no"), ("All", "nod"),
-        ("BeatBoth", "cheer_arms"), ("BeatLow", "shoo"), ("BeatMid", "walk_off")))
+COMPOSED = "ff49379c7cea84cd40b1bb05751888c07cd439e2136998265bb797c7c1a78710"
+"""SHA-256 of 4,981 sentences, composed when the shipped weights were trained: kind, phrases, efforts, pauses."""
 
 
 @pytest.fixture(scope="module")
-def cues(tmp_path_factory: pytest.TempPathFactory) -> Cues:
-    folder = tmp_path_factory.mktemp("meaning")
-    (folder / tables.MEANINGS).write_text(MEANINGS, encoding="utf-8")
-    (folder / tables.CLIPS).write_text(CLIPS)
-    return read_cues(folder)
+def cues(meaning_data: Path) -> Cues:
+    return read_cues(meaning_data)
 
 
 @pytest.fixture(scope="module")
 def strokes(cues: Cues) -> StrokeSet:
-    """The strokes by formula, each with the label of its lexeme in the table above."""
+    """The strokes by formula, three of them with labels."""
     own = procedural_strokes()
-    labels = {stem: clip.label for stem, clip in cues.clips.items()}
-    right = {"Right": "point_right"}
-    return replace(own, cues=cues, strokes=tuple(replace(s, meaning=(labels | right).get(s.lexeme, ""))
-                                                 for s in own.strokes))
+    labels = {"You": "point_there", "Left": "point_left", "Right": "point_right"}
+    return replace(own, cues=cues, strokes=tuple(replace(s, meaning=labels.get(s.lexeme, "")) for s in own.strokes))
 
 
-def _labels(cues: Cues, text: str, language: str = "en") -> dict[str, set[str]]:
-    words = text.split()
-    return {words[at]: set(one.labels) for at, one in cues.asked(words, language).items()}
-
-
-def test_cues_find_their_labels_at_the_last_content_word(cues: Cues) -> None:
-    assert _labels(cues, "the boy is over there today") == {"there": {"point_there"}}
-    assert _labels(cues, "Well, I don\u2019t know!") == {"know!": {"shrug"}}
-    assert _labels(cues, "it stands on the left of it") == {"left": {"point_left"}}
-    assert _labels(cues, "das liegt da drüben", "de") == {"drüben": {"point_there"}}
-    assert _labels(cues, "no sé", "es") == {"sé": {"shrug"}}
+@pytest.mark.parametrize(("text", "language", "word", "label"), [
+    ("the boy is over there", "en", 4, "point_there"), ("Well, it\u2019s on the left of it", "en", 4, "point_left"),
+    ("das liegt da drüben", "de", 3, "point_there"), ("turn right", "en", 1, "point_right"),
+    ("no sé", "es", 1, "shrug")])
+def test_cues_find_their_labels_at_the_last_content_word(cues: Cues, text: str, language: str, word: int, label: str
+                                                         ) -> None:
+    asked = cues.asked(text.split(), language)
+    assert set(asked) == {word} and set(asked[word].labels) == {label}
 
 
 @given(st.lists(st.sampled_from(["no", "idea", "over", "there", "yes", "the", "Über-"])))
@@ -138,18 +119,17 @@ def texts() -> dict[str, list[Utterance]]:
     return {split: compose(np.random.default_rng(5), 60.0 * length, split) for split, length in minutes.items()}
 
 
-def test_every_gesture_is_asked_for_often(
-        texts: dict[str, list[Utterance]], meaning_data: Path) -> None:
-    cues = read_cues(meaning_data)
-    assert len(cues.labels) == 32
+def test_every_gesture_is_asked_for_often(texts: dict[str, list[Utterance]], cues: Cues) -> None:
+    labels = {clip.label for clip in cues.clips.values()}
+    assert len(labels) == 32
     asked = {split: Counter[str]() for split in texts}
     for split, utterances in texts.items():
         for utterance in utterances:
             for one in cues.asked(utterance.text.split()).values():
                 asked[split].update({label: chance * one.weight for label, chance in one.labels.items()})
     # A performer plays two in three of them.
-    assert min(asked["train"][label] for label in cues.labels) >= 45
-    assert min(asked["test"][label] for label in cues.labels) >= 3
+    assert min(asked["train"][label] for label in labels) >= 45
+    assert min(asked["test"][label] for label in labels) >= 3
 
 
 def test_no_sentence_that_is_held_out_for_judging_is_written(texts: dict[str, list[Utterance]], meaning_data: Path
@@ -161,3 +141,61 @@ def test_no_sentence_that_is_held_out_for_judging_is_written(texts: dict[str, li
     assert len(held_out) > 140
     written = [bare(utterance.text) for utterances in texts.values() for utterance in utterances]
     assert not [text for text in written if any(sentence in text for sentence in held_out)]
+
+
+@pytest.fixture(scope="module")
+def hours() -> list[Utterance]:
+    """Four hours of training text, in recordings of four minutes that share what was said."""
+    used: set[str] = set()
+    return [one for seed in range(60) for one in compose(np.random.default_rng(seed), 240, "train", used)]
+
+
+def test_the_sentences_are_those_of_the_shipped_corpus() -> None:
+    digest = hashlib.sha256()
+    for split in ("train", "test"):
+        for repertoire in (False, True):
+            for seed in range(3):
+                for sentence in compose(np.random.default_rng(seed), 1500.0, split, repertoire=repertoire):
+                    row = [sentence.kind, [asdict(part) for part in sentence.parts]]
+                    digest.update(json.dumps(row, ensure_ascii=False).encode())
+    assert digest.hexdigest() == COMPOSED
+
+
+def test_the_splits_share_no_sentence_no_topic_word_and_no_template(hours: list[Utterance]) -> None:
+    def bare(utterance: Utterance) -> str:
+        """The words of a sentence without an opener of either split."""
+        words = sentence_key(utterance)
+        for opener in (opener for openers in text.OPENERS.values() for opener in openers):
+            words = words.removeprefix(opener.strip(" .,") + " ")
+        return words
+
+    test = {bare(utterance) for seed in range(3) for utterance in compose(np.random.default_rng(seed), 1200, "test")}
+    assert len(test) > 300 and not {bare(utterance) for utterance in hours} & test
+
+    def lines(*tables: dict[str, tuple[str, ...]]) -> set[str]:
+        table = str.maketrans("", "", string.punctuation.replace("{", "").replace("}", ""))
+        return {" ".join(line.translate(table).split()) for of in tables for group in of.values() for line in group}
+
+    for tables in (lambda split: lines(text.TEMPLATES[split], text.MEANINGS[split]),
+                   lambda split: lines(text.REPERTOIRE[split]),
+                   lambda split: {topic.name for topic in text.TOPICS[split]},
+                   lambda split: {word for topic in text.TOPICS[split]
+                                  for word in topic.things + topic.people + topic.places}):
+        assert not tables("train") & tables("test")
+
+
+def test_a_tenth_of_the_time_is_long_pauses(hours: list[Utterance]) -> None:
+    pauses = np.array([part.pause for utterance in hours for part in utterance.parts])
+    total = sum(len(part.text) / 17 for utterance in hours for part in utterance.parts) + pauses.sum()
+    assert 0.10 < pauses[pauses >= 1].sum() / total < 0.20
+    assert pauses.max() <= 6 and np.mean((pauses >= 0.3) & (pauses < 1)) > 0.25
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), seconds=st.floats(1, 90), split=st.sampled_from(["train", "test"]))
+def test_text_is_a_function_of_the_seed_and_clean(seed: int, seconds: float, split: str) -> None:
+    written = compose(np.random.default_rng(seed), seconds, split)
+    assert written == compose(np.random.default_rng(seed), seconds, split)
+    for part in (part for utterance in written for part in utterance.parts):
+        assert part.text and not set(part.text) & set("|{}=<>\n") and "  " not in part.text
+        assert any(letter.isalpha() for letter in part.text) and part.pause > 0

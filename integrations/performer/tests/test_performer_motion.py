@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gesticulator_performer import hands, styles, text
-from gesticulator_performer.hands import Manner
+from gesticulator_performer import plan, text, voices
+from gesticulator_performer.joints import FPS
+from gesticulator_performer.plan import Manner
 from gesticulator_performer.play import Played
 from gesticulator_performer.strokes import LEFT, RIGHT, StrokeSet, held_out_keys, load_strokes
-from gesticulator_performer.torso import FPS
-from gesticulator_performer.types import Phrase, Spoken, Syllable
+from gesticulator_performer.syllables import Phrase, Spoken, Syllable
 from procedural import PERFORMER, planned, procedural_strokes, said
 from procedural import played as perform_by
 
@@ -113,10 +113,10 @@ def test_held_out_share_is_per_person_and_blind_to_order() -> None:
 
 def test_phrases_are_given_to_the_hands_as_the_manner_says() -> None:
     phrases = [Phrase(2.0 * k, 2.0 * k + 1.5, 0.0) for k in range(4000)]
-    drawn = hands.hands_of_phrases(phrases, MANNER, RIGHT, np.random.default_rng(0))
+    drawn = plan.hands_of_phrases(phrases, MANNER, RIGHT, np.random.default_rng(0))
     shares = [np.mean([p.acting == acting for p in drawn]) for acting in ((LEFT,), (RIGHT,), (LEFT, RIGHT))]
     assert shares == pytest.approx([0.6 * 0.3, 0.6 * 0.7, 0.4], abs=0.03)
-    assert np.mean([p.idle == hands.HANG for p in drawn]) == pytest.approx(0.5, abs=0.03)
+    assert np.mean([p.idle == plan.HANG for p in drawn]) == pytest.approx(0.5, abs=0.03)
     kept = np.mean([a.acting == b.acting for a, b in zip(drawn, drawn[1:], strict=False)])
     again = 0.7 * sum(share ** 2 for share in shares) + 0.3
     assert kept == pytest.approx(again, abs=0.03)
@@ -132,9 +132,9 @@ def test_hands_act_apart_and_no_hand_freezes(talk: Spoken, strokes: StrokeSet) -
 
 def test_amplitude_and_tempo_can_be_heard() -> None:
     def styled(*style: float) -> Spoken:
-        track = styles.StyleTrack(np.array([0.0]), np.array([style]))
+        track = voices.StyleTrack(np.array([0.0]), np.array([style]))
         written = text.compose(np.random.default_rng(9), 12.0, "train")
-        return styles.styled_speech(written, "rms", track, np.random.default_rng(2))
+        return voices.styled_speech(written, "rms", track, np.random.default_rng(2))
 
     def brightness(spoken: Spoken) -> float:
         power = np.abs(np.fft.rfft(spoken.speech.samples)) ** 2

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import soundfile
 from gesticulator_performer import flite, sound, syllables
+from gesticulator_performer.syllables import Phrase, Spoken
 from gesticulator_performer.text import Part, Utterance, compose
-from gesticulator_performer.types import Phrase, Spoken
 from gesticulator_performer.voices import nuclei_of, speak
 
 from data_module.errors import InputError

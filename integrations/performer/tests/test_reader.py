@@ -75,7 +75,7 @@ def test_no_sentence_and_no_take_crosses_a_split(reader: Performer) -> None:
     said: dict[str, list[str]] = {"train": [], "val": [], "test": []}
     for item in reader.items():
         if item.info.part in ("talk", "style"):
-            said[item.info.split] += [sentence_key(utterance) for utterance in item.content.utterances]
+            said[item.info.split] += [sentence_key(utterance) for utterance in item.content]
     everything = [one for sentences in said.values() for one in sentences]
     assert len(everything) > 2000 and len(set(everything)) > 0.99 * len(everything)
     pools: dict[str, set[str]] = {"train": set(), "val": set(), "test": set()}

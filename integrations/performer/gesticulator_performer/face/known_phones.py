@@ -22,23 +22,18 @@ from gesticulator.face.visemes import RATE as VISEME_RATE
 from gesticulator.face.visemes import SILENT, VISEMES, of_arpabet
 from gesticulator_performer import espeak, flite
 from gesticulator_performer.sound import RATE, Phone, read_at, recorded
+from gesticulator_performer.tables import table
 from gesticulator_performer.text import compose
 
-LANGUAGES = {
-    "en": ("en-us", "en-gb-x-rp", "en-gb-scotland"), "de": ("de",), "es": ("es", "es-419"), "fr": ("fr",),
-    "pt": ("pt-br",), "pl": ("pl",), "fi": ("fi",), "nl": ("nl",), "sv": ("sv",), "hu": ("hu",), "ro": ("ro",),
-    "id": ("id",), "cmn": ("cmn-latn-pinyin",)}
+_TABLE = table("face/phones.toml")
+LANGUAGES: dict[str, list[str]] = _TABLE["languages"]
 """Language -> voices of espeak-ng that speak it for training."""
-VARIANTS = ("m1", "m2", "m3", "m4", "m6", "m8", "f1", "f2", "f3", "f5", "Andy", "Annie", "Gene", "adam", "anika",
-            "linda", "michael", "klatt2", "steph", "victor")
-"""Timbres of espeak-ng for training."""
-FLITE = ("slt", "rms", "kal16")
+VARIANTS, FLITE = _TABLE["variants"].split(), _TABLE["flite"].split()
+"""Timbres of espeak-ng, and voices of flite, for training."""
 # Languages whose sentences are composed; nonsense is spoken in all but the tonal one.
 _SENTENCES = ("en", "de", "es", "cmn")
-_STARTS = ("p", "b", "m", "f", "v", "w", "s", "z", "sh", "ch", "j", "t", "d", "k", "g", "n", "l", "r", "h", "y", "pl",
-           "br", "st")
-_MIDDLES = ["a", "e", "i", "o", "u", "ai", "ou", "ee", "oo"]
-_ENDS = ("", "", "", "n", "m", "s", "p", "r", "l", "k", "t", "b", "f")
+_STARTS, _MIDDLES, _ENDS = ([part.strip("-") for part in _TABLE["syllables"][name].split()]
+                            for name in ("starts", "middles", "ends"))
 # Shortest and longest silence between two phrases, seconds; every sixth lasts up to `_LONG_PAUSE`.
 _PAUSES = (0.12, 0.9)
 _LONG_PAUSE = 3.0
@@ -46,13 +41,7 @@ _LONG_PAUSE = 3.0
 _BREATH = (0.15, 0.5)
 # Playing speeds: they change pitch, formants and tempo together.
 _SPEEDS = (0.88, 1.14)
-_IPA = {
-    "PP": "p b m ɓ", "FF": "f v ɱ ʋ ɸ β", "TH": "θ ð", "DD": "t d ʈ ɖ ɗ ɾ r", "kk": "k ɡ g q ɢ x ɣ χ ʁ h ɦ ħ ʕ ʔ c ɟ ɰ",
-    "CH": "ʃ ʒ ɕ ʑ ʂ ʐ ɧ", "SS": "s z ɬ ɮ", "nn": "n ŋ ɲ ɳ ɴ l ɫ ɭ ʎ ʟ ɽ", "RR": "ɹ ɻ ʀ",
-    "aa": "a ɑ ɐ ʌ ɒ æ ɶ", "E": "e ɛ ə ɜ ɚ ɝ ɘ ɞ ɤ œ", "ih": "i ɪ ɨ j ʝ ç ʲ", "oh": "o ɔ ɵ",
-    "ou": "u ʊ y ʏ ø ʉ ɯ w ɥ ʍ",
-}
-_OF_IPA = {letter: name for name, letters in _IPA.items() for letter in letters.split()}
+_OF_IPA = {letter: name for name, letters in _TABLE["visemes"].items() for letter in letters.split()}
 _VOWELS = tuple(VISEMES.index(name) for name in ("aa", "E", "ih", "oh", "ou"))
 
 
