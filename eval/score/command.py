@@ -393,7 +393,7 @@ def known_ratings(arguments: argparse.Namespace) -> tuple[dict[str, float], list
     """The ratings of the rows, the person's under the truth's name, and notes on names that are no row; InputError for
     fewer than three systems."""
     ratings, systems = read_ratings(arguments.ratings), named(arguments.system, "--system")
-    person = arguments.truth.resolve().name
+    person = arguments.truth.absolute().name
     if person in ratings and person not in systems:
         ratings[TRUTH] = ratings.pop(person)
     few, strange = len(set(systems) & set(ratings)), listed(sorted(set(ratings) - {TRUTH, *systems}), 5)
