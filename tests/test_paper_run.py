@@ -220,11 +220,11 @@ def test_the_parts_of_the_shipped_bundles() -> None:
     for bundle, name, settings_ in ((paper, "q_network", config.cql), (paper, "q_network_literal", config.cql_literal),
                                     (default, "q_network", default.config.cql)):
         high, count = len(bundle.statistics.high.mean), len(bundle.vectors)
-        module = bundle.parts[name]
+        module = bundle.trained(name)
         assert isinstance(module, QNetwork)
         same_values(module, QRunner(settings_, bundle.frames, high, count, len(bundle.speakers), tensors_of(module)),
                     q_inputs(3, count, len(bundle.speakers), bundle.frames, high))
-    critics, high = default.parts["advantage"], len(default.statistics.high.mean)
+    critics, high = default.trained("advantage"), len(default.statistics.high.mean)
     assert isinstance(critics, Critics)
     count = len(default.vectors)
     same_advantages(critics, CriticsRunner(default.config.advantage, default.frames, high, count,

@@ -39,10 +39,11 @@ from eval.context import EvalContext, Lexemes
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
 from gesticulator.bundle.config import Config
-from gesticulator.bundle.models import JUDGES
+from gesticulator.bundle.models import JUDGES, played
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages import STAGES, Corpus
 from gesticulator.training.stages.caches import weights_hash
+from gesticulator.training.stages.corpus import sizes
 from gesticulator.training.stages.q_network import features_of, new_q_network, q_batch, takes_of
 from gesticulator.training.stages.reward import reward_table, taught_reward
 from interpreters.base import LexemeInterpreter
@@ -98,7 +99,7 @@ class RacerRows:
         if not decisions.takes:
             raise InputError(context.store.path, "has no test recording with a decision in it", "build the store again")
         # The data are relabelled as the hint wants it: in silence the nearest silent lexeme is what was done.
-        silent = SilentLexemes(bundle.silent, nearest_silent(bundle.vectors.double().numpy(), bundle.silent))
+        silent = SilentLexemes(bundle.silent, nearest_silent(bundle.vectors.astype(np.float64), bundle.silent))
         takes = [replace(take, lexemes=silent.relabel(take)) for take in takes_of(corpus, labels, "train")]
         tables = {"": reward_table(bundle.reward, bundle.block_lexicon, corpus),
                   "judge_": reward_table(bundle.reward_judge, bundle.block_lexicon, corpus)}
@@ -141,7 +142,7 @@ class RacerRows:
 
     def measured(self, name: str, seed: int) -> dict[str, Any]:
         """"clips" and "sets" of a row's cell: all test recordings judged, the first `MOTION` played."""
-        policy, takes = trained(self, name, seed), self.decisions.takes
+        policy, takes = self.policy(name, trained(self, name, seed)), self.decisions.takes
         chosen = [walk(policy, self.decisions, take) for take in takes]
         clips = [{"name": self.corpus.names[take.recording], "decisions": len(take.blocks) - 1,
                   **lexeme_values(take, lexemes, self.decisions.size, self.tables)}
@@ -164,6 +165,13 @@ class RacerRows:
         """The first `MOTION` test recordings, which every row is played on."""
         return [self.context.store.load(self.corpus.names[take.recording])
                 for take in self.decisions.takes[:MOTION]]
+
+    def policy(self, name: str, network: QNetwork) -> LexemeInterpreter:
+        """A row's trained network as it chooses lexemes."""
+        silent = tuple(self.bundle.silent.tolist())
+        runner: LexemeInterpreter = played("q_network", sizes(self.config(name), self.corpus, silent=silent,
+                                                              vectors=self.bundle.vectors), network)
+        return runner
 
     def untrained(self, name: str, seed: int) -> QNetwork:
         """The network that a row begins with, the same for all rows of a seed."""
@@ -191,9 +199,10 @@ def rewarded(racer: RacerRows, config: Config) -> Episodes:
     if key not in racer._episodes:
         # Behaviour beside the recorded one: without it no other lexeme than the person's was ever tried.
         interpreters: dict[str, LexemeInterpreter] = {
-            "sampled": racer.bundle.interpreter, "statistical": racer.bundle.interpreter_named("statistical")}
+            "sampled": racer.bundle.runners["interpreter"],
+            "statistical": racer.bundle.interpreter_named("statistical")}
         racer._episodes[key] = build(racer.takes, plain, racer.taught(config).sequence, silent=racer.silent,
-                                     vectors=racer.bundle.vectors.numpy(), seed=config.seed,
+                                     vectors=racer.bundle.vectors, seed=config.seed,
                                      policies=BehaviourPolicies(interpreters, features_of(racer.corpus)))
     episodes = racer._episodes[key]
     if config.episodes.reward == "contrastive":
