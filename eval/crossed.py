@@ -13,12 +13,11 @@ Satterthwaite's degrees of freedom (1946): an estimate y'Qy of the variance has 
 have two, so that t is 4.3 and not 1.96: where seeds decide, three are few.
 
 In simulations the 95 % intervals hold the true mean 93 to 97 times in a hundred: where seeds decide, where clips do,
-where both do, with few seeds, with heavy tails and with missing values (tests/test_crossed.py). The bootstrap that
-draws both anew does so 74 times where three seeds decide, and 99 times where clips do.
+where both do, with few seeds and with missing values; with heavy tails 98 times (tests/test_crossed.py). The bootstrap
+that draws both anew does so 74 times where three seeds decide, and 99 times where clips do.
 
 What fools it: with two seeds the degrees of freedom approach one, and the interval says little. A mean over clips of
-which one is a hundred times the others is the figure of that clip: `robust` then takes the mean of the middle three
-fifths of the clips instead (Yuen 1974), which is another figure, and says so. Blocks of a clip are no units here.
+which one is a hundred times the others is the figure of that clip. Blocks of a clip are no units here.
 """
 
 from __future__ import annotations
@@ -33,14 +32,8 @@ from scipy import stats as distributions
 from data_module.types import Array
 from eval.stats import Interval
 
-__all__ = ["Components", "components", "crossed", "robust", "satterthwaite"]
+__all__ = ["Components", "components", "crossed", "satterthwaite"]
 
-TRIMMED = 0.2
-"""Share of the clips that a trimmed mean leaves out at either end."""
-DECISIVE = 0.6
-"""Share of the squares between clips at which one clip decides the mean: of 15 normal values one has it in 1 %."""
-LEAST_CLIPS = 10
-"""Fewer clips are never trimmed: among few, one has most of the squares as a matter of course."""
 FEW_SEEDS = 3
 """With fewer the component of seeds is never dropped: one squared difference is too little to say that it is zero."""
 
@@ -48,8 +41,8 @@ FEW_SEEDS = 3
 @dataclass(frozen=True)
 class Components:
     """A mean over seeds and clips. seed, clip, rest: variances of the three parts, 0 where there is but one of it;
-    error: standard error of the mean, NaN for a single value; freedom: its degrees of freedom; seeds, clips: how many;
-    trimmed: whether the mean is that of the middle clips."""
+    error: standard error of the mean, NaN for a single value; freedom: its degrees of freedom; seeds, clips: how many.
+    """
 
     mean: float
     seed: float
@@ -59,7 +52,6 @@ class Components:
     freedom: float
     seeds: int
     clips: int
-    trimmed: bool = False
 
     def interval(self, level: float = 0.95) -> Interval:
         """The two-sided interval of that level; `n` counts the clips."""
@@ -145,46 +137,3 @@ def satterthwaite(seed: float, clip: float, rest: float, seeds: Array, clips: Ar
     over = squares[0] ** 2 / (seeds - 1) + squares[1] ** 2 / (clips - 1) + squares[2] ** 2 / (seeds - 1) / (clips - 1)
     return np.sqrt(total / (seeds * clips)), np.divide(total ** 2, over, out=np.full_like(seeds, np.inf),
                                                        where=over > 0)
-
-
-# ----------------------------------------------------------------------------------------------- where one clip decides
-
-def robust(values: ArrayLike, weights: ArrayLike | None = None) -> Components:
-    """`components`, or those of the mean over the middle clips where one clip decides the mean of all."""
-    value = np.atleast_2d(np.asarray(values, dtype=np.float64))
-    value = value[:, np.isfinite(value).any(axis=0)]
-    if value.shape[1] < LEAST_CLIPS or decisive(value) < DECISIVE:
-        return components(values, weights)
-    return trimmed(value)
-
-
-def decisive(values: Array) -> float:
-    """The greatest share that one clip has in the squares about the median clip, of values [seeds, clips]."""
-    means = np.nanmean(values, axis=0)
-    # About the median: the mean itself would follow the clip that is looked for.
-    squares = (means - np.median(means)) ** 2
-    return float(squares.max() / squares.sum()) if squares.sum() > 0 else 0.0
-
-
-def trimmed(values: Array) -> Components:
-    """Components of the trimmed mean over clips of values [seeds, clips]; every clip has some value.
-
-    The clips whose means over seeds are lowest and highest are left out. What seeds differ by is found among the clips
-    that stay; what clips differ by, among all, with those at the ends drawn in to the last that stays (Yuen). "clip"
-    and "rest" are given for a mean over all clips, so that seed / I + clip / J + rest / (I J) is the squared error.
-    """
-    means = np.nanmean(values, axis=0)
-    count = len(means)
-    # From either end, so that the mean stays one of the middle.
-    cut = int(TRIMMED * count)
-    inner = np.sort(np.argsort(means, kind="stable")[cut:count - cut])
-    middle, stay = components(values[:, inner]), len(inner)
-    drawn = np.clip(means, means[inner].min(), means[inner].max())
-    # The variance of a clip's mean over seeds holds its share of the rest already.
-    between = float(drawn.var(ddof=1)) * (count - 1) / (stay - 1) / stay
-    within = middle.seed / middle.seeds
-    error = math.sqrt(between + within)
-    over = between ** 2 / (stay - 1) + within ** 2 / max(middle.seeds - 1, 1)
-    rest = min(middle.rest * count / stay, between * count * middle.seeds)
-    return Components(middle.mean, middle.seed, between * count - rest / middle.seeds, rest, error,
-                      (between + within) ** 2 / over if over else math.inf, middle.seeds, count, trimmed=True)

@@ -170,6 +170,14 @@ class Gesticulator:
 
             options = with_mark_cues(options, speech.words or ())
         setup = self._setup(speech, options)
+        generated, generation = self._looped(speech, options, setup, encoded)
+        performance = self.assemble(Assembler(self.bundle, speech, options, setup), generated)
+        return performance if generation is None else replace(performance, generation=generation)
+
+    def _looped(self, speech: Speech, options: InferenceOptions, setup: Setup, encoded: SpeechFeatures | None
+                ) -> tuple[GeneratedMotion, Generation | None]:
+        """The generated blocks, and what edits start from if generations are kept. The features of the sound, 56 MB for
+        an hour of mel bands, end with this call."""
         # Copies of the cutter let an edited beat be cut again without the whole sound.
         cutters: list[BlockCutter] | None = [] if self.keeps_generations else None
         encoded = self.encode_speech(speech, cutters=cutters) if encoded is None else encoded
@@ -181,10 +189,7 @@ class Gesticulator:
             if self.keeps_generations:
                 states.append(state)
         generated = GeneratedMotion(encoded.blocks, blocks, self.bundle.system.motion_of(self.bundle, setup, blocks))
-        performance = self.assemble(Assembler(self.bundle, speech, options, setup), generated)
-        if not self.keeps_generations:
-            return performance
-        return replace(performance, generation=Generation(encoded, blocks, states, cutters or ()))
+        return generated, Generation(encoded, blocks, states, cutters or ()) if self.keeps_generations else None
 
     def _requests(self, speech: Speech, options: InferenceOptions, setup: Setup, encoded: SpeechFeatures
                   ) -> list[Request]:

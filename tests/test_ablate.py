@@ -85,6 +85,7 @@ def test_rows_and_figures_of_the_paper(ablation: Ablation, tmp_path: Path) -> No
     for name, kind in drawn.items():
         check_figure(here, name, kind)
     alone = here.cells.read()["no-lexemes"][1]["clips"][0]
+    assert alone["own_code"] == pytest.approx(0, abs=1e-9), "its positive control says that its code does nothing"
     assert math.isnan(alone.get("accuracy", math.nan)), "it has no lexemes that could be right"
     assert alone["diversity"] >= 0, "its motion is read by the lexicon of ours"
 
@@ -105,6 +106,8 @@ def test_the_command_goes_on_where_it_was_stopped(ablation: Ablation, work: Path
     assert 0 <= one["clips"][0]["accuracy"] <= 100 and one["clips"][0]["fgd"] > 0
     assert len(list(work.glob("generator-*/weights.safetensors"))) == len(list(work.glob("generator-*")))
     assert read_bvh(here.rg.folder("ours") / f"{here.rg.names('test')[0]}.bvh").fps > 10
+    doses = [cells[f"jitter-{dose}"][0]["clips"][0] for dose in (1, 2, 3)]
+    assert all(set(dose) == {"name", "fgd"} for dose in doses) and doses[0]["fgd"] < doses[2]["fgd"]
     performer = cells["performer"][0]["clips"][0]
     assert performer["maje"] == pytest.approx(0, abs=1e-9) and performer["fgd"] == pytest.approx(0, abs=1e-9)
     titles = [table.title for table in load(here.cells.out / "table.json")]
@@ -183,8 +186,13 @@ def test_racers_rows_stand_on_what_is_trained_here(ablation: Ablation, tmp_path:
     short = ("schedules.reward.steps=4", "schedules.cql.steps=4", "cql.width=16", "cql.heads=2", "cql.layers=1")
     monkeypatch.setitem(ROWS, "q-network", msgspec.structs.replace(ROWS["q-network"], set=short))
     here = into(ablation, tmp_path / "ablation")
-    facts = ablate(here, "racer-supervised", "racer-cql")
-    assert set(facts["rows"]) == {"racer-supervised", "racer-cql"}
+    names = ("racer-supervised", "racer-cql", "racer-performer", "racer-random", "racer-majority")
+    facts = ablate(here, *names)
+    assert set(facts["rows"]) == set(names)
+    nats = {name: mean(facts, name, "lexeme_diversity") for name in names[2:]}
+    assert nats["racer-random"] > nats["racer-performer"] and mean(facts, "racer-performer", "accuracy") == 100
+    assert nats["racer-majority"] < nats["racer-random"], "one lexeme, and another in silence"
+    assert math.isfinite(mean(facts, "racer-random", "return"))
     cell = here.cells.read()["racer-cql"][1]
     assert set(TABLES["RACER Table 2"].columns) <= set(cell["clips"][0]) and cell["clips"][0]["pmb"] <= 100
     assert "RACER Table 2 (test)" in [table.title for table in load(here.cells.out / "table.json")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from data_module.speech import onsets
 from data_module.speech.audio import load_speech
 from data_module.speech.beats import RULES, BeatSettings, BeatTracker, find_beats, next_beat
 from data_module.speech.mel import mel_bands
-from data_module.speech.onsets import LOOK_AHEAD, OnsetTracker, detect_onsets, merged
+from data_module.speech.onsets import LOOK_AHEAD, OnsetTracker, RiseTracker, detect_onsets, merged
 from data_module.speech.silence import LoudnessTracker, frame_levels
 from data_module.types import Array, BeatFlag, Beats, Samples, Speech
 
@@ -208,6 +209,19 @@ def test_beats_of_sound_that_arrives_are_those_of_the_recording(rule: str, secon
     whole = find_beats(Speech(sound, RATE), settings)
     assert [time for time, _ in found] == whole.times.tolist()
     assert [int(flag) for _, flag in found] == whole.flags.tolist()
+
+
+@given(cuts=st.lists(st.integers(0, 2 * RATE), max_size=12).map(sorted))
+@settings(max_examples=20, deadline=None)
+def test_onset_strengths_do_not_depend_on_the_pieces_of_sound(cuts: list[int]) -> None:
+    sound, ground = babble(2.0, 4), np.linspace(-60.0, -40.0, 200)
+    tracker, strengths = RiseTracker(RATE), []
+    for start, end in pairwise([0, *cuts, len(sound)]):
+        # The noise floor is known for every whole 10 ms of sound.
+        strengths.append(tracker.step(sound[start:end], ground[start // 160:end // 160]))
+    whole = RiseTracker(RATE)
+    expected = np.concatenate([whole.step(sound, ground), whole.finish()])
+    np.testing.assert_array_equal(np.concatenate([*strengths, tracker.finish()]), expected)
 
 
 def test_settings_that_cannot_hold_are_refused() -> None:

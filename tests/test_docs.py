@@ -180,7 +180,7 @@ def test_the_figures_of_the_readme_are_those_that_are_stored() -> None:
          *(shown(right, name, "free_running", 1, False) for name in ("previous lexeme and speaker", "majority"))],
         [f"{sum(onsets) / len(onsets):.2f}"],
         [" / ".join(str(number) for number in (valid["holds"], valid["reversed"] + valid["no effect"],
-                                               valid["no valid test"], valid["undecided"]))],
+                                               valid["inert"], valid["no valid test"], valid["undecided"]))],
         [f"{times['warm_lstm']:.2f} / {times['cold']:.2f}",
          f"{times['warm_with_text']:.2f} / {times['cold_with_text']:.2f}"],
     ]

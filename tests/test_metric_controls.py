@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +16,18 @@ from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, facing
 from data_module.speech.audio import load_speech
 from data_module.types import Motion
+from eval.ablate.rows import DOSES
 from eval.baselines import controls
-from eval.baselines.controls import CONTROLS, donors, jittered, reversed_in_time, shuffled, split_halves
+from eval.baselines.controls import (
+    CONTROLS,
+    DAMAGES,
+    donors,
+    jittered,
+    mean_pose,
+    reversed_in_time,
+    shuffled,
+    split_halves,
+)
 from gesticulator.gesticulator import Gesticulator
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
@@ -47,6 +58,28 @@ def test_the_seed_decides_and_the_clips_stay_as_they_were(name: str) -> None:
 
 
 NAMES = [str(number) for number in range(len(CLIPS))]
+
+
+@pytest.mark.parametrize(("kind", "doses"), sorted(DOSES.items()))
+def test_each_dose_of_damage_is_further_from_the_clips_than_the_one_before(kind: str, doses: int) -> None:
+    assert len(DAMAGES[kind]) == doses and set(DAMAGES) == set(DOSES)
+    away = [0.0, *(np.mean([np.abs(positions_of(one) - positions_of(other)).mean() for one, other in
+                            zip(CLIPS, damage(CLIPS), strict=True)]) for damage in DAMAGES[kind])]
+    assert all(more > less + 1e-3 for less, more in itertools.pairwise(away))
+
+
+def test_damage_halves_and_doubles_the_angle_from_the_mean_pose_and_stills_the_trunk() -> None:
+    def angle(clip: Motion, joint: str) -> np.ndarray:
+        k = CHARACTER.index(joint)
+        return rotation.angle_between(clip.rotations[:, k], mean.rotations[:, k])
+
+    mean, = mean_pose(CLIPS[:1])
+    for kind, factor in (("smaller", 0.5), ("larger", 2.0)):
+        moved, = DAMAGES[kind][-1](CLIPS[:1])
+        np.testing.assert_allclose(angle(moved, "RightArm"), factor * angle(CLIPS[0], "RightArm"), atol=1e-6)
+    frozen, = DAMAGES["frozen-trunk"][-1](CLIPS[:1])
+    assert angle(frozen, "Spine1").max() < 1e-6
+    np.testing.assert_allclose(angle(frozen, "RightArm"), angle(CLIPS[0], "RightArm"), atol=1e-9)
 
 
 def test_halves_are_all_clips_once_and_about_as_long() -> None:

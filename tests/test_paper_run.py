@@ -15,7 +15,7 @@ from data_module.speech.speech_encoder_run import SpeechEncoderRunner
 from generator.model import BlockInputs, Generator
 from generator.model_run import GeneratorRunner
 from generator.settings import GeneratorConfig, GeneratorWidths
-from gesticulator.bundle.bundle import load
+from gesticulator.bundle.bundle import Bundle, load
 from gesticulator.bundle.files import NAMED
 from interpreters.advantage import Critics
 from interpreters.advantage_run import CriticsRunner
@@ -106,7 +106,9 @@ def test_thirty_codes_of_the_style_interpreter(text: int, bottleneck: int, speak
 
 
 def same_codes(module: StyleInterpreter, runner: StyleRunner, seed: int) -> None:
-    audio, words = floats(seed, BLOCKS, 3 * module.frames, AUDIO), floats(seed + 1, BLOCKS, 3 * module.frames, TEXT)
+    encode = module.encode_audio.narrow or module.encode_audio.linear
+    width = encode.in_features // (1 if module.encode_audio.narrow else 3 * module.frames)
+    audio, words = floats(seed, BLOCKS, 3 * module.frames, width), floats(seed + 1, BLOCKS, 3 * module.frames, TEXT)
     one_hot = nn.functional.one_hot(torch.tensor([1]), module.speakers).float()
     state, hidden, code = runner.start(1), None, torch.zeros(1, 1, module.code_width)
     for n in range(BLOCKS):
@@ -219,14 +221,22 @@ def test_the_parts_of_the_shipped_bundles() -> None:
     close(LexiconRunner(config.lexicon, frames, lexicon.present.numpy(), tensors_of(lexicon)).shown(), lexicon.shown())
     for bundle, name, settings_ in ((paper, "q_network", config.cql), (paper, "q_network_literal", config.cql_literal),
                                     (default, "q_network", default.config.cql)):
-        high, count = len(bundle.statistics.high.mean), len(bundle.vectors)
         module = bundle.trained(name)
         assert isinstance(module, QNetwork)
-        same_values(module, QRunner(settings_, bundle.frames, high, count, len(bundle.speakers), tensors_of(module)),
-                    q_inputs(3, count, len(bundle.speakers), bundle.frames, high))
-    critics, high = default.trained("advantage"), len(default.statistics.high.mean)
+        same_values(module, QRunner(settings_, *sizes_of(bundle), tensors_of(module)), inputs_of(bundle))
+    critics = default.trained("advantage")
     assert isinstance(critics, Critics)
-    count = len(default.vectors)
-    same_advantages(critics, CriticsRunner(default.config.advantage, default.frames, high, count,
-                                           len(default.speakers), tensors_of(critics)),
-                    q_inputs(4, count, len(default.speakers), default.frames, high), 4)
+    same_advantages(critics, CriticsRunner(default.config.advantage, *sizes_of(default), tensors_of(critics)),
+                    inputs_of(default), 4)
+    style_widths = StyleWidths(frames, low, (len(paper.vectors), lexemes[1]), style.code_width, len(paper.speakers))
+    same_codes(style, StyleRunner(config.style, style_widths, tensors_of(style)), 5)
+
+
+def sizes_of(bundle: Bundle) -> tuple[int, int, int, int]:
+    """Frames, width of the audio, lexemes and speakers."""
+    return bundle.frames, len(bundle.statistics.high.mean), len(bundle.vectors), len(bundle.speakers)
+
+
+def inputs_of(bundle: Bundle) -> tuple[torch.Tensor, ...]:
+    frames, audio, lexemes, speakers = sizes_of(bundle)
+    return q_inputs(3, lexemes, speakers, frames, audio)

@@ -40,6 +40,15 @@ def test_another_reward_is_brought_to_the_scale_of_the_data() -> None:
     assert torch.equal(scaled.argsort(1), table.argsort(1)), "no order changes"
 
 
+def test_a_scale_multiplies_the_rewards_of_either_kind(context: RacerRows) -> None:
+    for name in ("cql", "distance"):
+        plain, scaled = (training.rewarded(racer, context.config(f"racer-{name}")).episodes for racer in (
+            context, dataclasses.replace(context, scale=20.0)))
+        for one, other in zip(plain, scaled, strict=True):
+            np.testing.assert_allclose(other.reward, 20 * one.reward, rtol=1e-6)
+    assert ROWS["racer-scale=20, alpha=0.1"].scale == ROWS["racer-distance, scale=20, alpha=0.1"].scale == 20
+
+
 @pytest.fixture(scope="module")
 def context(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> RacerRows:
     work, store = tmp_path_factory.mktemp("racer"), Store.open(tiny_store)

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +20,7 @@ from safetensors.torch import load_file
 
 from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh
-from data_module.store import Store
+from data_module.store import Recording, Store
 from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
@@ -185,13 +190,39 @@ def test_bad_arguments_are_one_line_and_exit_code_2(tiny_store: Path, work: Path
     assert not (tmp_path / "b").exists()
 
 
-def test_text_without_words_is_refused_before_the_work(tiny_store: Path, work: Path, tmp_path: Path,
-                                                       monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gesticulator.training.stages.caches.word_file", lambda *_, **__: None)
-    own = with_caches(work, tmp_path / "work")
-    with pytest.raises(InputError, match=r"no recording with words.*text\.encoder"):
-        train_short(Store.open(tiny_store), tmp_path / "b", own)
-    assert not list(own.glob("speech-*"))
+def test_a_store_without_words_is_refused_before_a_block_is_cut(tiny_store: Path, tmp_path: Path,
+                                                                monkeypatch: pytest.MonkeyPatch) -> None:
+    load = Store.load
+
+    def unsaid(store: Store, *asked: Any) -> Recording:
+        recording = load(store, *asked)
+        return dataclasses.replace(recording, speech=dataclasses.replace(recording.speech, words=None))
+
+    monkeypatch.setattr(Store, "load", unsaid)
+    with pytest.raises(InputError, match=r"no recording with words.* --set text\.encoder= "):
+        train_short(Store.open(tiny_store), tmp_path / "b", tmp_path / "work")
+    assert not list((tmp_path / "work").glob("blocks-*"))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a signal to a group of processes")
+def test_ctrl_c_says_how_to_go_on_and_leaves_no_traceback(tiny_store: Path, tmp_path: Path) -> None:
+    """While processes cut blocks, and again while a stage is trained; the second run goes on from the first."""
+    command = [sys.executable, "-m", "gesticulator", "train", "--data", str(tiny_store), "--out", str(tmp_path / "b"),
+               "--preset", "tiny", "--threads"]
+    for threads, sign in (("2", "blocks:"), ("1", "stage 1 of 13: speech")):
+        lines = ""
+        with subprocess.Popen([*command, threads], stderr=subprocess.PIPE, text=True,
+                              start_new_session=True) as process:
+            assert process.stderr is not None
+            while sign not in lines:
+                character = process.stderr.read(1)
+                assert character, lines
+                lines += character
+            os.killpg(process.pid, signal.SIGINT)
+            lines += process.stderr.read()
+        assert process.returncode == 130 and "Traceback" not in lines, lines
+        assert f"the same command goes on from what {tmp_path / 'b'}.work holds" in lines
+    assert len(list((tmp_path / "b.work").glob("blocks-*/*.npz"))) == 9 and not (tmp_path / "b").exists()
 
 
 def test_silent_augmentation_holds_poses_and_keeps_its_budget(tiny_store: Path, work: Path) -> None:

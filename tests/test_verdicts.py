@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from eval.ablate.cells import Cells
-from eval.ablate.rows import CONTROLS, ELSEWHERE, ROWS, TABLES, Claim, Elsewhere
+from eval.ablate.rows import COLUMNS, CONTROLS, DOSED, DOSES, ELSEWHERE, REFERENCES, ROWS, TABLES, Claim, Elsewhere
 from eval.ablate.verdicts import (
-    ALIKE,
     HOLDS,
+    INERT,
     NO_EFFECT,
     NO_TEST,
     REVERSED,
@@ -40,7 +40,7 @@ def found(mean: float, error: float, seeds: int = 3) -> Components:
 def test_a_margin_of_two_and_every_side_of_the_bounds(mean: float, error: float, above: str, below: str) -> None:
     decision = decide(found(mean, error), ">", 2.0)
     assert (decision.word, decide(found(mean, error), "<", 2.0).word) == (above, below)
-    assert bool(decision.reason) == (above == NO_EFFECT and mean > 0), "less than half of the paper's effect"
+    assert bool(decision.reason) == (above == NO_EFFECT and mean > 0), "less than the margin"
     mirrored = decide(found(-mean, error), "<", 2.0)
     assert (mirrored.word, mirrored.reason) == (decision.word, decision.reason)
 
@@ -92,6 +92,7 @@ def test_as_many_seeds_and_clips_as_are_named_decide_in_four_of_five_experiments
 
 # ---------------------------------------------------------------------------------------------------------- readings
 
+SEEDLESS = {*REFERENCES, *CONTROLS, *DOSED}
 LOWER = Claim("RG Table 1", "fgd", "ours", "<", "no-style")
 HIGHER = Claim("RG Table 1", "pmb", "ours", ">", "no-lexemes")
 
@@ -100,7 +101,7 @@ def cells_by(metric: str, **rows: list[list[float]]) -> Cells:
     """Cells with metric = rows[row][seed][clip]; the performer and the controls have no seed."""
     return {name.replace("_", "-"): {seed: {"clips": [{"name": f"clip {k}", metric: value}
                                                       for k, value in enumerate(clips)]}
-                                     for seed, clips in enumerate(seeds, start=name not in ("performer", *CONTROLS))}
+                                     for seed, clips in enumerate(seeds, start=name.replace("_", "-") not in SEEDLESS)}
             for name, seeds in rows.items()}
 
 
@@ -126,38 +127,103 @@ def test_the_margin_is_half_of_the_papers_effect() -> None:
     cells = cells_by("fgd", ours=[[1.0, 2.0]] * 3, no_style=[[2.0, 6.0]] * 3)
     assert margin_of(LOWER, cells, "fgd") == pytest.approx((12.53 - 10.78) / 12.53 / 2 * 4.0)
     assert margin_of(HIGHER, {}, "pmb_above_chance") == pytest.approx((91.36 - 85.74) / 2)
-    assert margin_of(Claim("RG Table 1", "pmb", "ours", "=", "no-style"), {}, "pmb") == ALIKE
+    assert margin_of(Claim("RG Table 1", "pmb", "ours", "=", "no-style"), {}, "pmb") == 5.0
     assert math.isnan(margin_of(Claim("RG Fig. 18", "fgd", "size-100", "<", "size-10"), cells, "fgd"))
+    # Of what the paper prints no figure the column's fixed margin decides.
+    assert margin_of(Claim("RG Fig. 18", "pmb", "size-100", "=", "size-10"), {}, "pmb_above_chance") == 5.0
+    assert margin_of(Claim("RG 6.4.1", "silence_speed", "ours", "<", "no-hint"), {}, "silence_speed") == 0.05
+
+
+WRONG = [[5.0, 6.0, 7.5]]
+ALL_PASS = dict.fromkeys(COLUMNS["pmb"].controls, WRONG)
 
 
 def test_a_control_takes_the_valid_verdict_and_leaves_the_published_one() -> None:
     rows = {"ours": [[50.0, 51.0, 52.0]] * 3, "no_lexemes": [[30.0, 31.0, 32.5]] * 3}
-    wrong = [[5.0, 6.0, 7.5]]
-    passes = cells_by("pmb_above_chance", **rows, shuffled=wrong, jitter=wrong)
+    passes = cells_by("pmb_above_chance", **rows, **ALL_PASS)
     plain, valid, fooled = readings(HIGHER, passes)
     assert (plain.word, valid.word, fooled) == (UNDECIDED, HOLDS, ""), "PMB at 0.2 s was not measured"
-    fails = cells_by("pmb_above_chance", **rows, shuffled=wrong, jitter=[[49.0, 51.5, 53.0]])
-    _, valid, fooled = readings(HIGHER, fails)
-    assert valid.word == NO_TEST and fooled == "jitter"
-    better = {"ours": [[1.0, 2.0, 3.1]] * 3, "no_style": [[5.0, 6.0, 7.0]] * 3, "shuffled": [[0.5, 1.0, 1.5]]}
-    plain, valid, fooled = readings(LOWER, cells_by("fgd", **better))
-    assert (plain.word, valid.word, fooled) == (HOLDS, NO_TEST, "shuffled"), "both stand side by side"
+    for name in ("bobbing", "jitter"):
+        _, valid, fooled = readings(HIGHER, passes | cells_by("pmb_above_chance", **{name: [[49.0, 51.5, 53.0]]}))
+        assert valid.word == NO_TEST and fooled == name, "what nonsense does as well carries no claim"
+    undefined = passes | cells_by("pmb_above_chance", still=[[math.nan] * 3])
+    assert readings(HIGHER, undefined)[1].word == HOLDS, "what never moves has no timing"
+    del passes["bobbing"]
+    assert readings(HIGHER, passes)[1].word == NO_TEST, "a control that was not run was not passed"
     silent = Claim("RG 6.4.1", "silence_speed", "ours", "<", "no-hint")
-    plain, valid, _ = readings(silent, cells_by("silence_speed", ours=[[1.0, 2.0, 3.0]] * 3, still=[[0.0, 1.1, 2.2]],
-                                                no_hint=[[2.0, 3.5, 4.0]] * 3))
-    assert plain.word == HOLDS and (valid.word, valid.reason) == (NO_TEST, "the paper prints no effect")
+    speeds = {"ours": [[1.0, 2.0, 3.0]] * 3, "no_hint": [[2.0, 3.5, 4.0]] * 3, "still": [[0.0, 1.1, 2.2]]}
+    plain, valid, _ = readings(silent, cells_by("silence_speed", **speeds, jitter=[[9.0, 9.0, 9.0]]))
+    assert plain.word == valid.word == HOLDS, "jitter raises a speed, and so it should"
+
+
+def test_a_negative_stands_whatever_the_controls_do() -> None:
+    fooled_by_all = {name: [[90.0, 91.0, 92.5]] for name in COLUMNS["pmb"].controls}
+    for ours, word in ((10.0, REVERSED), (30.5, NO_EFFECT)):
+        rows = {"ours": [[ours, ours + 1, ours + 2]] * 3, "no_lexemes": [[30.0, 31.0, 32.5]] * 3}
+        _, valid, fooled = readings(HIGHER, cells_by("pmb_above_chance", **rows, **fooled_by_all))
+        assert (valid.word, fooled) == (word, ", ".join(COLUMNS["pmb"].controls))
+
+
+def doses(**instead: list[float]) -> dict[str, list[list[float]]]:
+    """Distances of each dose, rising; instead: of some kinds of damage."""
+    return {f"{kind}-{k + 1}": [[value, value + 0.1, value + 0.3]] for kind, count in DOSES.items()
+            for k, value in enumerate(instead.get(kind.replace("-", "_"), [1.0, 2.0, 4.0][:count]))}
+
+
+def test_a_distance_between_sets_must_order_doses_of_damage() -> None:
+    rows = {"ours": [[1.0, 2.0, 3.1]] * 3, "no_style": [[5.0, 6.0, 7.0]] * 3, "performer": [[0.0, 0.0, 0.0]],
+            "shuffled": [[0.0, 0.0, 0.0]]}
+    plain, valid, fooled = readings(LOWER, cells_by("fgd", **rows, **doses()))
+    assert (plain.word, valid.word, fooled) == (HOLDS, HOLDS, ""), "it cannot see the speech, which is not its task"
+    for instead, which in (({"jitter": [1.0, 0.5, 4.0]}, "jitter"), ({"frozen_trunk": [0.0, 0.0]}, "frozen-trunk")):
+        _, valid, fooled = readings(LOWER, cells_by("fgd", **rows, **doses(**instead)))
+        assert (valid.word, fooled) == (NO_TEST, f"doses of {which}")
+    assert beaten_by("fgd", cells_by("fgd", **rows)) == ["doses of damage (not run)"]
+
+
+def test_rows_that_differ_in_nothing_are_inert_and_do_not_count() -> None:
+    alike_claim = Claim("RG Table 1", "pmb", "ours", "=", "no-style")
+    rng = np.random.default_rng(0)
+
+    def cells(better: float) -> Cells:
+        """MAJE of `ours` lower by so much; PMB the same but for noise."""
+        noise = {name: rng.normal(0, 0.1, size=(3, 12)) for name in ("ours", "no-style")}
+        return {name: {seed: {"clips": [{"name": str(k), "pmb": 70 + value, "maje": value + (
+            30.0 if name == "no-style" else 30.0 - better)} for k, value in enumerate(noise[name][seed - 1])]}
+            for seed in (1, 2, 3)} for name in noise}
+
+    assert reading(alike_claim, cells(0.0), "pmb").word == INERT, "nothing that the paper says of style is there"
+    assert reading(alike_claim, cells(5.0), "pmb").word == HOLDS, "style does something, and not to timing"
+    assert reading(alike_claim, cells(-5.0), "pmb").word == HOLDS
+    no_other = Claim("RG Table 3", "pmb", "style-reads", "=", "ours")
+    assert reading(no_other, cells_by("pmb", ours=[[1.0, 2.0]] * 3, style_reads=[[1.1, 2.1]] * 3), "pmb").word == INERT
+
+
+def test_a_collapsed_policy_is_named_and_returns_are_judged_by_their_own_reward() -> None:
+    claim = Claim("RACER Table 2", "return", "racer-cql", ">", "racer-dqn")
+
+    def cells(random: float, nats: float) -> Cells:
+        values = {"racer-cql": 12.0, "racer-dqn": 2.0, "racer-random": random, "racer-majority": 1.0}
+        return {name: {seed: {"clips": [{"name": str(k), "return": value + 0.1 * k + 0.01 * seed * k, "longest_run": 55,
+                                         "lexeme_diversity": nats if name == "racer-cql" else 2.0} for k in range(5)]}
+                       for seed in (1, 2, 3)} for name, value in values.items()}
+
+    plain, valid, fooled = readings(claim, cells(1.0, 2.0))
+    assert (plain.word, valid.word, fooled, valid.reason) == (HOLDS, HOLDS, "", "")
+    _, valid, fooled = readings(claim, cells(13.0, 0.4))
+    assert (valid.word, fooled) == (NO_TEST, "racer-random")
+    assert "racer-cql has collapsed: 55 blocks of one lexeme" in valid.reason and "dqn" not in valid.reason
 
 
 def test_an_amount_is_less_in_a_still_body_and_not_more_in_noise() -> None:
-    def fooling(still: float, jitter: float) -> str:
+    def fooling(still: float, jitter: float) -> list[str]:
         rows = {"ours": [[3.0, 3.1, 3.2]] * 3, "performer": [[4.0, 4.1, 4.2]], "still": [[still, still, still + 0.1]],
                 "jitter": [[jitter, jitter + 0.1, jitter + 0.21]], "reversed": [[4.0, 4.1, 4.2]]}
         return beaten_by("diversity", cells_by("diversity", **rows))
 
-    assert fooling(0.0, 4.0) == ""
-    assert fooling(3.2, 4.0) == "still" and fooling(0.0, 5.0) == "jitter"
-    assert beaten_by("fgd", cells_by("fgd", ours=[[1.0]] * 3)) == "controls that were not run"
-    assert beaten_by("accuracy", {}) == "" and "random" in beaten_by("return", {})
+    assert fooling(0.0, 4.0) == []
+    assert fooling(3.2, 4.0) == ["still"] and fooling(0.0, 5.0) == ["jitter"]
+    assert beaten_by("accuracy", {}) == []
 
 
 def test_every_claim_is_of_rows_and_figures_that_there_are_and_the_papers_numbers_bear_it_out() -> None:
@@ -171,7 +237,8 @@ def test_every_claim_is_of_rows_and_figures_that_there_are_and_the_papers_number
         assert len({ROWS[name].split for name in (claim.first, claim.second) if name in ROWS}) == 1, "of one split"
         for _, one, other in table.both(claim):
             numbered += 1
-            assert {"<": one < other, ">": one > other, "=": abs(one - other) < ALIKE}[claim.sign], claim
+            within = COLUMNS[claim.metric].alike
+            assert {"<": one < other, ">": one > other, "=": abs(one - other) < within}[claim.sign], claim
     assert numbered > 60
     first = next(claim for claim in claims if (claim.second, claim.metric) == ("no-lexemes", "fgd"))
     assert TABLES["RG Table 1"].both(first) == [("Trinity", 10.78, 29.75), ("TED", 2.04, 5.22)]

@@ -44,8 +44,8 @@ _AUDIBLE = (-0.02, 0.08)
 # Spectra by which an onset follows its peak: the rise enters a window half a window early, and the peak is the first
 # value of the plateau of length `_LAG`.
 _LATE = int(_WINDOW / 2 // _HOP) - (_LAG - 1)
-# Spectra (20 ms) that are computed at a time.
-_TILE = 2
+# Spectra (20 ms) by which the strengths grow, and the most that are computed in one call, which bounds the memory.
+_TILE, _MOST = 2, 100
 # Seconds: what is closer is the same time.
 _EPS = 1e-9
 
@@ -78,13 +78,16 @@ def merged(times: Array, closest: float) -> Array:
 
 
 class RiseTracker:
-    """Streaming onset strength, `_TILE` spectra at a time. All arithmetic is done in tiles of one size, so that the
-    result does not depend on the pieces of sound, to the last bit."""
+    """Streaming onset strength. Each spectrum is transformed, weighted and summed alone, so that the pieces of sound do
+    not change the result in the last bit: the order of sums in a matrix product depends on its columns."""
 
     def __init__(self, sample_rate: int) -> None:
         self._rate = sample_rate
         self._hop, self._window = round(_HOP * sample_rate), 2 * round(_WINDOW * sample_rate / 2)
-        self._bands = mel_bands(sample_rate, self._window, _BANDS)
+        # Most weights are zero: a band covers 16 of 1025 frequencies.
+        weights = mel_bands(sample_rate, self._window, _BANDS)
+        bands, self._bins = np.nonzero(weights)
+        self._weights, self._first_of_band = weights[bands, self._bins, None], np.searchsorted(bands, np.arange(_BANDS))
         self._covered = _covered(self._window, self._hop)
         # Sound from the start of the next tile's first window on; silence lies before the recording.
         self._sound = np.zeros(self._window // 2, np.float32)
@@ -99,9 +102,14 @@ class RiseTracker:
         self._take(samples, ground)
         self._samples += len(samples)
         out = [np.zeros(0)]
-        while len(self._sound) >= (_TILE - 1) * self._hop + self._window and len(self._ground) >= _TILE:
-            out.append(self._tile())
+        while count := self._ready():
+            out.append(self._strengths(count))
         return np.concatenate(out)
+
+    def _ready(self) -> int:
+        """How many spectra can be computed next."""
+        whole = (len(self._sound) - self._window) // self._hop + 1
+        return max(min(whole, len(self._ground), _MOST), 0) // _TILE * _TILE
 
     def finish(self) -> Array:
         """The remaining strengths, at the end of the recording."""
@@ -111,7 +119,7 @@ class RiseTracker:
             # Silence after the end fills the last windows, as silence before the start fills the first.
             short = (_TILE - 1) * self._hop + self._window - len(self._sound)
             self._take(np.zeros(max(short, 0), np.float32), np.full(_TILE, self._last_ground))
-            out.append(self._tile()[:left - start])
+            out.append(self._strengths(_TILE)[:left - start])
         return np.concatenate(out)
 
     def _take(self, samples: Samples, ground: Array) -> None:
@@ -119,15 +127,17 @@ class RiseTracker:
         if len(ground):
             self._last_ground = float(ground[-1])
 
-    def _tile(self) -> Array:
-        piece = self._sound[:(_TILE - 1) * self._hop + self._window]
+    def _strengths(self, count: int) -> Array:
+        """The strengths [count] of the next spectra."""
+        piece = self._sound[:(count - 1) * self._hop + self._window]
         spectrum = _spectra(piece, self._window, self._hop)
-        power = self._bands @ (spectrum.real ** 2 + spectrum.imag ** 2)
-        numbers = np.arange(self._frames, self._frames + _TILE)
+        power = spectrum.real ** 2 + spectrum.imag ** 2
+        power = np.add.reduceat(self._weights * power[self._bins], self._first_of_band, axis=0)
+        numbers = np.arange(self._frames, self._frames + count)
         if self._frames < len(self._covered):  # the windows after them are filled
             power /= self._covered[np.minimum(numbers, len(self._covered) - 1)]
         # The floor of the power in decibels: that of `_FAINTEST`, moved with the ground.
-        faintest = _FAINTEST_DECIBELS + self._ground[:_TILE].astype(np.float32) - np.float32(_LIMIT)
+        faintest = _FAINTEST_DECIBELS + self._ground[:count].astype(np.float32) - np.float32(_LIMIT)
         decibels = np.concatenate([self._before, 10.0 * np.log10(np.maximum(power, _TINY))], axis=1)
         # Both spectra over the same floor: a floor that moves is not a rise.
         rise = np.maximum(decibels[:, _LAG:] - np.maximum(decibels[:, :-_LAG], faintest), 0.0)
@@ -135,8 +145,8 @@ class RiseTracker:
         if self._frames < _LAG:
             rise[numbers < _LAG] = 0.0  # there is only padding before them
         self._before = decibels[:, -_LAG:]
-        self._sound, self._ground = self._sound[_TILE * self._hop:], self._ground[_TILE:]
-        self._frames += _TILE
+        self._sound, self._ground = self._sound[count * self._hop:], self._ground[count:]
+        self._frames += count
         # In single precision ties depend on the platform; rounding resolves them.
         return np.asarray(np.round(rise, 3))
 

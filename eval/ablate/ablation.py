@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from tqdm import tqdm
 from eval.ablate import figures
 from eval.ablate.cells import Cell, CellStore, summaries
 from eval.ablate.racer import RacerRows
-from eval.ablate.rows import CONTROLS, REFERENCES, ROWS, is_racer
+from eval.ablate.rows import CONTROLS, DOSED, REFERENCES, ROWS, is_racer
 from eval.ablate.run import RgRows
 from eval.ablate.tables import write
 from eval.table import Provenance
@@ -26,11 +25,13 @@ class Ablation:
 
     rg: RgRows
     cells: CellStore
+    _racer: dict[int, RacerRows] = field(default_factory=dict, init=False)
 
-    @cached_property
-    def racer(self) -> RacerRows:
-        """RACER's rows."""
-        return RacerRows.over(self.rg)
+    def racer(self, seed: int) -> RacerRows:
+        """RACER's rows over the lexicon of a seed."""
+        if seed not in self._racer:
+            self._racer[seed] = RacerRows.over(self.rg, seed)
+        return self._racer[seed]
 
     def run(self, only: Sequence[str], seeds: int, systems: Mapping[str, Path], about: Provenance) -> dict[str, Any]:
         """Run the rows and figures of `only` (empty: all) that are not finished, and write the tables of all that is.
@@ -47,11 +48,11 @@ class Ablation:
             self.cell(name, seed)
         # Each paper's rows stand on their own hash, so a run of one alone must not open what the other needs.
         rg_names = [name for name in names if not is_racer(name)]
-        shared = {True: self.racer.shared} if len(rg_names) < len(names) else {}
+        shared = {seed: self.racer(seed).shared for seed in range(1, seeds + 1) if len(rg_names) < len(names)}
         if rg_names or not names:
-            shared[False] = self.rg.shared
+            shared[0] = self.rg.shared
             for split in dict.fromkeys(["test", *(ROWS[name].split for name in rg_names)]):
-                for name in (*REFERENCES, *CONTROLS):
+                for name in (*REFERENCES, *CONTROLS, *DOSED):
                     self.reference(name, split)
         for name, folder in systems.items():
             self.system(name, folder)
@@ -59,7 +60,8 @@ class Ablation:
         cells = {row: current for row, by_seed in self.cells.read().items()
                  if (current := {seed: cell for seed, cell in by_seed.items() if self._current(cell, shared)})}
         facts: dict[str, Any] = {
-            "preset": self.rg.first.config.name, "refused": {}, "rows": summaries(cells),
+            "preset": self.rg.first.config.name, "system": configs.digest(self.rg.first.config), "refused": {},
+            "rows": summaries(cells),
             "store": {"name": store.corpus, "fingerprint": store.fingerprint,
                       "test_recordings": len(self.rg.names("test"))}}
         for name in figures.FIGURES:
@@ -71,9 +73,9 @@ class Ablation:
 
     def cell(self, name: str, seed: int) -> Cell:
         """One row at one seed: read if it was finished under the same key, else trained, played, measured and kept."""
-        row, rows = ROWS[name], self.rg if ROWS[name].train == "stages" else self.racer
+        rows = self.rg if ROWS[name].train == "stages" else self.racer(seed)
         result = self._kept(name, seed, rows.cell_key(name, seed), rows.shared, lambda: rows.measured(name, seed),
-                            kind="row", question=row.ask, settings=list(row.set), split=row.split)
+                            "row")
         assert result is not None
         return result
 
@@ -82,29 +84,27 @@ class Ablation:
         shown = name if split == "test" else f"{name}-{split}"
         key = configs.digest(self.rg.shared, name, split, self.rg.names(split))
         return self._kept(shown, 0, key, self.rg.shared, lambda: self.rg.reference(name, split),
-                          kind="reference" if name in REFERENCES else "control",
-                          question={**REFERENCES, **CONTROLS}[name], settings=[], split=split)
+                          "reference" if name in REFERENCES else "control")
 
     def system(self, name: str, folder: Path) -> Cell | None:
         """The cell of another system; InputError where it has no motion for a test recording."""
         key, clips = self.rg.foreign(name, folder)
-        return self._kept(name, 0, key, self.rg.shared, lambda: self.rg.foreign_measured(folder, clips), kind="system",
-                          settings=[], split="test", question=f"another system's motion, {len(clips)} clips")
+        return self._kept(name, 0, key, self.rg.shared, lambda: self.rg.foreign_measured(folder, clips), "system")
 
-    def _current(self, cell: Cell, shared: Mapping[bool, str]) -> bool:
-        """False for a cell of other settings. shared: hash of what RACER's rows stand on at True, the others' at
-        False, of those that were run."""
+    def _current(self, cell: Cell, shared: Mapping[int, str]) -> bool:
+        """False for a cell of other settings. shared: hash of what RACER's rows of each seed stand on, the others' at
+        0, of those that were run."""
         name, racer = cell["row"], is_racer(cell["row"])
         same = racer or name not in ROWS or cell["key"] == self.rg.cell_key(name, cell["seed"])
-        return bool(same and cell["shared"] == shared.get(racer, cell["shared"]))
+        return bool(same and cell["shared"] == shared.get(cell["seed"] if racer else 0, cell["shared"]))
 
     def _kept(self, name: str, seed: int, key: str, shared: str, make: Callable[[], Mapping[str, Any] | None],
-              **about: Any) -> Cell | None:
+              kind: str) -> Cell | None:
         """The cell of a row, a seed and a key, made and written where it is not there; None where none can be made."""
         known = self.cells.finished(name, seed, key)
         result = None if known is not None else make()
         if not result:
             return known
-        written = {**result, "row": name, "seed": seed, "key": key, "shared": shared, **about}
+        written = {**result, "row": name, "seed": seed, "key": key, "shared": shared, "kind": kind}
         self.cells.add(written)
         return written

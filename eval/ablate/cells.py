@@ -1,7 +1,7 @@
 """Cells: what was measured of one row at one seed, each a JSON file of its own, and the rows' figures from them.
 
 A cell OUT/cells/ROW-SEED.json has "row", "seed" (0 for what has none), "split", "key" (hash of all that shapes it),
-"shared" (hash of what all rows stand on), "question", "settings", "clips" (one mapping a clip, by column) and "sets"
+"shared" (hash of what all rows stand on), "clips" (one mapping a clip, by column) and "sets"
 (figures of all clips). A file is written whole or not at all, so a run that is stopped goes on.
 """
 
@@ -123,10 +123,9 @@ def summaries(cells: Cells) -> dict[str, dict[str, Any]]:
     rows: dict[str, dict[str, Any]] = {}
     for name, by_seed in cells.items():
         every = list(by_seed.values())
-        first = every[0]  # settings and question are those of the row, the same at every seed
         curves = [cell["sets"]["pmb_curve"]["percent"] for cell in every if "pmb_curve" in cell["sets"]]
         rows[name] = {
-            "settings": first["settings"], "question": first["question"], "kind": first.get("kind", "row"),
+            "kind": every[0].get("kind", "row"),
             "seeds": list(by_seed), "decided": set(by_seed) == {0} or len(by_seed) >= DECIDED,
             "pmb_curve": np.mean(curves, axis=0).tolist() if curves else [],
             "figures": {key: interval_of(every, key) for key in COLUMNS}}

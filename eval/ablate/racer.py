@@ -4,8 +4,9 @@ Every row is a Q-network of the same size, trained for the same number of steps 
 is the settings that it changes and how it learns. "offline" learns from the episodes of the training split
 (`interpreters.episodes`); "online" acts in the recorded speech, epsilon-greedily, and learns from what it remembers
 (DQN); "actor-critic" begins as the supervised network of its seed (so it has had twice the steps in all) and learns
-from what it has just done. The lexicon, the speech levels and both reward models are a bundle's, and the data set is
-sampled once, so seeds differ by network, batches and roll-outs alone.
+from what it has just done. Beside them stand lexemes that are known beforehand, by which the reward is judged: the
+performer's, random ones, and each speaker's most frequent one. The lexicon, the speech levels and both reward models
+are those of the row `q-network` at the same seed, so a seed is lexicon, reward, network and roll-outs together.
 
 What fools it: the training reward is what most rows were made to please and `racer-supervised` was not; believe what
 the judging model says too. The paper's figures stand beside ours for their order alone: other data, another reward
@@ -28,18 +29,17 @@ from torch import Tensor
 from data_module.errors import InputError
 from data_module.layers import freeze
 from data_module.store import Recording
-from data_module.types import Motion
 from eval.ablate.actor_critic import ActorCritic
 from eval.ablate.policy import Decisions, lexeme_values, walk
 from eval.ablate.rows import RACER_PRESETS, RACER_SUPERVISED, ROWS
-from eval.ablate.run import RgRows
+from eval.ablate.run import RgRows, played
 from eval.ablate.simulator import Choose, Replay, Simulator
-from eval.baselines.interpreters import ReplayInterpreter
+from eval.baselines.interpreters import Majority
 from eval.context import EvalContext, Lexemes
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
 from gesticulator.bundle.config import Config
-from gesticulator.bundle.models import JUDGES, played
+from gesticulator.bundle.models import JUDGES, runner_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages import STAGES, Corpus
 from gesticulator.training.stages.caches import weights_hash
@@ -52,7 +52,7 @@ from interpreters.episodes import BehaviourPolicies, Demonstration, Episodes, Si
 from interpreters.reward_table import Centred, EnsembleReward
 from lexicon.inventory import nearest_silent
 
-VERSION = 4
+VERSION = 5
 """Raised when the same settings would no longer give the same figures."""
 ACT_EVERY = 2
 """Steps of the online row between two roll-outs of a batch of episodes."""
@@ -60,8 +60,6 @@ MEMORY = 4096
 """Windows that it remembers."""
 GREEDY_AT, LEAST_EPSILON = 0.5, 0.1
 """epsilon falls from 1 to the least one by this share of the steps."""
-MOTION = 60
-"""Test recordings that are played at most, which is what claims of motion need."""
 
 
 # ------------------------------------------------------------------------------------------- what all rows stand on
@@ -70,7 +68,7 @@ MOTION = 60
 class RacerRows:
     """Shared by RACER's rows. context: a store and a bundle with both reward models; settings: those that the rows
     change; takes: the training split; decisions: on the test split; tables: of rewards, "" the one that policies are
-    taught and "judge_" the other; rg: what scores motion."""
+    taught and "judge_" the other; rg: what scores motion; scale: by what rewards are multiplied offline."""
 
     context: EvalContext
     settings: Config
@@ -79,13 +77,14 @@ class RacerRows:
     decisions: Decisions
     tables: dict[str, EnsembleReward]
     rg: RgRows
-    _episodes: dict[str, Episodes] = field(default_factory=dict, init=False)
+    scale: float = 1.0
+    _episodes: dict[str, Episodes] = field(default_factory=dict)
     _trained: dict[tuple[str, int], QNetwork] = field(default_factory=dict, init=False)
 
     @classmethod
-    def over(cls, rg: RgRows) -> RacerRows:
+    def over(cls, rg: RgRows, seed: int) -> RacerRows:
         """On the store of the other rows and the bundle of the row "q-network", with the models of its training."""
-        first, (bundle, run) = rg.first, rg.trained("q-network", 1)
+        first, (bundle, run) = rg.first, rg.trained("q-network", seed)
         bundle = bundle.with_parts(**{name: run.get(STAGES[name]) for name in JUDGES})
         context = EvalContext.over(first.store, bundle, first.work, rg.context.limit, first.progress)
         return cls.of(context, rg, RACER_PRESETS[first.config.name])
@@ -138,38 +137,44 @@ class RacerRows:
         names = [self.corpus.names[take.recording] for take in self.decisions.takes]
         # A change of the supervised row is one of the actor-critic that begins as it.
         begins_as = self.config(RACER_SUPERVISED) if ROWS[name].train == "actor-critic" else None
-        return configs.digest(self.shared, self.config(name), ROWS[name].train, begins_as, seed, names)
+        row = ROWS[name]
+        return configs.digest(self.shared, self.config(name), row.train, row.scale, begins_as, seed, names)
 
     def measured(self, name: str, seed: int) -> dict[str, Any]:
-        """"clips" and "sets" of a row's cell: all test recordings judged, the first `MOTION` played."""
-        policy, takes = self.policy(name, trained(self, name, seed)), self.decisions.takes
-        chosen = [walk(policy, self.decisions, take) for take in takes]
+        """"clips" and "sets" of a row's cell: all test recordings judged and played."""
+        takes, chosen = self.decisions.takes, self.chosen(name, seed)
         clips = [{"name": self.corpus.names[take.recording], "decisions": len(take.blocks) - 1,
                   **lexeme_values(take, lexemes, self.decisions.size, self.tables)}
                  for take, lexemes in zip(takes, chosen, strict=True)]
         # Without a lexicon: lexemes that were chosen are known, and need not be read from the motion.
         scored = self.rg.scored([recording.info.name for recording in self.recordings], lexicon=False)
-        motions = [self._played(*pair) for pair in zip(self.recordings, chosen, strict=False)]
-        for clip, motion in zip(clips, self.rg.summary(scored, motions)["clips"], strict=False):
+        motions = [played(self.context.system, *pair) for pair in zip(self.recordings, chosen, strict=True)]
+        for clip, motion in zip(clips, self.rg.summary(scored, motions)["clips"], strict=True):
             clip |= motion
         return {"clips": clips, "sets": {}}
 
-    def _played(self, recording: Recording, lexemes: Lexemes) -> Motion:
-        """Motion that the generator samples for lexemes [M] on the speech of a recording, the gate open."""
-        return self.context.system(
-            replace(recording.speech, words=None), speaker=recording.info.speaker, temperature=0.0, activity=1.0,
-            interpreter=ReplayInterpreter([lexemes], len(self.bundle.vectors))).motion
+    def chosen(self, name: str, seed: int) -> list[Lexemes]:
+        """The lexemes [M] of a row on each test recording; the first of them is the performer's."""
+        takes, train = self.decisions.takes, ROWS[name].train
+        if train == "performer":
+            return [self.silent.relabel(take) for take in takes]
+        if train == "random":
+            rng = np.random.default_rng(seed)
+            # The greatest of random numbers over what may be chosen is any of that, all alike.
+            return [np.append(take.lexemes[:1], np.where(allowed, rng.random(allowed.shape), -1).argmax(1)[1:])
+                    for take in takes for allowed in [self.decisions.allowed(take)]]
+        policy = Majority(self.bundle) if train == "majority" else self.policy(name, trained(self, name, seed))
+        return [walk(policy, self.decisions, take) for take in takes]
 
     @cached_property
     def recordings(self) -> list[Recording]:
-        """The first `MOTION` test recordings, which every row is played on."""
-        return [self.context.store.load(self.corpus.names[take.recording])
-                for take in self.decisions.takes[:MOTION]]
+        """The test recordings, which every row is played on."""
+        return [self.context.store.load(self.corpus.names[take.recording]) for take in self.decisions.takes]
 
     def policy(self, name: str, network: QNetwork) -> LexemeInterpreter:
         """A row's trained network as it chooses lexemes."""
         silent = tuple(self.bundle.silent.tolist())
-        runner: LexemeInterpreter = played("q_network", sizes(self.config(name), self.corpus, silent=silent,
+        runner: LexemeInterpreter = runner_of("q_network", sizes(self.config(name), self.corpus, silent=silent,
                                                               vectors=self.bundle.vectors), network)
         return runner
 
@@ -193,7 +198,7 @@ def rescaled(table: Tensor, episodes: Episodes) -> Tensor:
 
 
 def rewarded(racer: RacerRows, config: Config) -> Episodes:
-    """The offline data set with the reward of the settings; every seed learns from the same."""
+    """The offline data set with the reward of the settings, times the scale of the row; every row has the same."""
     plain = replace(config.episodes, reward="contrastive")
     key = configs.digest(plain)
     if key not in racer._episodes:
@@ -205,10 +210,14 @@ def rewarded(racer: RacerRows, config: Config) -> Episodes:
                                      vectors=racer.bundle.vectors, seed=config.seed,
                                      policies=BehaviourPolicies(interpreters, features_of(racer.corpus)))
     episodes = racer._episodes[key]
-    if config.episodes.reward == "contrastive":
+    if config.episodes.reward == "contrastive" and racer.scale == 1:
         return episodes
-    table = rescaled(distance_rewards(racer.bundle.block_lexicon.shown(), racer.corpus.motion), episodes).numpy()
-    return Episodes([replace(e, reward=table[e.blocks, e.actions].astype(np.float32)) for e in episodes.episodes])
+    rewards = [episode.reward for episode in episodes.episodes]
+    if config.episodes.reward == "distance":
+        table = rescaled(distance_rewards(racer.bundle.block_lexicon.shown(), racer.corpus.motion), episodes).numpy()
+        rewards = [table[episode.blocks, episode.actions] for episode in episodes.episodes]
+    return Episodes([replace(episode, reward=(racer.scale * reward).astype(np.float32))
+                     for episode, reward in zip(episodes.episodes, rewards, strict=True)])
 
 
 # --------------------------------------------------------------------------------------------------------- learning
@@ -308,7 +317,8 @@ def trained(racer: RacerRows, name: str, seed: int) -> QNetwork:
     if (name, seed) not in racer._trained:
         # Kept for the actor-critic, which begins as the supervised network of its seed.
         config = racer.config(name)
-        model, make_batch = TRAININGS[ROWS[name].train](racer, config, racer.untrained(name, seed), seed)
+        model, make_batch = TRAININGS[ROWS[name].train](
+            replace(racer, scale=ROWS[name].scale), config, racer.untrained(name, seed), seed)
         # No checkpoint is kept: what roll-outs remembered would be lost, so a resumed training would be another one.
         with tempfile.TemporaryDirectory() as scratch:
             fitting.fit(f"{name}, seed {seed}", model, fitting.Task(

@@ -27,8 +27,13 @@ RACER_OURS, RACER_SUPERVISED = "racer-cql", "racer-supervised"
 REFERENCES = {PERFORMER: "the motion that the store was made with", REAL_TAKE: "a person speaking (BEAT), one take"}
 CONTROLS = {"shuffled": "the performer's motion for another speech", "reversed": "the performer's motion, backwards",
             "jitter": "the performer's motion, each joint 2 cm off, anew in each frame",
-            "still": "the performer's mean pose, held", FLOOR: "one half of the performer's clips against the other"}
+            "still": "the performer's mean pose, held", "bobbing": "that pose, its forearms up and down at the onsets",
+            FLOOR: "one half of the performer's clips against the other"}
 """References and controls stand in every table; nothing is trained for them."""
+DOSES = {"jitter": 3, "smaller": 2, "larger": 2, "frozen-trunk": 2, "mirrored": 2}
+"""Damage to the performer's motion and its rising doses (`eval.baselines.controls.damaged`), which a distance between
+sets must order."""
+DOSED = tuple(f"{kind}-{dose}" for kind, doses in DOSES.items() for dose in range(1, doses + 1))
 SYSTEMS = ("SG", "Ges", "GTC", "S2AG", "Bailando")
 """The papers' baselines, by the names under which `--system NAME=DIR` fills their lines."""
 DECIDED = 3
@@ -45,6 +50,7 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     style: str = "interpreted"
     split: str = "test"
     train: str = "stages"
+    scale: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -55,7 +61,9 @@ class FigureColumn(Column):
     paper: str = ""
     valid: str = ""
     margin: str = "as it stands"
-    beaten: str = ""
+    alike: float = math.nan
+    controls: tuple[str, ...] = ()
+    doses: bool = False
 
 
 class TableLine(msgspec.Struct, frozen=True, array_like=True):

@@ -10,9 +10,10 @@ Figures of a set (FGD, diversity, motion variance) have no value for a clip; eac
 figure of all less n - 1 times the figure without it. So one paired test serves all (`eval.ablate.verdicts`), and small
 sets are freed of the greater part of their bias.
 
-All rows of all seeds use the same speech encoder, and rows with the same lexicon settings have the same lexicon; seeds
-differ in what is trained on top. Every stage is kept in the work folder under the hash of its settings, so a row trains
-what its settings change and nothing else, and a work folder of the training command serves its finished stages.
+A seed is lexicon, interpreter and generator together: each is trained anew, and rows of a seed with the same settings
+of the lexicon share it. The speech encoder and the cut of the recordings are the same for all. Every stage is kept in
+the work folder under the hash of its settings, so a row trains what its settings change and nothing else, and a work
+folder of the training command serves its finished stages.
 """
 
 from __future__ import annotations
@@ -36,24 +37,36 @@ from data_module.types import Array, Motion
 from eval import stats
 from eval.ablate.policy import Decisions, accuracy
 from eval.ablate.rows import COLUMNS, FLOOR, OURS, PERFORMER, REAL_TAKE, ROWS
-from eval.baselines.controls import split_halves
-from eval.baselines.interpreters import RandomStyle
+from eval.baselines.controls import DAMAGES, split_halves
+from eval.baselines.interpreters import RandomStyle, ReplayInterpreter
 from eval.clip.clip_set import TRUTH, ClipSet
 from eval.clip.excerpts import real_take
 from eval.clip.foreign import find_motions, read_folder
-from eval.context import EvalContext
+from eval.context import EvalContext, Lexemes
 from eval.metrics import fgd, pmb
 from eval.metrics.gesture_features import pooled
-from eval.score.command import ScoredClips, ScoreRow, control_rows
+from eval.metrics.joint_error import motion_error
+from eval.score.command import ScoredClips, control_rows
 from gesticulator.bundle import config as configs
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import Config
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.options import FPS
-from gesticulator.training.stages import BLOCKS, CORPUS, ENCODER, LABELS, LEXICON, Node, Run, assemble, wanted
+from gesticulator.training.stages import (
+    BLOCKS,
+    CORPUS,
+    ENCODER,
+    LABELS,
+    LEXICON,
+    Labelled,
+    Node,
+    Run,
+    assemble,
+    wanted,
+)
 from gesticulator.training.stages.q_network import takes_of
 
-VERSION = 3
+VERSION = 4
 """Raised when the same settings would no longer give the same figures."""
 SHORTEST = 20.0
 """Seconds; a shorter clip has too few beats for a figure of its own."""
@@ -61,6 +74,8 @@ SHOWN_SEED = 1
 """The seed whose motion is kept as BVH and drawn, and whose lexicon reads all motion."""
 FLOOR_DRAWS = 20
 """Ways to halve the performer's clips."""
+CODED = 6
+"""Recordings of the positive control: each is played twice more."""
 
 T = TypeVar("T")
 
@@ -87,6 +102,18 @@ class RowRun(Run):
         return self.taken[node.name].key(node) if node.name in self.taken else super().key(node)
 
 
+def played(system: Gesticulator, recording: Recording, lexemes: Lexemes) -> Motion:
+    """Motion that the generator makes for lexemes [M] on the speech of a recording, the gate open."""
+    return system(replace(recording.speech, words=None), speaker=recording.info.speaker, temperature=0.0, activity=1.0,
+                  interpreter=ReplayInterpreter([lexemes], len(system.bundle.vectors))).motion
+
+
+def fitted(motion: Motion, truth: Motion) -> Motion:
+    """A motion on the character, at the rate of the performer's and no longer than that: systems differ in all three.
+    """
+    return resample(to_character(motion), truth.fps).crop(0, len(truth))
+
+
 # ------------------------------------------------------------------------------------------------------------ the rows
 
 @dataclass
@@ -110,11 +137,11 @@ class RgRows:
                               self.first.key(CORPUS), networks, self.context.limit)
 
     def run(self, name: str, seed: int) -> RowRun:
-        """The run of a row at a seed; its lexicon is made by another one, at the preset's seed."""
+        """The run of a row at a seed, which trains all but the speech encoder."""
         config = configured(self.first.config, name)
         corpora = self._corpus_run(config)
-        before = self._row_run(config, {ENCODER.name: self.first, BLOCKS.name: corpora, CORPUS.name: corpora})
-        return self._row_run(replace(config, seed=seed), {**before.taken, LEXICON.name: before})
+        return self._row_run(replace(config, seed=seed), {
+            ENCODER.name: self.first, BLOCKS.name: corpora, CORPUS.name: corpora})
 
     def _row_run(self, config: Config, taken: Mapping[str, Run]) -> RowRun:
         first = self.first
@@ -186,15 +213,12 @@ class RgRows:
     def summary(self, scored: ScoredClips, motions: Sequence[Motion]) -> dict[str, Any]:
         """"clips" and "sets" of a cell: the values of each clip, those of the whole set by the jackknife."""
         truth = scored.clips.motions[TRUTH]
-        # Other systems come with other rigs, rates and lengths; the performer's decide.
-        fitting = [resample(to_character(motion), reference.fps).crop(0, len(reference))
-                   for motion, reference in zip(motions, truth, strict=True)]
-        row = scored.row("", "system", fitting)
+        row = scored.row("", "system", list(map(fitted, motions, truth)))
         values = {key: row.values[column.metric] for key, column in COLUMNS.items() if column.metric in row.values}
         for key, column in COLUMNS.items():
             if column.metric in row.sets:
                 values[key] = stats.jackknife(row.sets[column.metric], len(truth))
-        values["fgd"] = self._distances(row, truth)
+        values["fgd"] = self._distances(next(iter(row.features.values())), truth)
         # The curve of RG Fig. 11 is a mean over clips whose speech is known.
         percent = [pmb.delta_curve(beats.modes["A"], track.onsets)
                    for beats, track in zip(row.beats, scored.tracks, strict=True) if track is not None]
@@ -202,10 +226,9 @@ class RgRows:
                           for k, name in enumerate(scored.clips.names)],
                 "sets": {"pmb_curve": {"percent": np.mean(percent, axis=0).tolist()}}}
 
-    def _distances(self, row: ScoreRow, truth: Sequence[Motion]) -> Array:
-        """[clips] FGD in the first network by the jackknife; NaN for fewer than two windows."""
-        network = next(iter(row.features))
-        own, real = row.features[network], pooled(list(truth), self.context.networks[network])
+    def _distances(self, own: Sequence[Array], truth: Sequence[Motion]) -> Array:
+        """[clips] FGD of features in the first network by the jackknife; NaN for fewer than two windows."""
+        real = pooled(list(truth), next(iter(self.context.networks.values())))
         return stats.jackknife(lambda chosen: fgd.of_clips([own[k] for k in chosen], [real[k] for k in chosen]),
                                len(truth))
 
@@ -226,19 +249,32 @@ class RgRows:
         if seed == SHOWN_SEED:
             self.keep(name, motions)
         summary = self.summary(self.scored(self.names(row.split)), motions)
+        for clip, recording in zip(summary["clips"], recordings[:CODED], strict=False):
+            clip["own_code"] = self.own_code(system, run, recording)
         # Accuracy compares lexemes by number, which means the same in one lexicon only.
-        if run.key(LEXICON) == self.first.key(LEXICON):
+        ours = self.run(OURS, seed)
+        if run.key(LEXICON) == ours.key(LEXICON):
             for clip in summary["clips"]:
-                clip |= self.accuracies(system, row.play, clip["name"])
+                clip |= self.accuracies(system, ours.get(LABELS), row.play, clip["name"])
         return summary
 
-    def accuracies(self, system: Gesticulator, interpreter: str, name: str) -> dict[str, float]:
+    def own_code(self, system: Gesticulator, run: Run, recording: Recording) -> float:
+        """The row's positive control: by how many mm the mean joint error falls when each block of a recording is
+        played with its own lexeme instead of that of a block half the recording away. 0 says that lexemes do nothing.
+        """
+        corpus = run.get(CORPUS)
+        lexemes = run.get(LABELS).hinted[corpus.blocks_of(corpus.names.index(recording.info.name))]
+        another, own = (motion_error(fitted(played(system, recording, codes), recording.motion), recording.motion).maje
+                        for codes in (np.roll(lexemes, len(lexemes) // 2), lexemes))
+        return another - own
+
+    def accuracies(self, system: Gesticulator, labelled: Labelled, interpreter: str, name: str) -> dict[str, float]:
         """Free-running and teacher-forced (RG Table 6), of a recording and a row over the lexicon of `ours`."""
-        corpus, labelled = self.context.corpus, self.first.get(LABELS)
+        corpus = self.context.corpus
         number = corpus.names.index(name)
         takes = [take for take in takes_of(corpus, labelled.hinted, corpus.splits[number]) if take.recording == number]
         decisions = Decisions(corpus, takes, labelled.silent, system.bundle.config.silence.mask,
-                              len(self.judge.lexicon.vectors))
+                              len(system.bundle.lexicon.vectors))
         chooser = system.bundle.interpreter_named(interpreter, bool(corpus.has_text[number]))
         return {column: accuracy(chooser, decisions, takes[0], teacher)
                 for column, teacher in (("accuracy", False), ("teacher_forced", True))}
@@ -268,15 +304,21 @@ class RgRows:
     # -------------------------------------------------------------------------------------------- cells without a seed
 
     def reference(self, name: str, split: str) -> dict[str, Any] | None:
-        """The cell of a reference or a control; None where it cannot be made (no real take, too few
-        recordings)."""
+        """The cell of a reference, a control or a dose of damage, which has distances alone; None where it cannot be
+        made (no real take, too few recordings)."""
         if name == REAL_TAKE:
             return self._real_take()
         scored = self.scored(self.names(split))
         if name == FLOOR:
             return self._floor(scored)
         truth = scored.clips.motions[TRUTH]
-        motions = truth if name == PERFORMER else control_rows(scored.clips, 0)[0].get(name)
+        kind, _, dose = name.rpartition("-")
+        if kind in DAMAGES:
+            space = next(iter(self.context.networks.values()))
+            distances = self._distances(pooled(DAMAGES[kind][int(dose) - 1](truth), space), truth)
+            return {"clips": [{"name": clip, "fgd": float(value)} for clip, value in
+                              zip(scored.clips.names, distances, strict=True)], "sets": {}}
+        motions = truth if name == PERFORMER else control_rows(scored.clips, 0, scored.voices)[0].get(name)
         return None if motions is None else self.summary(scored, motions)
 
     def _real_take(self) -> dict[str, Any] | None:

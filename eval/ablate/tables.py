@@ -14,17 +14,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from data_module.errors import InputError
 from eval.ablate.cells import Cells, CellStore, summaries
 from eval.ablate.rows import (
     COLUMNS,
     CONTROLS,
     DECIDED,
-    FLOOR,
+    DOSED,
     OURS,
     PERFORMER,
+    PRESETS,
     REFERENCES,
     SYSTEMS,
     TABLES,
@@ -32,34 +31,14 @@ from eval.ablate.rows import (
     TableLine,
     is_racer,
 )
-from eval.ablate.verdicts import claims_table
+from eval.ablate.verdicts import NOT_RUN, beaten_by, claims_table
 from eval.metrics import pmb
 from eval.table import Cell, Column, Provenance, Table, load_with_provenance, save
+from gesticulator.bundle import config as configs
 
 COMMAND = "gesticulator ablate --tables"
 Rows = Mapping[str, Mapping[str, Any]]
 """`eval.ablate.cells.summaries`."""
-
-
-def mean_of(rows: Rows, name: str, key: str) -> float:
-    """A row's mean by a column; NaN where it was not run."""
-    return float(rows[name]["figures"][key].mean) if name in rows else math.nan
-
-
-def beaten(rows: Rows, key: str, suffix: str = "") -> dict[str, float]:
-    """The controls that do as well as `ours` or better by a column, with their values; of another split by suffix."""
-    good, reference = COLUMNS[key].good, mean_of(rows, OURS, key)
-    aim = mean_of(rows, PERFORMER + suffix, key) if good == "near" else 0.0
-    if not good or not np.isfinite(reference + aim):
-        return {}
-
-    def badness(value: float) -> float:
-        return -value if good == "high" else abs(value - aim)
-
-    # The floor is a distance between halves and no motion that could be good or bad.
-    values = {name: mean_of(rows, name + suffix, key) for name in CONTROLS if name != FLOOR}
-    return {name: value for name, value in values.items()
-            if np.isfinite(value) and badness(value) <= badness(reference)}
 
 
 def _plain(key: str) -> Column:
@@ -89,14 +68,15 @@ def _label(line: TableLine, rows: Rows) -> str:
     return line.label + ("" if row["decided"] else f" (undecided: {len(row['seeds'])} of {DECIDED} seeds)")
 
 
-def paper_table(title: str, rows: Rows) -> Table:
+def paper_table(title: str, rows: Rows, cells: Cells) -> Table:
     """One table of the paper: our figure, and the paper's in a column beside it where it has one."""
     table = TABLES[title]
     suffix = "" if table.split == "test" else f"-{table.split}"
     lines = _lines(table, rows, suffix)
     papers = {key for line in lines for key in line.paper}
     # A table without references has no controls by which a column could be refuted.
-    fooled = {key: beaten(rows, key, suffix) if table.references else {} for key in table.columns}
+    fooled = {key: [name for name in beaten_by(key, cells, table.split) if not name.endswith(NOT_RUN)]
+              if table.references and OURS in rows else [] for key in table.columns}
     columns: dict[str, Column] = {}
     for key in table.columns:
         # The mark stands in the heading, since it is about the measure and not about a row.
@@ -105,13 +85,11 @@ def paper_table(title: str, rows: Rows) -> Table:
             columns[f"{key}, paper"] = Column(f"the paper's, {' / '.join(table.places)}")
     body: dict[str, dict[str, Cell]] = {}
     for line in lines:
-        cells: dict[str, Cell] = dict(rows[line.row]["figures"]) if line.row in rows else {}
-        cells |= {f"{key}, paper": " / ".join(f"{value:g}" if math.isfinite(value) else "-" for value in
+        figures: dict[str, Cell] = dict(rows[line.row]["figures"]) if line.row in rows else {}
+        figures |= {f"{key}, paper": " / ".join(f"{value:g}" if math.isfinite(value) else "-" for value in
                                               line.paper.get(COLUMNS[key].paper, ())) for key in table.columns}
-        body[_label(line, rows)] = {key: cells.get(key) for key in columns}
-    notes = [f"(!) {COLUMNS[key].heading}, {mean_of(rows, OURS, key):.{COLUMNS[key].digits}f}: no worse are "
-             + ", ".join(f"{name} ({value:.{COLUMNS[key].digits}f})" for name, value in values.items()) + "."
-             for key, values in fooled.items() if values]
+        body[_label(line, rows)] = {key: figures.get(key) for key in columns}
+    notes = [f"(!) {COLUMNS[key].heading}: no worse are {', '.join(names)}." for key, names in fooled.items() if names]
     return Table(f"{title} ({table.split})", columns, body, "row", notes)
 
 
@@ -123,17 +101,37 @@ def curve_table(rows: Rows) -> Table:
         "row")
 
 
+def parts_table(rows: Rows) -> Table:
+    """Positive controls of rows and doses of damage: what has to be so if the other tables are to mean anything."""
+    columns = {"own_code": _plain("own_code"), "fgd": _plain("fgd")}
+    shown = {name: row["figures"] for name, row in rows.items() if row["figures"]["own_code"].n or name in DOSED}
+    return Table("Positive controls and doses of damage", columns, {
+        name: {"own_code": figures["own_code"], "fgd": figures["fgd"] if name in DOSED else None}
+        for name, figures in shown.items()}, "row", [
+        "A row's lexemes do something where the interval lies above 0. FGD must rise with the dose."])
+
+
 # ---------------------------------------------------------------------------------------------------------- all of it
 
-def corpus_table(facts: Mapping[str, Any]) -> Table:
-    """The data and their limits, which a reader has to know before any figure."""
+def corpus_table(facts: Mapping[str, Any], run: Provenance) -> Table:
+    """The data and their limits, which a reader has to know before any figure. run: of the rows."""
     store = facts["store"]
     title = ("The corpus is synthetic, made by rule" if store.get("name") == PERFORMER
              else f"The corpus is {store.get('name', 'not recorded')}")
     planted = "Links between speech and motion are planted in it. " if store.get("name") == PERFORMER else ""
     return Table(title, {}, {}, notes=[
         f"{planted}Fingerprint {str(store.get('fingerprint', '-'))[:12]}, {store['test_recordings']} test recordings. "
-        f"Every row is trained on it from the preset {facts['preset']}; no shipped bundle is measured."])
+        f"Every row is trained on it from the preset {facts['preset']}; no shipped bundle is measured, but where a "
+        "line names one.", *edition(facts, run)])
+
+
+def edition(facts: Mapping[str, Any], run: Provenance) -> list[str]:
+    """Says of rows that the preset has since left behind when they were run; nothing of others."""
+    preset = PRESETS.get(facts["preset"])
+    if preset is not None and facts.get("system") == configs.digest(preset()):
+        return []
+    return [f"All rows are of an earlier system than today's preset {facts['preset']}, run by `{run.command}` at "
+            f"commit {run.commit}, {run.date}: figures of that commit, until they are run again."]
 
 
 def about_table(facts: Mapping[str, Any]) -> Table:
@@ -157,9 +155,10 @@ def write(cells: Cells, facts: Mapping[str, Any], out: Path, about: Provenance,
     rows: Rows = facts["rows"]
     # RACER's table has no line where none of its rows was run.
     titles = [title for title in TABLES if title != "RACER Table 2" or any(map(is_racer, rows))]
-    save([corpus_table(facts), about_table(facts), *(paper_table(title, rows) for title in titles), curve_table(rows)],
+    save([corpus_table(facts, about), about_table(facts), *(paper_table(title, rows, cells) for title in titles),
+          *filter(lambda table: table.rows, (curve_table(rows), parts_table(rows)))],
          out / "table.json", about)
-    save([corpus_table(facts), claims_table(cells)], out.parent / "claims.json", decided or about)
+    save([corpus_table(facts, about), claims_table(cells)], out.parent / "claims.json", decided or about)
 
 
 def redraw(out: Path) -> None:

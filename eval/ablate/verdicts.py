@@ -3,7 +3,7 @@
 A claim is that one row's figure is lower than another's, higher, or about the same. Known before the run are the
 paper's two figures and the margin, half of the effect that the paper prints. Measured is the paired difference on the
 same clips and seeds (one seed is one training, one rendering of each clip), with its intervals of 95 and of 90 % by
-variance components (`eval.crossed`); where one clip has three fifths of the squares, that of the middle clips.
+variance components (`eval.crossed`).
 
 - *holds*: the 95 % interval lies on the claim's side of zero, and not within the margin.
 - *reversed*: it lies on the other side; of rows that are called alike: wholly outside the margin.
@@ -13,34 +13,44 @@ variance components (`eval.crossed`); where one clip has three fifths of the squ
 - *undecided*: none of these, or fewer than three seeds. `needed` says how many seeds and clips would tell no effect
   from the paper's at 80 % power, if seeds and clips differ as they did here.
 
-Both readings are by this rule. *As published* is by the paper's own column; where the paper prints no figure, by the
-sign alone. *Valid* is by a column that its controls cannot beat: PMB gives way to PMB above chance; a column that a
-control beats, and a claim without a printed effect, which nothing could refute, have *no valid test*.
+- *inert*: two rows are alike by this column, and no other claim about the two holds or is reversed. What changes
+  nothing leaves this unchanged, too; that is no success and is not counted as one.
 
-What a control must show depends on the column. Quality (less or more is better): the performer's motion for another
-speech, backwards, with jitter, or held still is worse than ours, the whole 95 % interval of the paired difference.
-Amounts (near the performer's is better): a still body has less than ours, and jitter has no more than the performer; a
-shuffled clip has as much. Accuracy counts decisions and has no control of motion.
+Both readings are by this rule. *As published* is by the paper's own column; where the paper prints no figure, by the
+fixed margin of the column, or by the sign alone. *Valid* is by a column that its controls cannot beat: PMB gives way to
+PMB above chance. What a control does as well proves nothing, so a claim that would hold, or might, by such a column has
+*no valid test*, and so has one without a printed effect or a fixed margin. A negative stands: a system that does not
+even win by a lenient measure has not won.
+
+The controls of a column (papers.toml) are of what it claims to see, and each was run on the same clips. Timing: the
+performer's motion for another speech, backwards, with jitter, held still, and a mean pose that bobs at the onsets.
+Joint errors: jitter and stillness. Returns: random lexemes and the most frequent one, by the same reward. Each must be
+worse than ours, the whole 95 % interval of the paired difference. Amounts (near the performer's is better): a still
+body has less than ours, and jitter, where it is a control, no more than the performer. A distance between sets takes
+the motion of another speech for perfect, by construction; it must order rising doses of damage instead
+(`out_of_order`). Accuracy counts decisions and has no control of motion.
 
 What fools it: no correction is made for the number of claims. The power is of variances that three seeds tell badly.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import t
 
-from eval.ablate.cells import Cells, difference, pairs, values_of
+from eval.ablate.cells import Cell, Cells, difference, pairs, values_of
 from eval.ablate.rows import (
     COLUMNS,
-    CONTROLS,
     DECIDED,
+    DOSED,
+    DOSES,
     ELSEWHERE,
-    FLOOR,
     OURS,
     PERFORMER,
     SIGNS,
@@ -48,15 +58,18 @@ from eval.ablate.rows import (
     Claim,
     Elsewhere,
     PaperTable,
+    is_racer,
 )
-from eval.crossed import Components, robust, satterthwaite, trimmed
+from eval.crossed import Components, components, satterthwaite
 from eval.stats import Interval
 from eval.table import Column, Table
 
 HOLDS, REVERSED, NO_EFFECT, UNDECIDED, NO_TEST = "holds", "reversed", "no effect", "undecided", "no valid test"
-WORDS = (HOLDS, REVERSED, NO_EFFECT, NO_TEST, UNDECIDED)
-ALIKE = 5.0
-"""How far apart two shares of PMB, in percent, may lie and still be called alike."""
+INERT = "inert"
+WORDS = (HOLDS, REVERSED, NO_EFFECT, INERT, NO_TEST, UNDECIDED)
+NOT_RUN = "(not run)"
+COLLAPSED = math.log(2)
+"""Nats of lexemes in a recording below which a policy has collapsed: fewer than two lexemes would give it."""
 POWER = 0.8
 CLIPS = 60
 """Clips of a whole test split: with as many, `needed` gives the least number of seeds."""
@@ -80,25 +93,24 @@ class Decision:
 
 # ---------------------------------------------------------------------------------------------------------- the rule
 
-def decide(components: Components, sign: str, margin: float) -> Decision:
+def decide(measured: Components, sign: str, margin: float) -> Decision:
     """The verdict on a difference. sign: "<", ">" or "="; margin: positive, in the difference's unit, NaN for none."""
-    value, over = components.interval(), (components.seeds, components.clips)
-    remark = "of the middle clips, as one has most of the spread" if components.trimmed else ""
-    if components.seeds < DECIDED:
-        return Decision(UNDECIDED, f"{components.seeds} of {DECIDED} seeds", value, margin, over)
-    narrow = components.interval(0.9)
+    value, over = measured.interval(), (measured.seeds, measured.clips)
+    if measured.seeds < DECIDED:
+        return Decision(UNDECIDED, f"{measured.seeds} of {DECIDED} seeds", value, margin, over)
+    narrow = measured.interval(0.9)
     # Two one-sided tests at 5 % are one interval of 90 %. A NaN margin makes this false.
     equivalent = -margin < narrow.low and narrow.high < margin
     word, reason = alike(value, equivalent, margin) if sign == "=" else one_sided(value, equivalent, sign)
-    needed = needed_for(components, margin, sign) if word == UNDECIDED and math.isfinite(margin) else ()
-    return Decision(word, "; ".join(filter(None, (reason, remark))), value, margin, over, needed)
+    needed = needed_for(measured, margin, sign) if word == UNDECIDED and math.isfinite(margin) else ()
+    return Decision(word, reason, value, margin, over, needed)
 
 
 def one_sided(value: Interval, equivalent: bool, sign: str) -> tuple[str, str]:
     """Verdict and reason for a claim of more or of less."""
     right, wrong = (value.above(), value.below()) if sign == ">" else (value.below(), value.above())
     if equivalent:
-        return NO_EFFECT, "less than half of the paper's effect" if right else ""
+        return NO_EFFECT, "less than the margin" if right else ""
     if wrong:
         return REVERSED, ""
     return (HOLDS, "") if right else (UNDECIDED, "")
@@ -130,7 +142,7 @@ def present(claim: Elsewhere) -> Decision:
     return Decision(UNDECIDED, reason, worst, over=(1, worst.n), needed=(1, needed))
 
 
-def needed_for(components: Components, margin: float, sign: str = ">") -> tuple[int, ...]:
+def needed_for(measured: Components, margin: float, sign: str = ">") -> tuple[int, ...]:
     """Seeds and clips that would decide between no effect and twice the margin, each four times in five at least.
 
     As many seeds as `CLIPS` clips need; where no number does, the pair with the smallest product; empty where there is
@@ -138,7 +150,7 @@ def needed_for(components: Components, margin: float, sign: str = ">") -> tuple[
     """
     # All pairs on a grid of geometric steps: the answer is an order of magnitude, not a design.
     seeds, clips = np.meshgrid(_SEEDS, np.append(_CLIPS[_CLIPS != CLIPS], CLIPS), indexing="ij")
-    error, freedom = satterthwaite(components.seed, components.clip, components.rest, seeds, clips)
+    error, freedom = satterthwaite(measured.seed, measured.clip, measured.rest, seeds, clips)
     with np.errstate(divide="ignore"):
         decided = 2 * t.cdf(margin / error - t.ppf(0.95, freedom), freedom) - 1 >= POWER
         if sign != "=":
@@ -154,45 +166,59 @@ def needed_for(components: Components, margin: float, sign: str = ">") -> tuple[
 
 # ------------------------------------------------------------------------------------------------ margins and controls
 
-def margin_of(claim: Claim, cells: Cells, column: str, of_the_middle: bool = False) -> float:
+def margin_of(claim: Claim, cells: Cells, column: str) -> float:
     """Half of the effect that the paper prints, positive, in the unit of `column` here; NaN where it prints none.
 
     On the first data set for which the paper prints both figures. Distances, variances and returns are other numbers
-    on other data, so theirs is a share of `second`'s figure here (of_the_middle: of the middle clips); shares of PMB,
-    points of accuracy and nats are taken as they stand. Rows that are called alike have the margin `ALIKE`.
+    on other data, so theirs is a share of `second`'s figure here; shares of PMB, points of accuracy and nats are taken
+    as they stand. Rows that are called alike, and those of which the paper prints nothing, have the fixed margin of the
+    column, NaN where it has none.
     """
     printed = TABLES[claim.where].both(claim)
-    if not printed:
-        return math.nan
-    if claim.sign == "=":
-        return ALIKE
+    if not printed or claim.sign == "=":
+        return COLUMNS[column].alike
     _, first, second = printed[0]
     if COLUMNS[claim.metric].margin != "share":
         return abs(first - second) / 2
     # Distances of other data are other numbers, so the paper's effect is carried over as a share.
     here = values_of(list(cells[claim.second].values()), column)
-    here = here[:, np.isfinite(here).any(axis=0)]
     # A share of the second row's figure, as the paper's effect is a share of its own.
-    base = math.nan if not here.size else trimmed(here).mean if of_the_middle else float(np.nanmean(here))
+    base = float(np.nanmean(here)) if np.isfinite(here).any() else math.nan
     return abs(first - second) / second / 2 * base if base > 0 else math.nan
 
 
-def beaten_by(column: str, cells: Cells, split: str = "test", ours: str = OURS) -> str:
-    """The controls that a column cannot tell from good motion, for a reader; empty where it passes all of them.
+def beaten_by(column: str, cells: Cells, split: str = "test", ours: str = OURS) -> list[str]:
+    """The controls that a column cannot tell from good motion; those that were not run bear a note.
 
     ours: the row that the controls of the split stand beside.
     """
-    suffix, good = "" if split == "test" else f"-{split}", COLUMNS[column].good
-    if COLUMNS[column].beaten or not good:
-        return COLUMNS[column].beaten
-    wrong = ("still",) if good == "near" else tuple(name for name in CONTROLS if name != FLOOR)
-    apart = {name: difference(cells, name + suffix, ours, column) for name in wrong}
-    if not any(value.n for value in apart.values()):
-        return "controls that were not run"
-    fooled = [name for name, value in apart.items()
-              if value.n and not (value.above() if good == "low" else value.below())]
-    noise = difference(cells, f"jitter{suffix}", PERFORMER + suffix, column)
-    return ", ".join([*fooled, *(["jitter"] if good == "near" and noise.above() else [])])
+    suffix, figure = "" if split == "test" else f"-{split}", COLUMNS[column]
+    if figure.doses:
+        return out_of_order(column, cells, suffix)
+    fooled = []
+    for name in figure.controls:
+        # Noise is more motion, so of an amount it must not have more than the performer has.
+        noise = figure.good == "near" and name == "jitter"
+        value = difference(cells, name + suffix, PERFORMER + suffix if noise else ours, column)
+        worse = not value.above() if noise else value.above() if figure.good == "low" else value.below()
+        # A figure that is undefined for a control, as timing is for a body that never moves, is not fooled by it.
+        if name + suffix not in cells or (value.n and not worse):
+            fooled.append(name if value.n else f"{name} {NOT_RUN}")
+    return fooled
+
+
+def out_of_order(column: str, cells: Cells, suffix: str = "") -> list[str]:
+    """The kinds of damage (`eval.baselines.DOSES`) whose doses a distance does not order: of which a greater one is not
+    further from the performer than the one before, the whole interval of the paired difference, or the first no further
+    than the performer's motion itself."""
+    if not {f"{name}{suffix}" for name in (PERFORMER, *DOSED)} <= set(cells):
+        return [f"doses of damage {NOT_RUN}"]
+    fooled = []
+    for kind, count in DOSES.items():
+        steps = [PERFORMER + suffix, *(f"{kind}-{dose}{suffix}" for dose in range(1, count + 1))]
+        if not all(difference(cells, more, less, column).above() for less, more in itertools.pairwise(steps)):
+            fooled.append(f"doses of {kind}")
+    return fooled
 
 
 # ----------------------------------------------------------------------------------------------------------- readings
@@ -207,22 +233,43 @@ def reading(claim: Claim, cells: Cells, column: str) -> Decision:
     apart = apart[np.isfinite(apart).any(axis=1)] if apart.size else apart
     if not apart.size:
         return Decision(UNDECIDED, f"{COLUMNS[column].heading} was not measured of both")
-    components = robust(apart)
-    return decide(components, claim.sign, margin_of(claim, cells, column, components.trimmed))
+    decision = decide(components(apart), claim.sign, margin_of(claim, cells, column))
+    if decision.word == HOLDS and claim.sign == "=" and inert(claim, cells):
+        decision = replace(decision, word=INERT, reason="the two differ in nothing that the paper claims of them")
+    remarks = [f"{name} has collapsed: {run:.0f} blocks of one lexeme" for name in (claim.first, claim.second)
+               if (run := collapsed(cells[name]))]
+    return replace(decision, reason="; ".join(filter(None, (decision.reason, *remarks))))
+
+
+def inert(claim: Claim, cells: Cells) -> bool:
+    """True where the papers claim differences of these two rows, and none of them is there, either way round."""
+    others = [other for table in TABLES.values() for other in table.claims
+              if {other.first, other.second} == {claim.first, claim.second} and other.sign != "="]
+    return bool(others) and not any(reading(other, cells, other.metric).word in (HOLDS, REVERSED) for other in others)
+
+
+def collapsed(by_seed: Mapping[int, Cell]) -> float:
+    """The longest run of one lexeme of a collapsed policy (see `COLLAPSED`), mean over clips and seeds; 0 for others
+    and for rows that choose no lexemes."""
+    clips = [clip for cell in by_seed.values() for clip in cell["clips"] if "lexeme_diversity" in clip]
+    if not clips or np.mean([clip["lexeme_diversity"] for clip in clips]) >= COLLAPSED:
+        return 0.0
+    return float(np.mean([clip["longest_run"] for clip in clips]))
 
 
 def readings(claim: Claim, cells: Cells) -> tuple[Decision, Decision, str]:
     """The verdicts as published and valid, and the controls that beat the column of the latter."""
     table, published = TABLES[claim.where], COLUMNS[claim.metric].valid or claim.metric
-    ours = OURS if table.split == "test" else claim.first
-    # On another split than the test split `ours` has no cell, and the claim's own row stands in for it.
-    fooled = beaten_by(published, cells, table.split, ours)
+    # On another split `ours` has no cell, and returns are of a reward of their own: the claim's row stands in for it.
+    ours = OURS if table.split == "test" and not any(map(is_racer, COLUMNS[published].controls)) else claim.first
+    fooled = ", ".join(beaten_by(published, cells, table.split, ours))
     plain = reading(claim, cells, claim.metric)
     valid = plain if published == claim.metric else reading(claim, cells, published)
-    if math.isfinite(valid.value.mean) and (fooled or not math.isfinite(valid.margin)):
-        none = "" if table.both(claim) else "the paper prints no effect"
+    if valid.word in (HOLDS, UNDECIDED) and math.isfinite(valid.value.mean) and (
+            fooled or not math.isfinite(valid.margin)):
+        none = "" if math.isfinite(valid.margin) else "the paper prints no effect"
         valid = replace(valid, word=NO_TEST, needed=(), reason="; ".join(filter(None, (
-            none, f"no worse by this figure: {fooled}" if fooled else ""))))
+            none, "a control does as well, or was not run" if fooled else "", valid.reason))))
     return plain, valid, fooled
 
 
@@ -262,7 +309,7 @@ def _row(claim: Claim, table: PaperTable, cells: Cells) -> tuple[dict[str, str |
 
 def _row_elsewhere(claim: Elsewhere) -> tuple[dict[str, str | None], Decision, Decision]:
     decision = present(claim)
-    word = _worded(decision)
+    word = _worded(replace(decision, reason="; ".join(filter(None, (decision.reason, claim.source)))))
     return {"where": claim.where, "claim": claim.says, "difference": _shown(decision, 2), "published": word,
             "valid": word}, decision, decision
 

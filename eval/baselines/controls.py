@@ -17,6 +17,9 @@ A metric is worth what it makes of these (mir_eval's rule that perfect input giv
 - `bobbing`: the mean pose whose forearms go up and down in turn and stop at each onset of the sound. What rewards
   timing alone takes it for the best gesturer of all.
 
+What is blind to speech is not controlled by `shuffled`, which it takes for perfect: a distance between sets must order
+rising doses of damage instead (`DAMAGES`).
+
 Each takes clips and gives clips; the same seed gives the same clips. ValueError where there is nothing to choose from.
 """
 
@@ -25,6 +28,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +45,7 @@ _BOB_LASTS, _BOB_APART = 0.2, 0.25
 """Seconds of one movement, and between two."""
 _EPS = 1e-9
 
+TRUNK = ("Spine", "Spine1", "Spine2", "Spine3", "Neck", "Neck1", "Head")
 Clips = Sequence[Motion]
 
 
@@ -123,6 +128,28 @@ def mirrored(clips: Clips) -> list[Motion]:
                 turns[:, left] = right * np.array([1.0, 1.0, -1.0, -1.0])
         out.append(replace(clip, rotations=turns))
     return out
+
+
+def towards(clips: Clips, other: Callable[[Clips], Clips], share: float, joints: Sequence[str] = ()) -> list[Motion]:
+    """Each clip's joints (all, without `joints`) turned by a share of the way towards what `other` makes of it; a
+    negative share turns them away from that, so that -1 and the mean pose double every movement."""
+    out = []
+    for clip, aim in zip(clips, other(clips), strict=True):
+        way = rotation.to_exponential_map(rotation.multiply(rotation.conjugate(clip.rotations), aim.rotations))
+        turned = rotation.multiply(clip.rotations, rotation.from_exponential_map(share * way))
+        named = np.isin(clip.skeleton.names, joints or clip.skeleton.names)
+        out.append(replace(clip, rotations=np.where(named[:, None], turned, clip.rotations)))
+    return out
+
+
+DAMAGES: Mapping[str, Sequence[Callable[[Clips], list[Motion]]]] = {
+    "jitter": [partial(jittered, seed=0, metres=metres) for metres in (0.01, 0.02, 0.04)],
+    "smaller": [partial(towards, other=mean_pose, share=share) for share in (0.25, 0.5)],
+    "larger": [partial(towards, other=mean_pose, share=-share) for share in (0.5, 1.0)],
+    "frozen-trunk": [partial(towards, other=mean_pose, share=share, joints=TRUNK) for share in (0.5, 1.0)],
+    "mirrored": [partial(towards, other=mirrored, share=share) for share in (0.5, 1.0)]}
+"""Rising doses of damage by kind: noise in each joint, movements of 3/4 and 1/2 their size, of 3/2 and twice it, a
+trunk that moves half as much and not at all, a left arm that is half and wholly like the right one."""
 
 
 def bobbing(clips: Clips, onsets: Sequence[Array]) -> list[Motion]:

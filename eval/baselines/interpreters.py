@@ -1,4 +1,4 @@
-"""Interpreters that do not listen, which one that listens must beat: `Random`, `Majority`, `Bigram`.
+"""Interpreters that do not listen, which one that listens must beat: `Majority`, `Bigram`.
 
 `RandomStyle` draws style codes. `ReplayInterpreter` gives lexemes that are known beforehand, so that they can be
 played.
@@ -30,21 +30,6 @@ def _only(lexeme: int, size: int) -> Array:
     scores = np.full(size, IMPROBABLE)
     scores[lexeme] = 0.0
     return scores
-
-
-class Random:
-    """All lexemes alike, whatever is said: drawn from at temperature 1, the policy that knows nothing."""
-
-    def __init__(self, size: int) -> None:
-        self._size = size
-
-    def start(self, speaker: int, first_lexeme: int) -> None:
-        """There is no state."""
-        return
-
-    def step(self, state: None, features: BlockFeatures, previous_lexeme: int) -> tuple[Array, None]:
-        """Zeros [S]."""
-        return np.zeros(self._size), None
 
 
 class Majority:

@@ -46,7 +46,6 @@ __all__ = ["frechet_distance", "measure"]
 
 ENOUGH = 5
 """Windows for each feature, at least: "several times 32" for 32 features."""
-DRAWS = 200
 
 
 @dataclass(frozen=True)
@@ -126,8 +125,7 @@ def sampling_bias(of: Gaussian, first: int, second: int) -> float:
     return (1.0 / first + 1.0 / second) * (float(roots.sum()) + second_term)
 
 
-def measure(generated: Sequence[Array], real: Sequence[Array], *, paired: bool = False, seed: int = 0,
-            draws: int = DRAWS) -> Figure:
+def measure(generated: Sequence[Array], real: Sequence[Array], *, paired: bool = False, seed: int = 0) -> Figure:
     """FGD between the features [n, E] of generated clips and those of real ones, with its interval over clips.
 
     paired: clip k of both is of one speech, so both are drawn together. The interval is the basic bootstrap's (the
@@ -146,7 +144,7 @@ def measure(generated: Sequence[Array], real: Sequence[Array], *, paired: bool =
     # Paired clips are of one speech: redrawing them apart would widen the interval by what speeches differ.
     sizes = [len(generated)] if paired else [len(generated), len(real)]
     interval = stats.of_set(lambda *chosen: of_clips([generated[k] for k in chosen[0]], [real[k] for k in chosen[-1]]),
-                            *sizes, seed=seed, draws=draws, least=0.0)
+                            *sizes, seed=seed, least=0.0)
     return Figure(interval.mean, interval, sampling_bias(gaussian(_joined(real)), *counts), counts, needed)
 
 

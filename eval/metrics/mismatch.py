@@ -20,7 +20,6 @@ below 1 / n!: three clips never reach 0.05.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,11 +58,6 @@ def wrapped(onsets: Array, duration: float, wanted: float) -> Array:
     # Onsets beyond the sound's own end would come twice where it begins anew.
     every = (rounds[:, None] + times[times < duration]).ravel()
     return every[every < wanted]
-
-
-def matrix(score: Callable[[int, int], float], clips: int) -> Array:
-    """[clips, clips] of score(motion, speech)."""
-    return np.array([[score(i, j) for j in range(clips)] for i in range(clips)], dtype=np.float64).reshape(clips, clips)
 
 
 def mismatch(values: Array, *, seed: int = 0, draws: int = DRAWS) -> Mismatch:

@@ -57,7 +57,7 @@ from eval.metrics.evaluate import (
     synchrony,
 )
 from eval.metrics.gesture_features import pooled, spaces
-from eval.metrics.mismatch import Mismatch, matrix, mismatch
+from eval.metrics.mismatch import Mismatch, mismatch
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
 from eval.score.played_rows import PlayedBundle
 from eval.score.ratings import FEWEST, ratings_table, read_ratings
@@ -250,14 +250,10 @@ def differences(first: ScoreRow, second: ScoreRow, context: EvalContext) -> dict
     """First less second, paired over clips, with intervals."""
     out = {name: stats.paired(first.values[name], second.values[name], seed=context.seed)
            for name in (*CLIP_METRICS, *EYE_METRICS)}
-    out |= {name: stats.of_set(_less(figure, second.sets[name]), len(first.motions), seed=context.seed)
-            for name, figure in first.sets.items()}
+    for name, figure in first.sets.items():
+        out[name] = stats.of_set(lambda chosen, one=figure, other=second.sets[name]: one(chosen) - other(chosen),
+                                 len(first.motions), seed=context.seed)
     return {name: Marked(value) for name, value in out.items()}
-
-
-def _less(first: Callable[[Indices], float], second: Callable[[Indices], float]) -> Callable[[Indices], float]:
-    """First less second, of the same clips."""
-    return lambda chosen: first(chosen) - second(chosen)
 
 
 def mismatches(rows: Sequence[ScoreRow], shared: ScoredClips) -> dict[str, dict[str, Mismatch]]:
@@ -266,11 +262,8 @@ def mismatches(rows: Sequence[ScoreRow], shared: ScoredClips) -> dict[str, dict[
     # All pairs of n clips are n squared tests, so a large set is thinned evenly.
     few = [known[k] for k in np.unique(np.linspace(0, len(known) - 1, min(MOST, len(known))).round().astype(int))]
     tracks = [track for k in few if (track := shared.tracks[k]) is not None]
-
-    def tried(name: str, beats: Sequence[MotionBeats]) -> Array:
-        return matrix(lambda i, j: synchrony(name, beats[i], tracks[j]), len(beats))
-
-    return {row.name: {name: mismatch(tried(name, [row.beats[k] for k in few]), seed=shared.context.seed)
+    return {row.name: {name: mismatch(np.array([[synchrony(name, row.beats[k], track) for track in tracks]
+                                                for k in few]).reshape(len(few), len(few)), seed=shared.context.seed)
                        for name in SYNCHRONY} for row in rows}
 
 
@@ -400,7 +393,7 @@ def known_ratings(arguments: argparse.Namespace) -> tuple[dict[str, float], list
     """The ratings of the rows, the person's under the truth's name, and notes on names that are no row; InputError for
     fewer than three systems."""
     ratings, systems = read_ratings(arguments.ratings), named(arguments.system, "--system")
-    person = arguments.truth.resolve().name
+    person = arguments.truth.absolute().name
     if person in ratings and person not in systems:
         ratings[TRUTH] = ratings.pop(person)
     few, strange = len(set(systems) & set(ratings)), listed(sorted(set(ratings) - {TRUTH, *systems}), 5)

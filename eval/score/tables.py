@@ -58,9 +58,8 @@ _PARTS = {"joints": "Joint errors against the speaker", "beats": "Motion beats a
           "eye hands": "Perceptual figures: two hands", "eye trunk": "Perceptual figures: trunk and idle motion",
           "eye strokes": "Perceptual figures: strokes", "eye voice": "Perceptual figures: synchrony",
           "eye posture": "Perceptual figures: posture", "eye together": "Perceptual figures: parts together",
-          "eye units": "Perceptual figures: gesture units", "eye phrases": "Perceptual figures: holds, pauses, onsets",
-          "eye frechet": "Perceptual figures: Frechet distance", "sets": "Sets of motion",
-          "fgd": "Sets of motion, by a network's features"}
+          "eye phrases": "Perceptual figures: holds and pauses", "eye frechet": "Perceptual figures: Frechet distance",
+          "sets": "Sets of motion", "fgd": "Sets of motion, by a network's features"}
 _ROWS = {TRUTH: "the speakers' own motion", STILL: "the truth's mean pose, clip by clip, without movement",
          "shuffled": "the truth of another clip with this speech", "reversed": "the truth played backwards",
          "jitter": "the truth with every joint 2 cm off, anew in each frame",

@@ -42,7 +42,7 @@ from gesticulator.bundle.models import (
     StoredPart,
     System,
     part_table,
-    played,
+    runner_of,
     stored_parts,
     system_of,
     trained_tensors,
@@ -146,7 +146,7 @@ class Bundle:
 
     def _played(self, name: str) -> Any:
         part = self.parts[name]
-        return part.played() if isinstance(part, StoredPart) else played(name, self.sizes, part)
+        return part.played() if isinstance(part, StoredPart) else runner_of(name, self.sizes, part)
 
     def trained(self, name: str) -> Any:
         """The trained model of a part, for training and evaluation."""

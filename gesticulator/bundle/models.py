@@ -210,7 +210,7 @@ def build(part: str, sizes: Sizes) -> Any:
     return part_table()[part].build(sizes)
 
 
-def played(name: str, sizes: Sizes, model: Any, source: object = "the weights") -> Any:
+def runner_of(name: str, sizes: Sizes, model: Any, source: object = "the weights") -> Any:
     """The runner of a part: of its trained model, or of its tensors by name, which are from `source`. A model without
     weights, and one that has no runner, is played itself. InputError for inconsistent settings, and for tensors of
     others."""
@@ -253,7 +253,7 @@ class StoredPart:
         """The runner; InputError for a broken file, or one of other settings."""
         if part_table()[self.name].play is None:
             return self.trained()
-        return played(self.name, self.sizes, *self.read())
+        return runner_of(self.name, self.sizes, *self.read())
 
     def trained(self) -> nn.Module:
         """The trained model, for training and evaluation; InputError as of `played`."""

@@ -21,7 +21,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
     p.add_argument("--work", metavar="DIR",
                    help="work folder for finished stages, reused if it exists (default: BUNDLE.work)")
     p.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
-    p.add_argument("--threads", type=int, help="torch threads per process (default: all cores)")
+    p.add_argument("--threads", type=int, help="torch threads per process (default: all cores; preset tiny: 1)")
     p.add_argument("--seed", type=int, help="random seed")
     p.add_argument("--quiet", action="store_true", help="print no progress")
 
@@ -29,7 +29,9 @@ def arguments(p: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Train; InputError for invalid arguments."""
     machine = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # processes started here by torchrun
-    threads = args.threads if args.threads is not None else max(1, (os.cpu_count() or 1) // machine)
+    # Threads wait for each other longer than the smallest matrices take, and a process is longer in starting.
+    cores = 1 if args.preset == "tiny" else os.cpu_count() or 1
+    threads = args.threads if args.threads is not None else max(1, cores // machine)
     if threads < 1:
         raise InputError(f"--threads {threads}", "is out of range", "choose 1 or more")
     import torch
@@ -56,7 +58,13 @@ def run(args: argparse.Namespace) -> int:
         complain(f"{PROGRAM}: warning: {args.data}: {line}")
     with joined(args.device) as device:
         silent = rank() > 0
-        bundle = train(Run(config, store, work, device, not args.quiet and not silent, threads * machine), out)
+        try:
+            bundle = train(Run(config, store, work, device, not args.quiet and not silent, threads * machine), out)
+        except KeyboardInterrupt:
+            if not silent:
+                complain(f"\n{PROGRAM}: the same command goes on from what {work} holds: all finished stages, and the "
+                         "present one but for the last minute")
+            raise
     if not silent:
         hours = float(bundle.provenance["hours"]["train"])
         print(f"{out}: trained on {hours * 60:.0f} minutes of motion; use it with --bundle {out}")

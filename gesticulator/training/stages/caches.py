@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import signal
 import zipfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -138,10 +139,14 @@ def _all(job: Callable[..., None], calls: list[tuple[Any, ...]], workers: int, t
                 job(*call)
                 bar.update()
             return
-        # spawn: a forked torch may hang in its thread pool.
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            for _ in pool.map(job, *zip(*todo, strict=True)):
-                bar.update()
+        # spawn: a forked torch may hang in its thread pool. Ctrl C is for the first process, which then wants no more.
+        with ProcessPoolExecutor(workers, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
+            try:
+                for _ in pool.map(job, *zip(*todo, strict=True)):
+                    bar.update()
+            except KeyboardInterrupt:
+                pool.shutdown(cancel_futures=True)
+                raise
 
 
 def weights_hash(module: torch.nn.Module) -> str:

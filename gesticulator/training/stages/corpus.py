@@ -22,7 +22,7 @@ from generator.flow import circumstances
 from gesticulator.bundle.config import Config, digest
 from gesticulator.bundle.features import Sizes, Statistics, three_blocks
 from gesticulator.training.stages.base import Node, Run
-from gesticulator.training.stages.caches import CachedBlocks, cached_blocks
+from gesticulator.training.stages.caches import CachedBlocks, cached_blocks, whole, word_file
 from gesticulator.training.stages.measured import measured
 
 if TYPE_CHECKING:
@@ -238,11 +238,12 @@ def sizes(config: Config, corpus: Corpus, **more: Any) -> Sizes:
 
 
 def _blocks(run: Run) -> Corpus:
-    corpus = prepare(run.store, run.config, run.work, workers=run.workers, progress=run.progress)
-    if run.config.text.encoder and corpus.words is None:
+    # Before any block is cut, which takes minutes: the words need none.
+    words = word_file(run.store, run.config, run.work, progress=run.progress)
+    if words is not None and not whole(words):
         raise InputError(run.store.path, "has no recording with words",
-                         "set text.encoder= (empty) to train without text")
-    return corpus
+                         "train without them by --set text.encoder= (nothing after the sign)")
+    return prepare(run.store, run.config, run.work, workers=run.workers, progress=run.progress)
 
 
 BLOCKS: Node[Corpus] = Node("blocks", settings=("rhythm",), make=_blocks)

@@ -65,7 +65,7 @@ def _make_episodes(run: Run) -> Episodes:
     frequencies = np.stack([labelled.inventory.frequencies[name] for name in corpus.statistics.speakers])
     others: dict[str, Any] = {"statistical": StatisticalInterpreter(frequencies, labelled.inventory.transitions)}
     if INTERPRETER.name in system_of(config).STAGES:
-        others["sampled"] = models.played("interpreter", model_sizes(run), run.get(INTERPRETER))
+        others["sampled"] = models.runner_of("interpreter", model_sizes(run), run.get(INTERPRETER))
     return build(takes_of(corpus, labelled.hinted, "train"), config.episodes, step_reward(run),
                  silent=SilentLexemes(labelled.silent, labelled.nearest), vectors=run.get(TOKENS).vectors.numpy(),
                  policies=BehaviourPolicies(others, features_of(corpus)), seed=run.seed(EPISODES))

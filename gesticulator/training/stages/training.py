@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ def train(run: Run, out: Path) -> Bundle:
 
     InputError if settings and store do not match, or if another training has locked the work folder.
     """
+    began = time.monotonic()
     with contextlib.ExitStack() as held:
         with distributed.first():
             if not distributed.rank():
@@ -29,7 +31,9 @@ def train(run: Run, out: Path) -> Bundle:
         for place, stage in enumerate(plan):
             if run.progress:
                 state = "finished before" if run.finished(stage) else f"{run.schedule(stage).steps} steps"
-                print(f"stage {place + 1} of {len(plan)}: {stage.name}, {state}", file=sys.stderr)
+                # What is left of a stage its bar tells; a step of the next may take fifty times as long, or a fiftieth.
+                so_far = f"; {(time.monotonic() - began) / 60:.1f} minutes so far" if place else ""
+                print(f"stage {place + 1} of {len(plan)}: {stage.name}, {state}{so_far}", file=sys.stderr)
             run.get(stage)
         trained = assemble(run, provenance(run))
         if not distributed.rank():

@@ -125,8 +125,8 @@ class Performer:
             raise InputError("--seed", f"is {arguments.seed}", "give 0 or more")
         data = os.environ.get("GESTICULATOR_DATA")
         return PerformerOptions(
-            arguments.fps, arguments.unit, arguments.seed, Path(data) if data else None, arguments.hours,
-            arguments.repertoire)
+            arguments.fps, arguments.unit, arguments.seed, data=Path(data) if data else None, hours=arguments.hours,
+            repertoire=arguments.repertoire)
 
     def __init__(self, source: Path | None, options: Options) -> None:
         options = options if isinstance(options, PerformerOptions) else PerformerOptions(seed=options.seed)

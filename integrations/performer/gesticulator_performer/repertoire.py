@@ -11,28 +11,24 @@ from __future__ import annotations
 
 import csv
 import io
-from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from data_module.files import lock, new_folder, write_text
 from data_module.motion import rotation
-from data_module.motion.bvh import read_bvh, write_bvh
+from data_module.motion.bvh import write_bvh
 from data_module.motion.skeletons import FINGERED
 from data_module.types import Motion
 from gesticulator.directing.named_gestures import GestureDraw, drawn_gesture, laid_over
 from gesticulator.plan.gestures import REPERTOIRE, NamedGesture
 from gesticulator.plan.plan import GestureCue
 from gesticulator_performer import strokes as performed
-from gesticulator_performer.meant_strokes import lent
-from gesticulator_performer.strokes import SCRIPTED, PerformerBody, Stroke, logs_against, mirror
+from gesticulator_performer.strokes import SCRIPT_BODY, SCRIPTED, Repertoire, Stroke, mirror
 from gesticulator_performer.tables import complete_rows
 
-ENOUGH = 3
-"""Captured strokes of a label, mirror images apart, from which on its scripted takes are not played."""
 TAKES = "takes.csv"
 COLUMNS = ("file", "label", "size", "hand", "licence", "start", "stroke", "apex", "hold_end", "end")
 """file: a BVH file in the folder, metres, joints of the character; label: of the gesture ("thumbs_up"); size: of
@@ -40,9 +36,6 @@ COLUMNS = ("file", "label", "size", "hand", "licence", "start", "stroke", "apex"
 the stroke ends, and hold and retraction end."""
 SIZES: Mapping[str, float] = {"small": 0.65, "medium": 1.0, "large": 1.4}
 """The sizes of takes, as factors on the medium one."""
-_BODY = "script"
-# Lent takes in memory, about 70 kB each.
-_REMEMBERED = 300
 LICENCE = "GPL-3.0-or-later (scripts of gesticulator)"
 """The licence of the takes, as a corpus records it."""
 CORE_VARIATIONS, VARIATIONS = 4, 2
@@ -56,61 +49,16 @@ _HIPS = 1.0
 _ARMS_DOWN = 1.3
 
 
-@dataclass(frozen=True)
-class Repertoire:
-    """The takes of a folder. outlines: strokes without their motion, each with its mirror image; licences: of the
-    takes, in order."""
-
-    folder: Path
-    outlines: tuple[Stroke, ...]
-    licences: tuple[str, ...]
-    _bodies: dict[str, PerformerBody] = field(default_factory=dict, repr=False)
-    _played: dict[tuple[str, str], Stroke] = field(default_factory=dict, repr=False)
-
-    @property
-    def labels(self) -> frozenset[str]:
-        """The labels of the takes and of their mirror images."""
-        return frozenset(outline.meaning for outline in self.outlines)
-
-    def usable(self, strokes: Sequence[Stroke], split: str) -> tuple[Stroke, ...]:
-        """The outlines of the labels of which a performer has fewer than `ENOUGH` captured strokes (given)."""
-        captured = Counter(label for label, _ in {(stroke.meaning, stroke.base) for stroke in strokes})
-        return tuple(outline for outline in self.outlines if captured[outline.meaning] < ENOUGH
-                     and (split == "test" or not outline.held_out))
-
-    def played(self, outline: Stroke, body: PerformerBody) -> Stroke:
-        """The stroke of an outline with its motion, on the body of a performer. InputError for a broken clip."""
-        key = outline.clip, body.name
-        if key not in self._played:
-            if len(self._played) >= _REMEMBERED:
-                self._played.clear()
-            self._played[key] = self._lent(outline, body)
-        return self._played[key]
-
-    def _lent(self, outline: Stroke, body: PerformerBody) -> Stroke:
-        file = self.folder / f"{outline.base.removeprefix(SCRIPTED)}.bvh"
-        motion = read_bvh(file, unit=1.0)
-        if _BODY not in self._bodies:
-            self._bodies[_BODY] = performed.standing_body(_BODY, [motion])
-        figure = self._bodies[_BODY]
-        arms = np.stack([logs_against(figure.rest, motion.rotations, joints) for joints in figure.arms])
-        trunk = logs_against(figure.rest, motion.rotations, figure.trunk)
-        stroke = replace(outline, clip=outline.base, fps=motion.fps, arms=arms, trunk=trunk)
-        if outline.clip != outline.base:
-            stroke = replace(mirror(stroke), lexeme=outline.lexeme, hand=outline.hand, meaning=outline.meaning)
-        return lent(stroke, figure, body, trunk=True)
-
-
 def read_repertoire(folder: str | Path) -> Repertoire:
     """The takes of a folder; the clips are read when they are played. InputError for a missing folder."""
     folder = Path(folder)
     rows = complete_rows(folder / TAKES, frozenset(COLUMNS))
     outlines = [_outline(row) for row in rows]
-    held_out = performed.held_out_keys((_BODY, outline.base) for outline in outlines)
-    free = {outline.meaning for outline in outlines if (_BODY, outline.base) not in held_out}
+    held_out = performed.held_out_keys((SCRIPT_BODY, outline.base) for outline in outlines)
+    free = {outline.meaning for outline in outlines if (SCRIPT_BODY, outline.base) not in held_out}
     whole: list[Stroke] = []
     for outline in outlines:
-        kept = (_BODY, outline.base) in held_out and outline.meaning in free
+        kept = (SCRIPT_BODY, outline.base) in held_out and outline.meaning in free
         other = mirror(replace(outline, held_out=kept))
         whole += [replace(outline, held_out=kept), replace(other, lexeme=other.meaning)]
     return Repertoire(folder, tuple(whole), tuple(dict.fromkeys(row["licence"] for row in rows)))
@@ -121,8 +69,8 @@ def _outline(row: Mapping[str, str]) -> Stroke:
     start, apex, hold_end, end = (float(row[phase]) for phase in ("start", "apex", "hold_end", "end"))
     base = SCRIPTED + row["file"].removesuffix(".bvh")
     none = np.zeros((2, 0, 0, 3)), np.zeros((0, 0, 3))
-    return Stroke(base, base, _BODY, row["label"], row["hand"], 0.0, *none, start, apex, hold_end, end, steady=True,
-                  meaning=row["label"], faithful=True, size=SIZES[row["size"]])
+    return Stroke(base, base, SCRIPT_BODY, row["label"], row["hand"], 0.0, *none, start, apex, hold_end, end,
+                  steady=True, meaning=row["label"], faithful=True, size=SIZES[row["size"]])
 
 
 def write_takes(out: Path, seed: int = 1, names: Collection[str] = REPERTOIRE) -> int:

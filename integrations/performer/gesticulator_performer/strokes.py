@@ -7,11 +7,10 @@ be scaled, joined to another one and mirrored. Its times are measured on the mot
 from __future__ import annotations
 
 import hashlib
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -25,11 +24,15 @@ from gesticulator_performer.cues import Cues, mirrored
 from gesticulator_performer.joints import with_rhythm
 from gesticulator_performer.tables import read_clips, table
 
-if TYPE_CHECKING:
-    from gesticulator_performer.repertoire import Repertoire
-
 SCRIPTED = "script_"
 """Beginning of the name of a clip that was drawn from a script; all others were captured from people."""
+ENOUGH = 3
+"""Captured strokes of a label, mirror images apart, from which on its scripted takes are not played."""
+SCRIPT_BODY = "script"
+"""The name of the body of scripted takes."""
+# Lent takes in memory, about 70 kB each.
+_REMEMBERED = 300
+_NONE = np.array([1.0, 0.0, 0.0, 0.0])
 LEFT, RIGHT = 0, 1
 SIDES = ("Left", "Right")
 ACTING_SIDES: dict[str, tuple[int, ...]] = {"left": (LEFT,), "right": (RIGHT,), "both": (LEFT, RIGHT), "none": ()}
@@ -123,6 +126,113 @@ class Stroke:
             times = np.arange(len(track)) / self.fps
             self._splines[key] = CubicSpline(times, track.reshape(len(track), -1))
         return self._splines[key](np.clip(seconds, 0.0, (len(track) - 1) / self.fps))
+
+
+def lent(stroke: Stroke, lender: PerformerBody, borrower: PerformerBody, head: bool = False, trunk: bool = False
+         ) -> Stroke:
+    """The stroke of a lender for a borrower: the arms' joints of the same name point where the lender's do. Joints that
+    the lender lacks and the trunk stay at rest; with `head` the neck and the head move as the lender's, with `trunk`
+    the spine, too.
+
+    Skeletons of different makers differ in the pose that identity rotations mean: some hold the arms level, some half
+    down. A bone of the borrower is turned so that it points where the lender's does. With B the rotation of the bind
+    pose of a joint from borrower to lender and p its parent, the local rotation q becomes B_p^-1 q B.
+    """
+    arms = np.stack([_arm(stroke.arms[side], side, lender, borrower) for side in (0, 1)])
+    turns = np.zeros((stroke.trunk.shape[0], len(borrower.trunk), 3))
+    theirs = [lender.skeleton.names[j] for j in lender.trunk]
+    for place, joint in enumerate(borrower.trunk):
+        name = borrower.skeleton.names[joint]
+        if name in theirs and (trunk or (head and name.startswith(("Neck", "Head")))):
+            turns[:, place] = stroke.trunk[:, theirs.index(name)]
+    return replace(stroke, speaker=borrower.name, arms=arms, trunk=turns, _splines={})
+
+
+def _arm(logs: Array, side: int, lender: PerformerBody, borrower: PerformerBody) -> Array:
+    """Log rotations [T, A, 3] against the borrower's rest from the lender's [T, B, 3] against theirs."""
+    theirs = [lender.skeleton.names[j] for j in lender.arms[side]]
+    joints = [j for j in borrower.arms[side] if borrower.skeleton.names[j] in theirs]
+    of = [theirs.index(borrower.skeleton.names[j]) for j in joints]
+    binds = bind_differences(lender.skeleton, borrower.skeleton, SIDES[side])
+    own = np.stack([binds.get(j, _NONE) for j in joints])
+    parents = np.stack([binds.get(borrower.skeleton.parents[j], _NONE) for j in joints])
+    before = rotation.multiply(rotation.conjugate(borrower.rest[joints]), rotation.conjugate(parents))
+    before = rotation.multiply(before, lender.rest[[lender.arms[side][k] for k in of]])
+    local = rotation.multiply(rotation.multiply(before[None], rotation.from_exponential_map(logs[:, of])), own[None])
+    out = np.zeros((len(logs), len(borrower.arms[side]), 3))
+    out[:, [borrower.arms[side].index(j) for j in joints]] = rotation.unroll(rotation.to_exponential_map(local))
+    return out
+
+
+def bind_differences(lender: Skeleton, borrower: Skeleton, side: str) -> dict[int, Array]:
+    """Joint of the borrower -> quaternion that turns its bone in the bind pose to the lender's, for one arm. The hand's
+    holds for its fingers; a clavicle and joints without the needed children have none."""
+    there = {side + name for name in ("Arm", "ForeArm", "Hand", "HandMiddle1", "HandIndex1")}
+    there &= set(lender.names) & set(borrower.names)
+    out: dict[int, Array] = {}
+    for name, end in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("Hand", "HandMiddle1")):
+        if side + end in there:
+            ours, theirs = (skeleton.offsets[skeleton.index(side + end)] for skeleton in (borrower, lender))
+            out[borrower.index(side + name)] = rotation.between(ours, theirs)
+    if {f"{side}HandMiddle1", f"{side}HandIndex1"} <= there:
+        out |= dict.fromkeys([j for j, name in enumerate(borrower.names) if name.startswith(f"{side}Hand")],
+                             _hand(lender, borrower, side, out[borrower.index(f"{side}Hand")]))
+    return out
+
+
+def _hand(lender: Skeleton, borrower: Skeleton, side: str, turn: Array) -> Array:
+    """`turn` of the middle finger, and then about it, so that the index fingers are on the same side of it."""
+    axis = lender.offsets[lender.index(f"{side}HandMiddle1")]
+    axis = axis / np.linalg.norm(axis)
+    ours = rotation.rotate(turn, borrower.offsets[borrower.index(f"{side}HandIndex1")])
+    theirs = lender.offsets[lender.index(f"{side}HandIndex1")]
+    across = [vector - float(vector @ axis) * axis for vector in (ours, theirs)]
+    return rotation.multiply(rotation.between(*across), turn)
+
+
+@dataclass(frozen=True)
+class Repertoire:
+    """The takes of a folder. outlines: strokes without their motion, each with its mirror image; licences: of the
+    takes, in order."""
+
+    folder: Path
+    outlines: tuple[Stroke, ...]
+    licences: tuple[str, ...]
+    _bodies: dict[str, PerformerBody] = field(default_factory=dict, repr=False)
+    _played: dict[tuple[str, str], Stroke] = field(default_factory=dict, repr=False)
+
+    @property
+    def labels(self) -> frozenset[str]:
+        """The labels of the takes and of their mirror images."""
+        return frozenset(outline.meaning for outline in self.outlines)
+
+    def usable(self, strokes: Sequence[Stroke], split: str) -> tuple[Stroke, ...]:
+        """The outlines of the labels of which a performer has fewer than `ENOUGH` captured strokes (given)."""
+        captured = Counter(label for label, _ in {(stroke.meaning, stroke.base) for stroke in strokes})
+        return tuple(outline for outline in self.outlines if captured[outline.meaning] < ENOUGH
+                     and (split == "test" or not outline.held_out))
+
+    def played(self, outline: Stroke, body: PerformerBody) -> Stroke:
+        """The stroke of an outline with its motion, on the body of a performer. InputError for a broken clip."""
+        key = outline.clip, body.name
+        if key not in self._played:
+            if len(self._played) >= _REMEMBERED:
+                self._played.clear()
+            self._played[key] = self._lent(outline, body)
+        return self._played[key]
+
+    def _lent(self, outline: Stroke, body: PerformerBody) -> Stroke:
+        file = self.folder / f"{outline.base.removeprefix(SCRIPTED)}.bvh"
+        motion = read_bvh(file, unit=1.0)
+        if SCRIPT_BODY not in self._bodies:
+            self._bodies[SCRIPT_BODY] = standing_body(SCRIPT_BODY, [motion])
+        figure = self._bodies[SCRIPT_BODY]
+        arms = np.stack([logs_against(figure.rest, motion.rotations, joints) for joints in figure.arms])
+        trunk = logs_against(figure.rest, motion.rotations, figure.trunk)
+        stroke = replace(outline, clip=outline.base, fps=motion.fps, arms=arms, trunk=trunk)
+        if outline.clip != outline.base:
+            stroke = replace(mirror(stroke), lexeme=outline.lexeme, hand=outline.hand, meaning=outline.meaning)
+        return lent(stroke, figure, body, trunk=True)
 
 
 @dataclass(frozen=True)

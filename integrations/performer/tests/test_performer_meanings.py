@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 from gesticulator_performer import text
 from gesticulator_performer.cues import Cues, mirrored, plain, read_cues
-from gesticulator_performer.meant_strokes import lent
 from gesticulator_performer.plan import HABITS
-from gesticulator_performer.strokes import PerformerBody, Stroke, StrokeSet, mirror
+from gesticulator_performer.strokes import PerformerBody, Stroke, StrokeSet, lent, mirror
 from gesticulator_performer.text import Utterance, compose, sentence_key
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -87,6 +87,12 @@ def test_long_pause_is_rest_and_home_is_reached_before_speech(played: Played, st
     assert speed[int(1.5 * 60):int(11.5 * 60)].mean() > 0.25
 
 
+def test_same_seed_same_motion_other_seed_other_motion(talk: Spoken, played: Played, strokes: StrokeSet) -> None:
+    again, other = (perform_by(talk, strokes, seed) for seed in (1, 2))
+    assert np.array_equal(again.motion.rotations, played.motion.rotations)
+    assert [p.beat for p in other.strokes] != [p.beat for p in played.strokes] == [p.beat for p in again.strokes]
+
+
 def test_meaningful_words_take_their_strokes_and_held_out_ones_play_in_test_alone(strokes: StrokeSet) -> None:
     spoken = said("stone river you table lamp wood", 6)
     words = spoken.speech.words or ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import shutil
 from collections import Counter
 from pathlib import Path
@@ -27,6 +28,13 @@ def source(outside_data: Path) -> Path:
 @pytest.fixture
 def reader(source: Path) -> Performer:
     return Performer(source, PerformerOptions(hours=4.0))
+
+
+def test_the_command_line_sets_the_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GESTICULATOR_DATA", str(tmp_path))
+    arguments = argparse.Namespace(fps=30.0, unit=0.01, seed=7, hours=0.5, repertoire=tmp_path / "takes")
+    assert Performer.options(arguments) == PerformerOptions(
+        fps=30.0, unit=0.01, seed=7, joints=None, data=tmp_path, hours=0.5, repertoire=tmp_path / "takes")
 
 
 def test_plan_of_the_default_performer(source: Path, reader: Performer) -> None:

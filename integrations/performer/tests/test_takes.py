@@ -234,9 +234,9 @@ def test_a_hand_in_the_trunk_comes_out_of_it_and_other_hands_stay() -> None:
 
 
 def _pooled(captured: Library, subject: str) -> list[Motion]:
-    own = [take for take in library.talks() if joints.subject_of(take.name) == subject]
-    pieces = [logs for take in own for logs in takes.stretches(library, take, MotionRange(0.5, 1.0))]
-    return [Motion(FINGERED, library.rotations(logs), np.zeros((len(logs), 3)), FPS)
+    own = [take for take in captured.talks() if joints.subject_of(take.name) == subject]
+    pieces = [logs for take in own for logs in takes.stretches(captured, take, MotionRange(0.5, 1.0))]
+    return [Motion(FINGERED, captured.rotations(logs), np.zeros((len(logs), 3)), FPS)
             for logs in pieces]
 
 
