@@ -22,7 +22,7 @@ __all__ = ["BlockDense", "Conv", "Convolutions", "Dense", "Floats", "Gru", "Lstm
 Floats = NDArray[np.float32]
 
 SLOPE = 0.2
-"""Negative slope of every leaky ReLU, as in `data_module.layers`."""
+"""Negative slope of every leaky ReLU."""
 EPSILON = 1e-5
 """Added to a variance before its root is divided by, as in torch."""
 # Columns of a product: NumPy's BLAS copies no weight for blocks of this width, and takes a third to a half of the time.

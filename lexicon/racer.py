@@ -27,15 +27,13 @@ from torch import Tensor, nn
 
 from data_module.layers import masked_mean
 from lexicon.quantizer import Quantizer
-from lexicon.settings import FRAMES, HALVINGS, RacerConfig
+from lexicon.settings import DILATIONS, FRAMES, HALVINGS, RacerConfig
 
 __all__ = ["RacerCodec"]
 
 _LONG = 65
 """Codes of stillness, enough that the receptive field of the middle one does not reach the ends."""
 
-DILATIONS = (1, 3, 9)
-"""Of the residual blocks of a stage, in the encoder's order."""
 COMMITMENT = 0.1
 """beta of RACER Eq. 4."""
 

@@ -90,7 +90,7 @@ def test_motion_is_read_as_the_training_read_it(context: EvalContext) -> None:
     lexicon = bundle.block_lexicon
     assert isinstance(lexicon, MovementLexicon)
     poses, past = normalised_blocks(bundle.config, bundle.statistics, recording.motion, blocks, recording.info.speaker)
-    distances = torch.cdist(latents_of(lexicon, poses, past).double(), bundle.vectors.double())
+    distances = torch.cdist(latents_of(lexicon, poses, past).double(), torch.as_tensor(bundle.vectors).double())
     assert (distances.argmin(1).numpy() == own.labels).mean() > 0.99
 
 

@@ -240,7 +240,7 @@ def test_the_lexeme_interpreter(by: str, memory: int, text: int, pose: int, spea
 
 @pytest.mark.parametrize("part", ["interpreter", "interpreter_text"])
 def test_the_shipped_interpreters(shipped: Bundle, part: str) -> None:
-    module = shipped.parts[part]
+    module = shipped.trained(part)
     assert isinstance(module, LstmInterpreter) and shipped.text is not None
     width = len(shipped.statistics.high.mean)
     same_interpreter(module, InterpreterSizes(module.frames, width, width, len(shipped.speakers), shipped.text.width,
