@@ -115,8 +115,7 @@ class Generator(nn.Module):
     @property
     def weights(self) -> dict[str, float]:
         c = self.config
-        return {"reconstruction": RECONSTRUCTION, "perceptual": PERCEPTUAL, "lexeme": c.lexeme, "style": STYLE,
-                "velocity": c.velocity}
+        return {"reconstruction": RECONSTRUCTION, "perceptual": PERCEPTUAL, "lexeme": c.lexeme, "style": STYLE}
 
     def sparse_parameters(self) -> Iterator[tuple[Tensor, float]]:
         if self.styles is not None:
@@ -174,8 +173,9 @@ class Generator(nn.Module):
         return torch.stack(blocks, 1), torch.stack(choices, 1)
 
     def own_past_probability(self, progress: float) -> float:
-        """0 at the start of the run, 1 after `own_past_until` of it, linear between."""
-        return min(progress / max(self.config.own_past_until, 1e-9), 1.0)
+        """0 at the start of the run, 1 after `own_past_until` of it, linear between; always 0 without that setting."""
+        until = self.config.own_past_until
+        return min(progress / until, 1.0) if until else 0.0
 
     def temperature(self, progress: float) -> float:
         return self.config.temperature(progress)
@@ -196,26 +196,16 @@ class Generator(nn.Module):
         style = self.styles(numbers)
         temperature = self.temperature(progress)
         control = batch["control"][:, 1:] if self.control_width else None
-        used = style
-        if self.training and self.config.style_dropout > 0:
-            # Dropped for the whole window; the divergence and the lexeme loss below still use the codes.
-            used = style * (torch.rand(len(style), 1, 1, device=style.device) >= self.config.style_dropout)
-        generated, _ = self.roll_out(motion[:, 0], BlockInputs(audio, lexemes, used, control), motion[:, 1:],
+        generated, _ = self.roll_out(motion[:, 0], BlockInputs(audio, lexemes, style, control), motion[:, 1:],
                                      self.own_past_probability(progress), temperature)
         valid = batch["valid"][:, 1:]
         mask = batch["mask"][:, None, None] * valid[:, :, None, None]
         real = valid > 0
-        # Velocities include that across the seam between two blocks, where jumps are most visible.
-        before = torch.cat([motion[:, :1, -1], generated[:, :-1, -1]], 1)[:, :, None]
-        before_true = motion[:, :-1, -1][:, :, None]
-        velocity = torch.diff(torch.cat([before, generated], 2), dim=2) \
-            - torch.diff(torch.cat([before_true, motion[:, 1:]], 2), dim=2)
         return {
             "reconstruction": losses.reconstruction(generated, motion[:, 1:], mask),
             "perceptual": losses.perceptual(generated[real], motion[:, 1:][real], encoder),
             "lexeme": self._lexeme_loss(motion, audio, lexemes, style, temperature, encoder, control),
             "style": losses.style_divergence(style[(numbers > 0) & real]),
-            "velocity": losses.reconstruction(velocity, torch.zeros_like(velocity), mask),
         }
 
     def _lexeme_loss(self, motion: Tensor, audio: Tensor, lexemes: Tensor, style: Tensor, temperature: float,

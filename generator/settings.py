@@ -54,22 +54,20 @@ class GeneratorConfig:
     """Units of each layer of the decoder."""
     lstm_layers: Depth = 2
     """Layers of the decoder."""
-    own_past_until: Share = 0.5
-    """Share of the run after which the past is always the generated block; the probability rises linearly between."""
+    own_past_until: Share = 0.0
+    """Share of the run after which the past is always the generated block; the probability rises linearly between. 0
+    (the paper) never: Eq. 5 takes the true block, and Eq. 15 the generated one in use."""
     lexeme: NotNegative = 0.2
     """Weight of L_lexeme (RG Eq. 9 and 13)."""
     use_control: bool = False
     """Use the style control (C_i of RG 7.2.1) as input."""
-    velocity: NotNegative = 0.0
-    """Weight of the squared error of frame differences; off in the paper."""
-    style_dropout: Share = 0.0
-    """Share of training windows that get the zero code instead of the learned one. A learned code contains information
-    from the target; without it the generator must take its timing from the sound. Off in the paper."""
     swap_share: Share = 1.0
     """Share of the batch's blocks that the lexeme loss pairs with other lexemes."""
-    style_rate: Positive = 1e-2
+    style_rate: Positive = 3e-4
     """Learning rate of the style codes, which get only one gradient per epoch each."""
     # The remaining settings are used by the flow head only.
+    style_dropout: Share = 0.0
+    """Share of training windows without style codes."""
     blocks: Count = 28
     """Blocks of a training window: about nine seconds, more than a phrase."""
     context: Width = 256

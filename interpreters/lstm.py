@@ -25,6 +25,8 @@ _NO_POSE = "this interpreter needs the pose; give it the previous block"
 
 OWN_PAST_UNTIL = 0.5
 """Share of the run after which scheduled sampling is complete."""
+CODE_NOISE = 0.5
+"""Standard deviation of the noise on the previous style code at the end of the run; it rises linearly."""
 TEXT_HEAD_DROPOUT = 0.5
 """Dropout in the text head, which would memorise the few words of a few hours."""
 
@@ -272,7 +274,7 @@ class StyleInterpreter(nn.Module):
         if self.training:
             # In inference the previous codes are predictions, which vary less than the learned codes: noise reduces
             # the reliance on them.
-            previous = previous + 0.5 * progress * torch.randn_like(previous)
+            previous = previous + CODE_NOISE * progress * torch.randn_like(previous)
         text = batch["text"][:, 1:] if self.encode_text is not None else None
         predicted, _ = self.codes(previous, batch["lexeme"][:, 1:], batch["audio_low"][:, 1:], batch["speaker"], None,
                                   text)

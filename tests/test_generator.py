@@ -121,6 +121,23 @@ def test_teacher_forcing_sees_the_truth_and_the_own_past_does_not() -> None:
 
     assert not torch.equal(run(b["motion"][:, 1:], 0.0)[:, 1], run(other, 0.0)[:, 1])
     assert torch.equal(run(b["motion"][:, 1:], 1.0), run(other, 1.0))
+    assert [model.own_past_probability(at) for at in (0.0, 0.5, 1.0)] == [0, 0, 0], "the paper: the truth alone"
+    assert [make(own_past_until=0.4).own_past_probability(at) for at in (0.0, 0.2, 1.0)] == [0, 0.5, 1]
+
+
+def test_the_loss_is_the_papers_four_terms_and_training_takes_the_true_past() -> None:
+    """RG Eq. 9: nothing else has a weight, and nothing that a block made changes what the next one begins from."""
+    model, b = make().eval(), batch()
+    assert model.weights == {"reconstruction": 1.0, "perceptual": 0.5, "lexeme": 0.2, "style": 1.0}
+    found = model.losses(b, 1.0, encoder)
+    assert set(found) == set(model.weights)
+    style = model.styles(b["style"][:, 1:])
+    state, error = model.first_state(b["motion"][:, 0, -1], b["lexeme"][:, 1]), []
+    for i in range(4):
+        made, state, _ = model.step(b["motion"][:, i], model.encode_audio(b["audio"][:, i + 1]),
+                                    b["lexeme"][:, i + 1], style[:, i], state)
+        error.append((made - b["motion"][:, i + 1]).pow(2))
+    torch.testing.assert_close(found["reconstruction"], torch.stack(error).mean())
 
 
 def test_blocks_that_are_not_valid_and_joints_that_are_absent_do_not_count() -> None:
@@ -160,24 +177,6 @@ def test_dimensions_that_no_source_has_stay_at_zero() -> None:
     assert (made[..., [1, 4]] == 0).all() and (made[..., [0, 2, 3]] != 0).all()
     assert torch.equal(model.styles(torch.tensor([1, 2])), make().styles(torch.tensor([1, 2]))), "codes as before"
     assert model.state_dict().keys() == make().state_dict().keys(), "the data say it, not the weights"
-
-
-def test_the_velocity_term_is_the_difference_of_frames_by_hand() -> None:
-    model, b = make(velocity=1.0).eval(), batch()
-    with torch.no_grad():
-        b["valid"][0, 4] = 0
-    given = BlockInputs(b["audio"][:, 1:], b["lexeme"][:, 1:], model.styles(b["style"][:, 1:]))
-    made, _ = model.roll_out(b["motion"][:, 0], given)
-    errors = []
-    for row in range(3):
-        mine, true = b["motion"][row, 0, -1:], b["motion"][row, 0, -1:]
-        for block in range(4):
-            mine, true = torch.cat([mine, made[row, block]]), torch.cat([true, b["motion"][row, block + 1]])
-        # Each block's differences begin at the last frame of the block before; a filled block does not count.
-        count = FRAMES * (3 if row == 0 else 4)
-        errors.append((mine.diff(dim=0) - true.diff(dim=0))[:count].pow(2))
-    expected = torch.cat(errors).mean()
-    torch.testing.assert_close(model.losses(b, 1.0, encoder)["velocity"], expected)
 
 
 def test_the_last_pose_fades_out_over_the_block() -> None:

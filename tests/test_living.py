@@ -51,7 +51,7 @@ def still(made: Performance) -> tuple[Array, Array]:
 
 def test_the_presets_that_are_papers_keep_their_rest_and_the_default_lives() -> None:
     living = {name for name in PRESETS if preset(name).silence.rest == "life"}
-    assert living == {"default", "regression", "paper-quick"}
+    assert living == {"default"}
     with pytest.raises(InputError, match=r"silence\.rest"):
         with_settings(preset("paper-ted"), ["silence.rest=life"])
 

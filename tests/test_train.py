@@ -174,7 +174,7 @@ def test_only_what_a_setting_shapes_is_trained_again(setting: str, stages: set[s
     (["--set", "motion.representation=dance"], "dance"),
     (["--set", "front_end.name=ears"], "ears"), (["--set", "encoder.width=0"], "encoder.width"),
     (["--set", "schedules.lexicon.steps=-3"], "schedules.lexicon.steps"), (["--set", "lexicon.size=0"], "lexicon.size"),
-    (["--set", "front_end.bands=0"], "front_end.bands"), (["--set", "generator.velocity=NaN"], "generator.velocity"),
+    (["--set", "front_end.bands=0"], "front_end.bands"), (["--set", "generator.lexeme=NaN"], "generator.lexeme"),
     (["--threads", "0"], "--threads 0"), (["--seed", "-1"], "seed"),
     (["--seed", str(2**31)], "seed"),
 ])

@@ -154,7 +154,7 @@ ELSEWHERE: list[Elsewhere] = msgspec.convert(_PAPERS["elsewhere"], list[Elsewher
 # ------------------------------------------------------------------------------------------------------------- presets
 
 def ablation() -> Config:
-    """The preset `paper-quick`, for a row and seed in at most five minutes of one core."""
+    """The preset `paper-quick`, for a row and seed in a few minutes of one core."""
     return dataclasses.replace(presets.paper_quick(), name="ablation")
 
 

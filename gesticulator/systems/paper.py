@@ -9,7 +9,7 @@
     RG 6.4   silence                                                            `step`, below
     Eq. 15   blocks are generated one after the other                           `step`, below
 
-What the paper does not have is marked as an addition: the gate and rest by phrases of the preset `regression`, and the
+What the paper does not have is marked as an addition: the gate and rest by phrases, which no preset of it has, and the
 style control of RG 7.2.1 at inference.
 """
 
