@@ -118,10 +118,6 @@ class RacerCodec(nn.Module):
         latents = self.encode(pose.expand(1, _LONG * FRAMES, -1))
         return self.quantizer.distances(latents[:, _LONG // 2])[0]
 
-    def tokens(self, motion: Tensor) -> Tensor:
-        """`label` under RACER's name: action tokens [B, T / 8], which the Q-network chooses."""
-        return self.label(motion)
-
     @torch.no_grad()
     def decode_tokens(self, tokens: Tensor) -> Tensor:
         """Tokens [B, T'] to motion [B, T', 8, D_m], 8 frames per token, decoded together."""

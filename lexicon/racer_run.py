@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from data_module.layers_run import Floats, Tensors
+from data_module.layers_run import Conv, Floats, Tensors
 from lexicon.settings import DILATIONS, FRAMES, HALVINGS, RacerConfig
 
 __all__ = ["CodecRunner"]
 
-Kernel = tuple[Floats, Floats]
-"""Weight and bias of a convolution."""
+
+Residual = tuple[Conv, Conv]
 
 
 class CodecRunner:
@@ -25,24 +25,24 @@ class CodecRunner:
         tensors.take("quantizer.counts", config.size)
         tensors.take("quantizer.sums", config.size, width)
         encoder, decoder, each = tensors.within("encoder"), tensors.within("decoder"), len(DILATIONS) + 1
-        self._enter = _kernel(decoder.within("0"), (width, width, 3), width)
-        self._stages = list[tuple[list[tuple[Kernel, Kernel]], Kernel]]()
+        self._enter, self._stages = _conv(decoder.within("0"), width, 3), list[tuple[list[Residual], Floats, Floats]]()
         for stage in range(HALVINGS):
-            _kernel(encoder.within(f"{each * stage}"), (width, width if stage else motion, 4), width)
+            encoder.take(f"{each * stage}.weight", width, width if stage else motion, 4)
+            encoder.take(f"{each * stage}.bias", width)
             for n in range(1, each):
                 _residual(encoder.within(f"{each * stage + n}"), width)
-            out = motion if stage == HALVINGS - 1 else width
-            self._stages.append((
-                [_residual(decoder.within(f"{each * stage + n}"), width) for n in range(1, each)],
-                _kernel(decoder.within(f"{each * stage + each}"), (width, out, 4), out)))
-        _kernel(encoder.within(f"{each * HALVINGS}"), (width, width, 3), width)
+            last, out = decoder.within(f"{each * (stage + 1)}"), motion if stage == HALVINGS - 1 else width
+            self._stages.append(([_residual(decoder.within(f"{each * stage + n + 1}"), width, dilation)
+                                  for n, dilation in enumerate(reversed(DILATIONS))],
+                                 last.take("weight", width, out, 4), last.take("bias", out)))
+        _conv(encoder.within(f"{each * HALVINGS}"), width, 3)
 
     def decode(self, codes: Sequence[int]) -> Floats:
         """[T', 8, D_m] motion of T' codes, 8 frames per code, decoded together."""
-        rows = _convolved(self._vectors[list(codes)], self._enter)
-        for residuals, (weight, bias) in self._stages:
-            for (change, after), dilation in zip(residuals, reversed(DILATIONS), strict=True):
-                rows = rows + _convolved(np.maximum(_convolved(np.maximum(rows, 0), change, dilation), 0), after)
+        rows = self._enter(self._vectors[list(codes)])
+        for residuals, weight, bias in self._stages:
+            for change, after in residuals:
+                rows = rows + after(np.maximum(change(np.maximum(rows, 0)), 0))
             # A transposed convolution of stride 2: every frame gives two, each of two frames.
             around = np.pad(rows, ((1, 1), (0, 0)))
             two = np.stack([rows @ weight[..., 1] + around[:-2] @ weight[..., 3],
@@ -51,18 +51,10 @@ class CodecRunner:
         return (rows * self._present).reshape(len(codes), FRAMES, -1)
 
 
-def _kernel(tensors: Tensors, shape: tuple[int, ...], width: int) -> Kernel:
-    return tensors.take("weight", *shape), tensors.take("bias", width)
+def _conv(tensors: Tensors, width: int, kernel: int, dilation: int = 1) -> Conv:
+    return Conv(tensors.take("weight", width, width, kernel), tensors.take("bias", width),
+                padding=kernel // 2 * dilation, dilation=dilation)
 
 
-def _residual(tensors: Tensors, width: int) -> tuple[Kernel, Kernel]:
-    return (_kernel(tensors.within("change.1"), (width, width, 3), width),
-            _kernel(tensors.within("change.3"), (width, width, 1), width))
-
-
-def _convolved(rows: Floats, kernel: Kernel, dilation: int = 1) -> Floats:
-    """[T, N] of rows [T, D] by a kernel [N, D, odd], with zeros around them."""
-    weight, bias = kernel
-    around = np.pad(rows, ((weight.shape[2] // 2 * dilation,) * 2, (0, 0)))
-    taps = (around[n * dilation:n * dilation + len(rows)] @ weight[..., n].T for n in range(weight.shape[2]))
-    return sum(taps, bias)
+def _residual(tensors: Tensors, width: int, dilation: int = 1) -> Residual:
+    return _conv(tensors.within("change.1"), width, 3, dilation), _conv(tensors.within("change.3"), width, 1)

@@ -305,6 +305,5 @@ def test_gate_planner_and_style(bottleneck: int, width: int, speaker: bool, seed
 
 
 def test_the_shipped_gate_planner_and_style(shipped: Bundle) -> None:
-    gate, planner, style = shipped.gate, shipped.planner, shipped.style
-    assert gate is not None and planner is not None and isinstance(style, UnitStyleInterpreter)
+    gate, planner, style = (shipped.trained(name) for name in ("gate", "planner", "style"))
     same_heads(gate, planner, style, len(shipped.statistics.low.mean), 7)

@@ -58,10 +58,8 @@ if TYPE_CHECKING:
     from generator.flow import FlowGenerator
     from generator.model import Generator
     from interpreters.base import Interpreter
-    from interpreters.cql import QNetwork
-    from interpreters.gate import ActivityGate
     from interpreters.lstm import LstmInterpreter, StyleInterpreter
-    from interpreters.planner import UnitPlanner, UnitStyleInterpreter
+    from interpreters.planner import UnitStyleInterpreter
     from interpreters.reward import RewardEnsemble
     from lexicon.autoencoder import Lexicon
     from lexicon.movement import MovementLexicon
@@ -177,20 +175,10 @@ class Bundle:
 
     generator: ClassVar[_Part[Generator | FlowGenerator]] = _Part()
     """Generates blocks at the beat; None in a bundle of RACER's codec."""
-    interpreter_text: ClassVar[_Part[LstmInterpreter]] = _Part()
-    """The lexeme interpreter that also reads the words."""
     style: ClassVar[_Part[StyleInterpreter | UnitStyleInterpreter]] = _Part()
     """The audio-only style interpreter; None if the generator takes no style codes."""
-    style_text: ClassVar[_Part[StyleInterpreter]] = _Part()
-    """The style interpreter that also reads the words."""
     encoder: ClassVar[_Part[SpeechEncoder]] = _Part()
     """The speech encoder."""
-    gate: ClassVar[_Part[ActivityGate]] = _Part()
-    """Decides whether a block is gestured."""
-    planner: ClassVar[_Part[UnitPlanner]] = _Part()
-    """Decides the phase of each block's gesture unit; None if lexemes are chosen without phases."""
-    q_network: ClassVar[_Part[QNetwork]] = _Part()
-    """RACER's Q-network."""
     reward: ClassVar[_Part[RewardEnsemble]] = _Part()
     """The reward that trained the policies; None unless it was added (`JUDGES`)."""
     reward_judge: ClassVar[_Part[RewardEnsemble]] = _Part()
