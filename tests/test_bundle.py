@@ -66,8 +66,8 @@ def same_weights(one: torch.nn.Module, two: torch.nn.Module) -> bool:
 def test_every_part_survives_a_round_trip(whole: Path) -> None:
     made, read = untrained(), bundles.load(whole)
     for name in PARTS:
-        assert same_weights(made.parts[name], read.parts[name]), name
-        assert not read.parts[name].training, name
+        assert same_weights(made.trained(name), read.trained(name)), name
+        assert not read.trained(name).training, name
     assert (read.text, read.config, read.speakers) == (made.text, made.config, made.speakers)
     assert read.silent.tolist() == list(SILENT)
     assert read.levels is not None and made.levels is not None
@@ -140,7 +140,7 @@ def test_broken_and_foreign_bundles_are_refused_by_name(whole: Path, tmp_path: P
         file.write_bytes(before[:-1] + bytes([before[-1] ^ 1]))
         opened = bundles.load(copy)
         with pytest.raises(InputError, match=rf"{name}\.safetensors.*SHA-256"):
-            _ = opened.parts[{part.file: own for own, part in part_table().items()}[name]]
+            _ = opened.trained({part.file: own for own, part in part_table().items()}[name])
         file.write_bytes(before)
     (copy / "generator.safetensors").unlink()
     with pytest.raises(InputError, match="missing"):
@@ -195,7 +195,7 @@ for path in ("lexicon.size", "lexicon.code_width", "generator.lstm_width", "gene
     (folder / "bundle.json").write_text(json.dumps(index))
     try:
         loaded = load(folder)
-        [loaded.parts[name] for name in loaded.parts]
+        [loaded.trained(name) for name in loaded.parts]
         print("opened")
     except InputError as error:
         print(error)

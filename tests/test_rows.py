@@ -136,7 +136,7 @@ def test_a_seed_shares_speech_levels_and_nothing_that_another_command_would_take
     assert one.key(GENERATOR) == context.first.key(GENERATOR), "as the training command would"
     assert two.key(LEXICON) == context.run("no-style", config.seed + 1).key(LEXICON), "shared by the rows of a seed"
     plain = context_of(dataclasses.replace(config, seed=config.seed + 1)).first
-    assert len({run.key(GENERATOR) for run in (one, two, plain)}) == 3, "it hears through the first seed's encoder"
+    assert two.key(GENERATOR) not in (one.key(GENERATOR), plain.key(GENERATOR)), "the encoder is shared"
     assert one.seed(GENERATOR) != two.seed(GENERATOR)
     learned = tiny()  # hears through an encoder that is trained first
     cut = context_of(learned).run("no-segmentation", learned.seed)

@@ -1,34 +1,24 @@
-"""How a claim of a paper is decided: one rule, two readings (docs/verdicts.md).
+"""How a claim is decided: one rule, two readings. docs/results.md has both for a reader, with the controls by column.
 
-A claim is that one row's figure is lower than another's, higher, or about the same. Known before the run are the
-paper's two figures and the margin, half of the effect that the paper prints. Measured is the paired difference on the
-same clips and seeds (one seed is one training, one rendering of each clip), with its intervals of 95 and of 90 % by
-variance components (`eval.crossed`).
+A claim is that one row's figure is lower than another's, higher, or about the same. Measured is the paired difference
+on the same clips and seeds, with its intervals of 95 and of 90 % by variance components (`eval.crossed`).
 
 - *holds*: the 95 % interval lies on the claim's side of zero, and not within the margin.
 - *reversed*: it lies on the other side; of rows that are called alike: wholly outside the margin.
 - *no effect*: the 90 % interval lies within the margin on both sides of zero, which is two one-sided tests at 5 %
-  (TOST, Schuirmann 1987). A significant difference that is smaller than the margin counts as none: the order is then
-  the paper's, and the effect is not.
+  (TOST, Schuirmann 1987). A significant difference that is smaller than the margin counts as none.
 - *undecided*: none of these, or fewer than three seeds. `needed` says how many seeds and clips would tell no effect
   from the paper's at 80 % power, if seeds and clips differ as they did here.
-
 - *inert*: two rows are alike by this column, and no other claim about the two holds or is reversed. What changes
   nothing leaves this unchanged, too; that is no success and is not counted as one.
 
-Both readings are by this rule. *As published* is by the paper's own column; where the paper prints no figure, by the
-fixed margin of the column, or by the sign alone. *Valid* is by a column that its controls cannot beat: PMB gives way to
-PMB above chance. What a control does as well proves nothing, so a claim that would hold, or might, by such a column has
-*no valid test*, and so has one without a printed effect or a fixed margin. A negative stands: a system that does not
-even win by a lenient measure has not won.
+*As published* is by the paper's own column. *Valid* is by a column that its controls cannot beat: what a control does
+as well proves nothing, so a claim that would hold, or might, by such a column has *no valid test*, and so has one
+without any margin. A negative stands: who does not win even by a lenient measure has not won.
 
-The controls of a column (papers.toml) are of what it claims to see, and each was run on the same clips. Timing: the
-performer's motion for another speech, backwards, with jitter, held still, and a mean pose that bobs at the onsets.
-Joint errors: jitter and stillness. Returns: random lexemes and the most frequent one, by the same reward. Each must be
-worse than ours, the whole 95 % interval of the paired difference. Amounts (near the performer's is better): a still
-body has less than ours, and jitter, where it is a control, no more than the performer. A distance between sets takes
-the motion of another speech for perfect, by construction; it must order rising doses of damage instead
-(`out_of_order`). Accuracy counts decisions and has no control of motion.
+A control must be worse than ours, the whole 95 % interval of the paired difference; a still body must have less of an
+amount, and jitter no more of it than the performer. A distance between sets takes motion for another speech for
+perfect, by construction; it must order rising doses of damage instead (`out_of_order`).
 
 What fools it: no correction is made for the number of claims. The power is of variances that three seeds tell badly.
 """
