@@ -27,11 +27,10 @@ class InterpreterEntry(RegistryEntry):
 
     For interpreters with weights: section: the group of settings of `Config`, by default the name of the part. model:
     module and class of the network that is trained, if not the interpreter itself: it has `build(settings, sizes)`.
-    runner: module and class that plays its weights, by default the interpreter: it has `of(settings, sizes, tensors)`,
-    without which the network itself is played. file: names of the
-    files of the part and the text part without suffix, by default the names of the parts. tied: the weights fit one
-    codebook only. temperature: its default temperature, if it is not that of the bundle. doubt: the warning with which
-    it plays, if it is no better than another by our figures; empty for none.
+    runner: module and class that plays its weights, by default the interpreter: it has `of(settings, sizes, tensors)`.
+    file: names of the files of the part and the text part without suffix, by default the names of the parts. tied: the
+    weights fit one codebook only. temperature: its default temperature, if it is not that of the bundle. doubt: the
+    warning with which it plays, if it is no better than another by our figures; empty for none.
     """
 
     part: str = ""
@@ -84,7 +83,9 @@ INTERPRETERS: Registry[InterpreterEntry] = Registry("interpreters", "an interpre
     "advantage": InterpreterEntry(
         "the LSTM, biased by a learned reward; see --beta", "interpreters.advantage_run:AdvantageInterpreter",
         "advantage", prior="lstm", model="interpreters.advantage:Critics",
-        runner="interpreters.advantage_run:CriticsRunner"),
+        runner="interpreters.advantage_run:CriticsRunner",
+        doubt="no figure of this project shows the shipped weights of advantage to choose gestures better than lstm "
+              "(docs/racer.md)"),
     "statistical": InterpreterEntry(
         "the speaker's lexeme frequencies", "interpreters.statistical:StatisticalInterpreter"),
 }, InterpreterEntry)

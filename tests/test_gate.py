@@ -14,9 +14,9 @@ from learning import learn
 from runners import played_gate
 from torch import Tensor
 
+from gesticulator.sampling.loop import opened
 from interpreters.base import BlockFeatures
 from interpreters.gate import ActivityGate, GateConfig
-from interpreters.gate_run import opened
 
 FRAMES, AUDIO, SPEAKERS, BLOCKS = 4, 3, 2, 9
 

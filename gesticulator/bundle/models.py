@@ -154,12 +154,11 @@ def _reward(sizes: Sizes, config: RewardConfig) -> RewardEnsemble:
 @dataclass(frozen=True)
 class BundlePart:
     """A part of a bundle. file: without the suffix; build: returns the untrained model; play: returns the runner that
-    plays its weights, None where the trained model itself is played; tied: whether its weights are valid only for the
-    codebook that they were trained with."""
+    plays its weights; tied: whether its weights are valid only for the codebook that they were trained with."""
 
     file: str
     build: Callable[[Sizes], nn.Module]
-    play: Callable[[Sizes, Tensors], Any] | None = None
+    play: Callable[[Sizes, Tensors], Any]
     tied: bool = False
 
 
@@ -180,7 +179,8 @@ PARTS = {"encoder": BundlePart("speech_encoder", encoder, encoder_runner),
 def part_table() -> dict[str, BundlePart]:
     """Every part that a bundle may have, including those of all registered lexeme interpreters."""
     # Computed on each call, because packages can be registered while the program runs.
-    return {**PARTS, **{part: BundlePart(file, partial(_interpreter, entry, part), _playing(entry, part), entry.tied)
+    return {**PARTS, **{part: BundlePart(file, partial(_interpreter, entry, part), partial(_playing, entry, part),
+                                     entry.tied)
                         for entry in entries().values() for part, file in entry.files.items()}}
 
 
@@ -190,10 +190,9 @@ def _interpreter(entry: InterpreterEntry, part: str, sizes: Sizes) -> nn.Module:
     return model
 
 
-def _playing(entry: InterpreterEntry, part: str) -> Callable[[Sizes, Tensors], Any] | None:
-    """What plays the weights of a lexeme interpreter; None for a package whose network is played."""
-    runner = getattr(entry.load_runner(), "of", None)
-    return runner and (lambda sizes, tensors: runner(*_settled(entry, part, sizes), tensors))
+def _playing(entry: InterpreterEntry, part: str, sizes: Sizes, tensors: Tensors) -> Any:
+    """The runner of a lexeme interpreter, with or without text."""
+    return entry.load_runner().of(*_settled(entry, part, sizes), tensors)
 
 
 def _settled(entry: InterpreterEntry, part: str, sizes: Sizes) -> tuple[Any, InterpreterSizes]:
@@ -212,17 +211,14 @@ def build(part: str, sizes: Sizes) -> Any:
 
 def runner_of(name: str, sizes: Sizes, model: Any, source: object = "the weights") -> Any:
     """The runner of a part: of its trained model, or of its tensors by name, which are from `source`. A model without
-    weights, and one that has no runner, is played itself. InputError for inconsistent settings, and for tensors of
-    others."""
-    play = part_table()[name].play
+    weights is played itself. InputError for inconsistent settings, and for tensors of others."""
     if not isinstance(model, Mapping):
-        if play is None or not hasattr(model, "state_dict"):
+        if not hasattr(model, "state_dict"):
             return model
         model = {key: value.detach().cpu().numpy() for key, value in trained_tensors(model).items()}
-    assert play is not None
     tensors = Tensors(model, source)
     try:
-        runner = play(sizes, tensors)
+        runner = part_table()[name].play(sizes, tensors)
     except (ValueError, IndexError, OverflowError, ZeroDivisionError) as error:
         raise InputError("settings", f"no {name} can be built of them ({str(error).splitlines()[0][:200]})",
                          "change them") from None
@@ -251,8 +247,6 @@ class StoredPart:
 
     def played(self) -> Any:
         """The runner; InputError for a broken file, or one of other settings."""
-        if part_table()[self.name].play is None:
-            return self.trained()
         return runner_of(self.name, self.sizes, *self.read())
 
     def trained(self) -> nn.Module:
@@ -262,9 +256,8 @@ class StoredPart:
         from data_module.layers import freeze
 
         part = part_table()[self.name]
-        if part.play is not None:
-            # Its shapes are checked before the model is built: a width in a broken index could take all memory.
-            self.played()
+        # Its shapes are checked before the model is built: a width in a broken index could take all memory.
+        self.played()
         (tensors, file), model = self.read(), part.build(self.sizes)
         try:
             model.load_state_dict({key: torch.as_tensor(value) for key, value in tensors.items()})

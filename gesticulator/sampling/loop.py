@@ -30,7 +30,6 @@ from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import Flags, Span, SpeechBlock, SpeechFeatures, control_rows, representation_of
 from gesticulator.plan.plan import Block, BlockDraw, Flag, LexemeChoice
 from interpreters.base import BlockFeatures, Interpreter, select
-from interpreters.gate_run import opened
 
 if TYPE_CHECKING:
     from gesticulator.sampling.cutter import BlockCutter
@@ -322,6 +321,16 @@ class Resting:
     probability: float
     gate: Any
     rest: Rest | None
+
+
+def opened(probability: float, activity: float) -> bool:
+    """Whether a block may have a gesture: probability >= 1 - activity, and never at activity 0. activity: 0 for no
+    gestures, 0.5 for gestures that are more likely than not, 1 for a gesture on every block. Raising either number
+    never closes the gate. ValueError for a number outside 0 to 1."""
+    if not (0 <= probability <= 1 and 0 <= activity <= 1):
+        raise ValueError(f"probability {probability} and activity {activity} must lie in 0 to 1")
+    # At activity 0 a certain gesture (probability 1) would pass the comparison.
+    return activity > 0 and probability >= 1 - activity
 
 
 def resting(bundle: Bundle, setup: Setup, state: State, request: Request, features: BlockFeatures, still: Flags | None
