@@ -33,11 +33,6 @@ def count(sequences: Iterable[tuple[str, Labels]], size: int, smoothing: float =
     return Inventory(frequencies, moves / moves.sum(axis=1, keepdims=True))
 
 
-def usage(labels: Labels, size: int) -> float:
-    """Share of the `size` lexemes that occur in the labels [N]."""
-    return float((np.bincount(labels, minlength=size) > 0).mean())
-
-
 def silent_lexemes(speeds: Array, labels: Labels, silent: NDArray[np.bool_], *, slow_share: float = 0.3,
                    over: float = 2.0) -> Labels:
     """The silent lexemes, detected automatically (RG 6.4.1).

@@ -15,7 +15,6 @@ FRAMES = 2**HALVINGS
 """Frames per code of RACER's codec."""
 
 
-
 @dataclass(frozen=True)
 class LexiconConfig:
     """Sizes and weights of the lexicon; the defaults are the paper's if it gives them."""

@@ -112,7 +112,7 @@ def test_a_real_person_passes_most_of_the_table(scott: AcceptanceVoice) -> None:
     refused = missed(scott.own, scott)
     # He hangs both arms for long stretches, and that is all that is held against him.
     assert refused == {"eye_both_hanging"}, refused
-    decided = [verdict for verdict in judge(voices.own_motion([scott], None).figures(None)).values()
+    decided = [verdict for verdict in judge(voices.own_motion([scott]).figures()).values()
                if verdict.holds is not None]
     assert len(decided) > 25 and sum(verdict.holds is True for verdict in decided) >= len(decided) - 1
 
