@@ -79,7 +79,7 @@ def timing_figures(timed: Sequence[Timed]) -> dict[str, Measured]:
     if coupled is not None:
         # Of few voices most exchanges are the identity for some, and the test cannot reject.
         p = coupled.p if voices >= FEWEST and len(coupled.chance) else math.nan
-        out[PITCH_P] = Measured(Interval.exact(p, len(timed)), f"r {coupled.best:.3f} at {coupled.lag:.2f} s")
+        out[PITCH_P] = Measured(Interval.exact(p, len(timed)), f"r {coupled.best:.3f}")
     return out
 
 

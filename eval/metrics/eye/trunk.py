@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from data_module.motion import rotation
+from data_module.motion.phases import runs
 from data_module.types import Array
 from eval.metrics.eye.body import HZ, SIDES, CommonBody
-from eval.stats import runs
 
 STILL = 0.02
 """m/s: what is slower stands still."""
@@ -54,9 +54,9 @@ def smoothed_speed(places: Array, smoothing: float = SMOOTHING) -> Array:
     return np.asarray(np.linalg.norm(velocity, axis=-1))
 
 
-def longest(mask: NDArray[np.bool_] | np.bool_) -> float:
+def longest(mask: NDArray[np.bool_]) -> float:
     """Seconds of the longest run of True, [T] at 60 Hz."""
-    return float(np.diff(runs(mask)).max(initial=0)) / HZ
+    return max((stop - begin for begin, stop in runs(mask)), default=0) / HZ
 
 
 def off_line(points: Array, start: Array, way: Array) -> Array:
