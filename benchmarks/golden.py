@@ -40,7 +40,7 @@ from typing import Any
 
 import numpy as np
 import soundfile
-import torch
+from threadpoolctl import threadpool_limits
 
 import gesticulator
 from gesticulator import Gesticulator, InputError
@@ -494,7 +494,7 @@ def run_groups(names: Iterable[str]) -> Golden:
 def machine() -> dict[str, str]:
     """What bits depend on beside the code."""
     return {"processor": platform.processor() or platform.machine(), "python": platform.python_version(),
-            "torch": torch.__version__, "numpy": np.__version__}
+            "numpy": np.__version__}
 
 
 def record(path: Path, groups: Sequence[str]) -> int:
@@ -539,7 +539,7 @@ def main() -> int:
     p.add_argument("--only", choices=tuple(GROUPS), action="append", help="run this group; may be given several times")
     asked = p.parse_args()
     groups = asked.only or list(GROUPS)
-    torch.set_num_threads(1)
+    threadpool_limits(1)
     warnings.simplefilter("ignore")
     load_once()
     return record(asked.file, groups) if asked.verb == "record" else compare(asked.file, groups, asked.motion)

@@ -2,7 +2,7 @@
 With `--suffix .bvh,.glb` both files are written by one run.
 
 The recording is the example over and over, at its own rate. Each length is done by a process of its own;
-seconds: of its processor time; peak: MB that it held at most, the interpreter, torch and the models included.
+seconds: of its processor time; peak: MB that it held at most, the interpreter and the models included.
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from realtime import processor
+from threadpoolctl import threadpool_limits
 
 from data_module.motion.skeletons import to_character
 from data_module.speech.audio import SAMPLE_RATE, load_speech
@@ -88,13 +88,13 @@ def main() -> None:
     p.add_argument("--seeds", type=int, default=1, help="performances that PMB is averaged over")
     p.add_argument("--out")
     a = p.parse_args()
-    torch.set_num_threads(1)
+    threadpool_limits(1)
     system = Gesticulator.from_pretrained()
     read = [load_speech(name) for name in a.speech]
     recordings = [Speech(one.samples[:round(min(a.seconds, one.duration) * SAMPLE_RATE)], SAMPLE_RATE) for one in read]
     live(system, Speech(recordings[0].samples[:SAMPLE_RATE], SAMPLE_RATE), "full")  # what is slow once
     result: dict[str, Any] = {"processor": processor(), "threads": 1, "python": platform.python_version(),
-                              "torch": torch.__version__, "files": [Path(name).name for name in a.speech],
+                              "numpy": np.__version__, "files": [Path(name).name for name in a.speech],
                               "seconds": round(sum(one.duration for one in recordings), 1)}
     above: dict[str, Any] = {}
     for latency in ("full", "low"):

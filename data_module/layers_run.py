@@ -22,7 +22,7 @@ __all__ = ["BlockDense", "Conv", "Convolutions", "Dense", "Floats", "Gru", "Lstm
 Floats = NDArray[np.float32]
 
 SLOPE = 0.2
-"""Negative slope of every leaky ReLU, as in `data_module.layers`."""
+"""Negative slope of every leaky ReLU."""
 EPSILON = 1e-5
 """Added to a variance before its root is divided by, as in torch."""
 # Columns of a product: NumPy's BLAS copies no weight for blocks of this width, and takes a third to a half of the time.
@@ -101,16 +101,19 @@ class Dense:
 class Conv:
     """A 1-D convolution over rows in time: torch's Conv1d with time before channels."""
 
-    def __init__(self, weight: Floats, bias: Floats | None = None, *, stride: int = 1, padding: int = 0) -> None:
+    def __init__(self, weight: Floats, bias: Floats | None = None, *, stride: int = 1, padding: int = 0,
+                 dilation: int = 1) -> None:
         """weight: [N, D, kernel]; padding: zero rows before and after."""
-        self._kernel, self._stride, self._padding = weight.shape[2], stride, padding
+        self._stride, self._padding, self._dilation = stride, padding, dilation
+        self._reach = (weight.shape[2] - 1) * dilation + 1
         self._map = Dense(weight.reshape(len(weight), -1), bias)
 
     def __call__(self, rows: Floats) -> Floats:
         """[..., T, D] to [..., T', N]."""
         if self._padding:
             rows = np.pad(rows, [(0, 0)] * (rows.ndim - 2) + [(self._padding,) * 2, (0, 0)])
-        windows = np.lib.stride_tricks.sliding_window_view(rows, self._kernel, axis=-2)[..., ::self._stride, :, :]
+        windows = np.lib.stride_tricks.sliding_window_view(rows, self._reach, axis=-2)
+        windows = windows[..., ::self._stride, :, ::self._dilation]
         return self._map(windows.reshape(*windows.shape[:-2], -1))
 
 

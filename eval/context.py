@@ -121,7 +121,7 @@ class EvalContext:
         6.4.1)."""
         bundle = self.bundle
         labels = token_labels(bundle.block_lexicon, self.corpus)
-        nearest = nearest_silent(bundle.vectors.double().numpy(), bundle.silent)
+        nearest = nearest_silent(bundle.vectors.astype(np.float64), bundle.silent)
         return np.where(self.corpus.silent, nearest[labels], labels) if bundle.config.silence.hint else labels
 
     @cached_property

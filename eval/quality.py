@@ -48,9 +48,9 @@ def tables(arguments: argparse.Namespace) -> Sequence[Table]:
                              "use --bundle paper")
         return [timing_table(context.store, bundle, context.limit)]
     # By their own names: a row is what `--interpreter` plays.
-    interpreters: dict[str, LexemeInterpreter] = {"lstm": bundle.interpreter}
-    if bundle.interpreter_text is not None:
-        interpreters["lstm with text"] = bundle.interpreter_text
+    interpreters: dict[str, LexemeInterpreter] = {"lstm": bundle.runners["interpreter"]}
+    if "interpreter_text" in bundle.parts:
+        interpreters["lstm with text"] = bundle.runners["interpreter_text"]
     interpreters |= {
         "previous lexeme and speaker": Bigram.fitted(context.corpus, context.labels, bundle.config.lexicon.size),
         "statistical": bundle.interpreter_named("statistical"), "majority": Majority(bundle)}

@@ -13,9 +13,8 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-import torch
-from torch import Tensor
 
+from data_module.layers_run import Floats
 from data_module.motion.bvh import write_bvh
 from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.types import Motion, Speech
@@ -26,20 +25,18 @@ from gesticulator.bundle.files import bundle_folder
 from gesticulator.options import InferenceOptions
 from gesticulator.sampling.cutter import encode_speech
 from interpreters.base import BlockFeatures
-from lexicon.racer import RacerCodec
+from lexicon.racer_run import CodecRunner
 
 
-@torch.inference_mode()
 def codes_of(bundle: Bundle, encoded: SpeechFeatures, speaker: int) -> list[int]:
     """The actions a_1 to a_N, one for each block of speech (RACER 4.3)."""
-    statistics, policy = bundle.statistics, bundle.q_network
+    statistics, policy = bundle.statistics, bundle.runners["q_network"]
     code = bundle.rest_lexeme(speaker)  # a_0
     history, codes = policy.start(speaker, code), []
     for i in range(len(encoded)):
         block = encoded.block(i)
-        features = BlockFeatures(torch.as_tensor(statistics.low.apply(block.low), dtype=torch.float32),
-                                 torch.as_tensor(statistics.high.apply(block.high), dtype=torch.float32),
-                                 block.silent[1], durations=block.durations[:2])
+        features = BlockFeatures(statistics.low.apply(block.low), statistics.high.apply(block.high), block.silent[1],
+                                 durations=block.durations[:2])
         # Eq. 9: Q(s_t, a) for every action a, from the audio and the actions before (the state s_t).
         values, history = policy.step(history, features, code)
         # Eq. 12: the policy takes the action of the largest value.
@@ -48,20 +45,20 @@ def codes_of(bundle: Bundle, encoded: SpeechFeatures, speaker: int) -> list[int]
     return codes
 
 
-@torch.inference_mode()
-def decoded(bundle: Bundle, codes: list[int], speaker: int) -> Tensor:
+def decoded(bundle: Bundle, codes: list[int], speaker: int) -> Floats:
     """[N, K, D_m] the motion of N codes (RACER 5.2)."""
-    if isinstance(bundle.lexicon, RacerCodec):
+    lexicon = bundle.runners["lexicon"]
+    if isinstance(lexicon, CodecRunner):
         # The decoder sees the codes of the whole recording at once, after one of rest.
-        return bundle.lexicon.decode_tokens(torch.tensor([[bundle.rest_lexeme(speaker), *codes]]))[0, 1:]
-    return bundle.lexicon.shown()[torch.tensor(codes)]
+        return lexicon.decode([bundle.rest_lexeme(speaker), *codes])[1:]
+    return lexicon.shown()[codes]
 
 
 def gesture(bundle: Bundle, speech: Speech) -> Motion:
     """Motion for a speech at 16 kHz."""
     speaker = bundle.speakers.index(bundle.config.default_speaker)
-    encoded = encode_speech(speech, bundle.config, front_end_for(bundle.config, bundle.encoder))
-    blocks = decoded(bundle, codes_of(bundle, encoded, speaker), speaker).numpy()
+    encoded = encode_speech(speech, bundle.config, front_end_for(bundle.config, bundle.runners.get("encoder")))
+    blocks = decoded(bundle, codes_of(bundle, encoded, speaker), speaker)
 
     # Back onto the time of the speech, denormalised and smoothed.
     path = MotionPath(bundle, speaker, InferenceOptions())

@@ -11,7 +11,6 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-import torch
 
 from data_module.motion.bvh import write_bvh
 from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
@@ -26,7 +25,6 @@ from gesticulator.sampling.loop import Keys
 from interpreters.base import BlockFeatures, select
 
 
-@torch.inference_mode()
 def gesture(bundle: Bundle, speech: Speech, seed: int = 0) -> Motion:
     """Motion for a speech at 16 kHz, without words."""
     settings, statistics = bundle.config, bundle.statistics
@@ -34,23 +32,21 @@ def gesture(bundle: Bundle, speech: Speech, seed: int = 0) -> Motion:
 
     # RG 4.2: beats are detected, and each block between two of them is stretched to K frames. RG 4.1: the speech
     # encoder gives two levels of features of each block and its neighbours, low [N, 3K, d] and high [N, 3K, d].
-    encoded = encode_speech(speech, settings, front_end_for(settings, bundle.encoder))
+    encoded = encode_speech(speech, settings, front_end_for(settings, bundle.runners.get("encoder")))
 
     # RG 6: s_0 is a silent lexeme, M_0 the resting pose.
     lexeme = bundle.rest_lexeme(speaker)
-    past = bundle.rest_feature(speaker).expand(1, bundle.frames, -1)
-    interpreter, style, generator = bundle.interpreter, bundle.style, bundle.generator
+    past = np.repeat(bundle.rest_feature(speaker)[None], bundle.frames, axis=0)
+    interpreter, style, generator = (bundle.runners[name] for name in ("interpreter", "style", "generator"))
     history = interpreter.start(speaker, lexeme)
     style_state = style.start(speaker)
-    decoder = generator.first_state(past[:, -1], bundle.vectors[[lexeme]])
-    low, high = torch.as_tensor(statistics.bounds, dtype=torch.float32)
+    decoder = generator.start(past[-1], bundle.vectors[lexeme])
 
     blocks = []
     for i in range(len(encoded)):
         block = encoded.block(i)
-        features = BlockFeatures(torch.as_tensor(statistics.low.apply(block.low), dtype=torch.float32),
-                                 torch.as_tensor(statistics.high.apply(block.high), dtype=torch.float32),
-                                 block.silent[1], past=past[0], durations=block.durations[:2])
+        features = BlockFeatures(statistics.low.apply(block.low), statistics.high.apply(block.high), block.silent[1],
+                                 past=past, durations=block.durations[:2])
 
         # RG 6.1, Eq. 16 to 18: the lexeme from high-level audio, the speaker and the lexemes before. In silence only
         # silent lexemes may follow (RG 6.4.1). One is sampled; the noise is a function of the seed and the time.
@@ -63,10 +59,10 @@ def gesture(bundle: Bundle, speech: Speech, seed: int = 0) -> Motion:
         code, style_state = style.step(style_state, features, lexeme)
 
         # RG 5.2, Eq. 15: the motion of the block from the block before, low-level audio, lexeme and style code.
-        audio = generator.encode_audio(features.low[None])
-        motion, decoder, _ = generator.step(past, audio, bundle.vectors[[lexeme]], code, decoder)
-        past = torch.clamp(motion, low, high)  # within the training data
-        blocks.append(past[0].numpy())
+        audio = generator.audio(features.low)
+        motion, decoder = generator.step(past, audio, bundle.vectors[lexeme], code, decoder)
+        past = np.clip(motion, *statistics.bounds.astype(np.float32))  # within the training data
+        blocks.append(past)
 
     # RG 4.2.2: the blocks are stretched back onto the rhythm of the speech, denormalised and smoothed (RG 7.1.2).
     path = MotionPath(bundle, speaker, InferenceOptions())

@@ -27,7 +27,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -37,14 +36,9 @@ from torch.nn import functional
 from data_module.layers import (
     SLOPE,
     BlockLinear,
-    Linear,
-    Product,
     convolutions,
-    few,
     masked_mean,
     repeat_frames,
-    run_lstm,
-    version,
     without_after,
 )
 from data_module.motion.movement import MovementBasis, Pasts
@@ -131,13 +125,13 @@ class FlowGenerator(nn.Module):
         # Beside the code, unless it is the only way, audio and lexeme go straight to the LSTM and the head. The lexeme
         # does so as its coefficients, too, so that its meaning need not be learned.
         self.bypassed = c.hears_through == "both"
-        self.hear = nn.Sequential(Linear(frames * c.audio_features, c.lexeme_width), nn.GELU(),
+        self.hear = nn.Sequential(nn.Linear(frames * c.audio_features, c.lexeme_width), nn.GELU(),
                                   nn.Dropout(c.dropout)) if self.bypassed else nn.Identity()
         self.unheard = nn.Parameter(torch.zeros(frames, c.audio_features))
         self.name = nn.Embedding(widths.lexemes + 1, c.lexeme_width)
         nn.init.normal_(self.name.weight, std=0.1)
         rows = c.motion_features + c.audio_features + c.lexeme_width + c.position_width + self.control_width
-        self.mlp = nn.Sequential(Linear(rows, c.hidden), nn.LeakyReLU(SLOPE))
+        self.mlp = nn.Sequential(nn.Linear(rows, c.hidden), nn.LeakyReLU(SLOPE))
         self.codes = GumbelCodes(c.hidden, c.groups, c.classes, GROUP_WIDTH)
         beside, centre = (c.lexeme_width, basis.width) if self.bypassed else (0, 0)
         known = 2 * beside + c.groups * GROUP_WIDTH + 3 * widths.motion + basis.width
@@ -145,9 +139,9 @@ class FlowGenerator(nn.Module):
         self.unit_width, self.style_width = widths.units if c.units else 0, c.style_width
         known += self.unit_width + self.style_width
         head_width = c.context + centre
-        self.gather = nn.Sequential(Linear(known, c.context), nn.GELU(), nn.Dropout(c.dropout))
+        self.gather = nn.Sequential(nn.Linear(known, c.context), nn.GELU(), nn.Dropout(c.dropout))
         self.lstm = nn.LSTM(c.context, c.context, c.lstm_layers, batch_first=True)
-        self.to_context = nn.Sequential(Linear(2 * c.context + beside, c.context), nn.GELU(),
+        self.to_context = nn.Sequential(nn.Linear(2 * c.context + beside, c.context), nn.GELU(),
                                         nn.Dropout(c.dropout))
         self.head = FlowHead(basis.width, head_width, c.flow_width, LAYERS)
 
@@ -209,7 +203,7 @@ class FlowGenerator(nn.Module):
         hidden = self.mlp(_side_by_side(rows, batch))
         code = self.codes(hidden, temperature)[0] if self.training else self.codes.best(hidden)
         gathered = self.gather(_side_by_side([*known, code.mean(-2)], batch))
-        out, state = run_lstm(self.lstm, gathered, state)
+        out, state = self.lstm(gathered, state)
         context = self.to_context(_side_by_side([out, gathered, *beside[1:]], batch))
         return (torch.cat([context, self.centres[given.lexeme]], -1) if self.bypassed else context), state
 
@@ -291,32 +285,6 @@ class FlowGenerator(nn.Module):
 
     # -------------------------------------------------------------------------------------------------- drawing
 
-    @torch.no_grad()
-    def draw(self, contexts: Tensor, gains: Tensor, noise: Tensor, steps: int, shared: bool = False) -> Tensor:
-        """Coefficients [M, n] from noise [M, n] by `steps` steps of the Adams method of second order. contexts: [1 + G,
-        C] with all inputs, and with one input left out each; gains: [G, n] of the classifier-free guidance away from
-        the latter. shared: add the guidance of the first row to every row, which is enough for rows that differ little
-        and costs M + G predictions instead of M (1 + G).
-
-        A step from u to u' is predicted by Adams and Bashforth, u + d (3 v - v_before) / 2 (the first one by Euler, u +
-        d v), and corrected by Adams and Moulton, u' = u + d (v + v') / 2, where v' is taken at the predicted u'. One
-        evaluation a step and one more: four steps of Heun's method take eight, and their error is not smaller than that
-        of five of these, which take six."""
-        head, rows = self.head.sampling(), len(noise)
-        guidance = Guidance(gains[:, None], 1 if shared else rows)
-        # Row -> context: every sample with all inputs, then the guided rows once for each left-out input.
-        of = torch.tensor([0] * rows + [context for context in range(1, len(contexts)) for _ in range(guidance.guided)],
-                          device=noise.device)
-        conditions = [(scale[of], shift[of]) for scale, shift in self.head.conditions(contexts)]
-        u, step, before = noise, 1.0 / steps, None
-        v = head(u, 0.0, conditions, guidance)
-        for i in range(1, steps + 1):
-            predicted = u + step * (v if before is None else (3.0 * v - before) / 2)
-            after = head(predicted, i * step, conditions, guidance)
-            u, before, v = u + step * (v + after) / 2, v, after
-        return self.stretch(u)
-
-
 def _side_by_side(parts: Sequence[Tensor], batch: int) -> Tensor:
     """Concatenate parts [B or 1, ..., D] to [B, ..., sum D]."""
     return torch.cat([part.expand(batch, *part.shape[1:]) for part in parts], -1)
@@ -358,28 +326,19 @@ class FlowHead(nn.Module):
     def __init__(self, width: int, context: int, hidden: int, layers: int) -> None:
         """width: n; context: C; hidden: units of each of the layers."""
         super().__init__()
-        self.enter = Linear(width + 2 * FREQUENCIES, hidden)
-        self.condition = nn.ModuleList([Linear(context, 2 * hidden) for _ in range(layers)])
-        self.inner = nn.ModuleList([Linear(hidden, hidden) for _ in range(layers)])
-        self.outer = nn.ModuleList([Linear(hidden, hidden) for _ in range(layers)])
-        self.leave = Linear(hidden, width)
+        self.enter = nn.Linear(width + 2 * FREQUENCIES, hidden)
+        self.condition = nn.ModuleList([nn.Linear(context, 2 * hidden) for _ in range(layers)])
+        self.inner = nn.ModuleList([nn.Linear(hidden, hidden) for _ in range(layers)])
+        self.outer = nn.ModuleList([nn.Linear(hidden, hidden) for _ in range(layers)])
+        self.leave = nn.Linear(hidden, width)
         # F = 0 at the start: v is that of unit Gaussian data, as in the class's equation.
         nn.init.zeros_(self.leave.weight)
         nn.init.zeros_(self.leave.bias)
-        self._sampling: SamplingHead | None = None
 
     def conditions(self, context: Tensor) -> list[tuple[Tensor, Tensor]]:
         """Scale and shift of every layer for the context [..., C]; they are constant during sampling."""
         both = (layer(context).chunk(2, -1) for layer in self.condition)
         return [(1 + gain, shift) for gain, shift in both]
-
-    def sampling(self) -> SamplingHead:
-        """The `SamplingHead` of the current weights, cached until they change."""
-        now = version(self.parameters())
-        if self._sampling is None or self._sampling.version != now:
-            with torch.inference_mode(False), torch.no_grad():
-                self._sampling = SamplingHead(self, now)
-        return self._sampling
 
     def forward(self, noisy: Tensor, time: FlowTime, conditions: list[tuple[Tensor, Tensor]]) -> Tensor:
         """v [..., n] of noisy u_t [..., n]; conditions: as of `conditions`."""
@@ -390,64 +349,6 @@ class FlowHead(nn.Module):
         # No final normalisation: the output must see the size of the noise, or large movements could not be sampled.
         v: Tensor = time.share * noisy + self.leave(x) / time.deviation
         return v
-
-
-class Guidance(NamedTuple):
-    """Classifier-free guidance of `SamplingHead`. gains: [G, 1, n] of each input that is left out; guided: how many of
-    the rows have predictions without it, all or the first (whose guidance then holds for every row)."""
-
-    gains: Tensor
-    guided: int
-
-
-class SamplingHead:
-    """v of a `FlowHead` with guidance, without gradient."""
-
-    def __init__(self, head: FlowHead, of: list[tuple[int, int]]) -> None:
-        """of: `version` of the head's weights."""
-        self.version, width = of, head.leave.out_features
-        weight = head.enter.weight.detach()
-        self._enter, self._waves, self._bias = _map(weight[:, :width]), weight[:, width:], head.enter.bias.detach()
-        self._layers = [(_map(*inner.parameters()), _map(*outer.parameters()))
-                        for inner, outer in zip(head.inner, head.outer, strict=True)]
-        self._leave = _map(*head.leave.parameters())
-        self._times: dict[float, tuple[Tensor, float, float]] = {}
-
-    def __call__(self, noisy: Tensor, time: float, conditions: list[tuple[Tensor, Tensor]], guidance: Guidance
-                 ) -> Tensor:
-        """[M, n] v of u [M, n] at a time between 0 and 1, guided: v + sum of gains * (v - v without an input).
-        conditions: scale and shift of each layer, [M + G guided, W]: of the M rows with all inputs, then of the guided
-        ones without the first input, and so on."""
-        bias, inverse, share = self._times.get(time) or self._at(time)
-        rows, (gains, guided) = len(noisy), guidance
-        # The input of the first layer is the same for all contexts.
-        x = self._enter(noisy * inverse) + bias
-        if len(gains):
-            x = torch.cat([x, *[x[:guided]] * len(gains)])
-        for (scale, shift), (inner, outer) in zip(conditions, self._layers, strict=True):
-            scaled = torch.addcmul(shift, functional.layer_norm(x, x.shape[-1:]), scale)
-            x = outer(functional.gelu(inner(scaled))).add_(x)
-        end = self._leave(x)
-        v = end[:rows]
-        if len(gains):
-            v = v + (gains * (end[:guided] - end[rows:].view(len(gains), guided, -1))).sum(0)
-        # The share of u is the same for all contexts.
-        return torch.add(v * inverse, noisy, alpha=share)
-
-    def _at(self, time: float) -> tuple[Tensor, float, float]:
-        """The constants of this time: bias of the first layer [W], 1 / sqrt(s), and (2 t - 1) / s."""
-        with torch.inference_mode(False), torch.no_grad():
-            at = FlowTime.of(torch.full((1,), time, device=self._bias.device, dtype=self._bias.dtype))
-            constants = torch.addmv(self._bias, self._waves, at.waves), 1.0 / float(at.deviation), float(at.share)
-        self._times[time] = constants
-        return constants
-
-
-def _map(weight: Tensor, bias: Tensor | None = None) -> Callable[[Tensor], Tensor]:
-    """The map of rows [M, K] by a weight [N, K] and a bias [N], as they are now."""
-    product = Product(weight, bias) if weight.device.type == "cpu" else None
-    weight, bias = weight.detach(), None if bias is None else bias.detach()
-    return lambda rows: functional.linear(rows, weight, bias) if product is None or not few(rows) else product(rows)
 
 
 @lru_cache(maxsize=4)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.layers import SLOPE, BlockLinear, Linear, convolutions, repeat_frames, run_lstm
+from data_module.layers import SLOPE, BlockLinear, convolutions, repeat_frames
 from generator.settings import BLEND, GROUP_WIDTH, GeneratorConfig, GeneratorWidths, positional_block
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class GumbelCodes(nn.Module):
     def __init__(self, width: int, groups: int, classes: int, group_width: int) -> None:
         super().__init__()
         self.groups, self.classes = groups, classes
-        self.logits = Linear(width, groups * classes)
+        self.logits = nn.Linear(width, groups * classes)
         # Vectors of length 1 on average, whatever their width.
         self.vectors = nn.Parameter(torch.randn(groups, classes, group_width) / group_width**0.5)
 
@@ -103,13 +103,13 @@ class Generator(nn.Module):
         self.control_width = widths.control if c.use_control else 0
         width = c.motion_features + c.audio_features + widths.lexeme + c.style_width + c.position_width
         width += self.control_width
-        self.mlp = nn.Sequential(Linear(width, c.hidden), nn.LeakyReLU(SLOPE),
-                                 Linear(c.hidden, c.hidden), nn.LeakyReLU(SLOPE))
+        self.mlp = nn.Sequential(nn.Linear(width, c.hidden), nn.LeakyReLU(SLOPE),
+                                 nn.Linear(c.hidden, c.hidden), nn.LeakyReLU(SLOPE))
         self.codes = GumbelCodes(c.hidden, c.groups, c.classes, GROUP_WIDTH)
         self.lstm = nn.LSTM(c.groups * GROUP_WIDTH, c.lstm_width, c.lstm_layers, batch_first=True)
-        self.to_motion = Linear(c.lstm_width, widths.motion)
-        self.start = nn.Sequential(Linear(widths.motion + widths.lexeme, c.hidden), nn.LeakyReLU(SLOPE),
-                                   Linear(c.hidden, 2 * c.lstm_layers * c.lstm_width))
+        self.to_motion = nn.Linear(c.lstm_width, widths.motion)
+        self.start = nn.Sequential(nn.Linear(widths.motion + widths.lexeme, c.hidden), nn.LeakyReLU(SLOPE),
+                                   nn.Linear(c.hidden, 2 * c.lstm_layers * c.lstm_width))
         self.styles = StyleCodes(style_blocks, c.style_width) if style_blocks else None
 
     @property
@@ -145,7 +145,7 @@ class Generator(nn.Module):
             control[..., :self.control_width],
         ], dim=-1)
         vectors, choice = self.codes(self.mlp(rows), temperature)
-        hidden, state = run_lstm(self.lstm, vectors, state)
+        hidden, state = self.lstm(vectors, state)
         # The last pose fades over the block. It closes the seams and, unlike a sum of differences, cannot drift: every
         # block ends on the output of the network.
         motion = self.to_motion(hidden) + self.fade * past[:, -1:]

@@ -105,19 +105,13 @@ def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
 
 @contextmanager
 def limited_threads(count: int) -> Iterator[None]:
-    """Fix the number of threads of torch and of numpy's matrix products regardless of the environment: it determines
-    the order of summation and with it the last bits of a result."""
+    """Fix the number of threads of NumPy's matrix products regardless of the environment: it determines the order of
+    summation and with it the last bits of a result."""
     import numpy  # noqa: F401 - its BLAS must be loaded before it can be limited
-    import torch
     from threadpoolctl import threadpool_limits
 
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        with threadpool_limits(count):
-            yield
-    finally:
-        torch.set_num_threads(before)
+    with threadpool_limits(count):
+        yield
 
 
 VERBS: Registry[RegistryEntry] = Registry("commands", "a gesticulator.cli.Command", {}, RegistryEntry,

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
 from data_module.controls import FEATURES, Controls, Curve, parse
 from data_module.errors import InputError, shown
@@ -54,18 +53,17 @@ class Gesticulator:
         self.resolver = SetupResolver(bundle)
         self.keeps_generations = False
         """Whether performances keep the state before each block (`Performance.generation`), from which edits start."""
-        self._front_end = front_end_for(bundle.config, bundle.encoder)
+        self._front_end = front_end_for(bundle.config, bundle.runners.get("encoder"))
         self._names: tuple[LexemeName, ...] | None = None
         self._warm: set[bool] = set()
 
     @classmethod
-    def from_pretrained(cls, path: str | os.PathLike[str] | None = None, *, device: str | torch.device = "cpu"
-                        ) -> Gesticulator:
-        """Load a bundle: "default" (also if none is given), "paper", or a folder. device: "cpu" or "cuda".
+    def from_pretrained(cls, path: str | os.PathLike[str] | None = None) -> Gesticulator:
+        """Load a bundle: "default" (also if none is given), "paper", or a folder.
 
-        Output is bit for bit reproducible on one machine with the same device and number of threads.
+        Output is bit for bit reproducible on one machine with the same number of threads.
         """
-        return cls(load_bundle(bundle_folder(path), device))
+        return cls(load_bundle(bundle_folder(path)))
 
     @property
     def reads_text(self) -> bool:

@@ -88,9 +88,9 @@ class Job:
 
 @dataclass(frozen=True)
 class RunSettings:
-    """How a command runs. bundle: its name or folder; None: the default. threads: of torch. quiet: print no progress
-    bar and no summary. manifest: the file that records a batch; None: beside the outputs. shard: such as 2/8; None:
-    all. ray: where a Ray cluster is; None: process in this process."""
+    """How a command runs. bundle: its name or folder; None: the default. threads: of matrix products. quiet: print no
+    progress bar and no summary. manifest: the file that records a batch; None: beside the outputs. shard: such as 2/8;
+    None: all. ray: where a Ray cluster is; None: process in this process."""
 
     bundle: str | None = None
     threads: int = 1
@@ -302,7 +302,7 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
                    "form), or a folder (default: default)")
     # One thread: blocks are small, and threads that wait for each other cost more than they gain.
     p.add_argument("--threads", type=number("threads"), default=1, metavar="N",
-                   help="number of torch threads; it affects the last bits of the output (default 1, usually the "
+                   help="threads of matrix products; they affect the last bits of the output (default 1, usually the "
                    "fastest)")
     p.add_argument("--quiet", action="store_true", help="print no progress bar and no summary")
     p.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")

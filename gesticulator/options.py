@@ -1,6 +1,6 @@
 """The options of a performance, `InferenceOptions`, and the range of every number in it.
 
-Nothing heavy is imported, so that the command line checks its arguments before numpy and torch are loaded.
+Nothing heavy is imported, so that the command line checks its arguments before numpy is loaded.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ RANGES = {
     "mood": Range(-1, 1, "-1 (sad) to 1 (a smile)"),
     # 64 dB bring the faintest speech that is detected (-90 dBFS) to the usual level (-26 dBFS).
     "gain": Range(-70, 70, "-70 to 70 decibels"),
-    # Far above any machine's cores; beyond the system's limit on threads torch ends the process.
+    # Far above any machine's cores; more only wait for each other.
     "threads": Range(1, 256, "1 to 256 threads", whole=True),
 }
 """Name -> allowed range. "threads" is an option of the command line, the others are fields of `InferenceOptions`."""

@@ -150,14 +150,14 @@ class Stream:
         joints = self._path.skeleton.names[:bundle.config.motion.joints]
         self._turns = HeadTurns(int(options.seed), joints)
         self._face = _face_of(options)
-        self._scale = bundle.statistics.present.numpy() / bundle.statistics.deviation
+        self._scale = bundle.statistics.present / bundle.statistics.deviation
         self._state, self._finished = StreamState.IDLE, False
         self.hurried = False
         """Whether blocks are generated at lower cost: one candidate, few steps, no guidance. Set it when generation
         falls behind; a stream that was never hurried gives the frames of a file."""
         self._begun = self._committed = 0.0  # media time at which the utterance begins, and of the last knot
         self._past_blocks = 0
-        rest = bundle.rest_feature(setup.speaker).cpu().numpy().astype(np.float32).reshape(1, -1)
+        rest = bundle.rest_feature(setup.speaker).reshape(1, -1)
         # The resting pose at time 0 is the knot from which the first frames come.
         self._shown = deque([(RestKnots(np.zeros(1), rest, np.zeros((1, 2, 2))), rest)])
 

@@ -26,10 +26,11 @@ class InterpreterEntry(RegistryEntry):
     builds on and gets as an argument; empty for none.
 
     For interpreters with weights: section: the group of settings of `Config`, by default the name of the part. model:
-    module and class of the weights, if not the interpreter itself: it has `build(settings, sizes)`. file: names of the
-    files of the part and the text part without suffix, by default the names of the parts. tied: the weights fit one
-    codebook only. temperature: its default temperature, if it is not that of the bundle. doubt: the warning with which
-    it plays, if it is no better than another by our figures; empty for none.
+    module and class of the network that is trained, if not the interpreter itself: it has `build(settings, sizes)`.
+    runner: module and class that plays its weights, by default the interpreter: it has `of(settings, sizes, tensors)`.
+    file: names of the files of the part and the text part without suffix, by default the names of the parts. tied: the
+    weights fit one codebook only. temperature: its default temperature, if it is not that of the bundle. doubt: the
+    warning with which it plays, if it is no better than another by our figures; empty for none.
     """
 
     part: str = ""
@@ -37,14 +38,17 @@ class InterpreterEntry(RegistryEntry):
     prior: str = ""
     section: str = ""
     model: str = ""
+    runner: str = ""
     file: tuple[str, ...] = ()
     tied: bool = True
     temperature: float | None = None
     doubt: str = ""
 
     def load_model(self) -> Any:
-        module, name = (self.model or self.where).split(":")
-        return getattr(import_module(module), name)
+        return _class_at(self.model or self.where)
+
+    def load_runner(self) -> Any:
+        return _class_at(self.runner or self.where)
 
     @property
     def settings(self) -> str:
@@ -57,22 +61,31 @@ class InterpreterEntry(RegistryEntry):
         return dict(zip(parts, self.file or parts, strict=True))
 
 
+def _class_at(where: str) -> Any:
+    module, name = where.split(":")
+    return getattr(import_module(module), name)
+
+
 INTERPRETERS: Registry[InterpreterEntry] = Registry("interpreters", "an interpreter", {
     "lstm": InterpreterEntry(
-        "the LSTM of Rhythmic Gesticulator", "interpreters.lstm:LstmInterpreter", "interpreter", "interpreter_text",
-        file=("lexeme_interpreter", "lexeme_interpreter_text"), tied=False),
+        "the LSTM of Rhythmic Gesticulator", "interpreters.lstm_run:LstmRunner", "interpreter", "interpreter_text",
+        model="interpreters.lstm:LstmInterpreter", file=("lexeme_interpreter", "lexeme_interpreter_text"), tied=False),
     "cql": InterpreterEntry(
-        "RACER's Q-network", "interpreters.cql:QNetwork", "q_network", section="cql",
+        "RACER's Q-network", "interpreters.cql_run:QRunner", "q_network", section="cql",
+        model="interpreters.cql:QNetwork",
         doubt="cql chooses gestures no better than lstm by any figure of this project (docs/racer.md), and at "
               "temperature 0 it repeats a few"),
     "cql-literal": InterpreterEntry(
-        "RACER's Q-network as published: recorded lexemes only, arg max", "interpreters.cql:LiteralQNetwork",
-        "q_network_literal", section="cql_literal", temperature=0.0,
+        "RACER's Q-network as published: recorded lexemes only, arg max", "interpreters.cql_run:LiteralQRunner",
+        "q_network_literal", section="cql_literal", model="interpreters.cql:QNetwork", temperature=0.0,
         doubt="interpreter cql-literal is RACER's as published, for comparison: it repeats few lexemes; "
               "--interpreter cql varies them"),
     "advantage": InterpreterEntry(
         "the LSTM, biased by a learned reward; see --beta", "interpreters.advantage_run:AdvantageInterpreter",
-        "advantage", prior="lstm", model="interpreters.advantage:Critics"),
+        "advantage", prior="lstm", model="interpreters.advantage:Critics",
+        runner="interpreters.advantage_run:CriticsRunner",
+        doubt="no figure of this project shows the shipped weights of advantage to choose gestures better than lstm "
+              "(docs/racer.md)"),
     "statistical": InterpreterEntry(
         "the speaker's lexeme frequencies", "interpreters.statistical:StatisticalInterpreter"),
 }, InterpreterEntry)

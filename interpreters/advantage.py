@@ -21,8 +21,8 @@ import torch
 from torch import Tensor, nn
 
 from data_module.layers import masked_mean
-from interpreters.base import BlockFeatures, InterpreterSizes, Scores
-from interpreters.cql import QNetwork, QState
+from interpreters.base import InterpreterSizes
+from interpreters.cql import QNetwork
 from interpreters.settings import CRITICS, GAMMA, CriticConfig
 from interpreters.transformer import begin_small
 
@@ -155,20 +155,6 @@ class Critics(nn.Module):
     def advantage(self, values: CriticValues, log_prior: Tensor) -> Tensor:
         """A [..., S] in units of `unit`."""
         return advantages(values.q(), log_prior)
-
-    def start(self, speaker: int) -> QState:
-        """The state before the first block."""
-        return self.trunk.start(speaker, 0)
-
-    @torch.inference_mode()
-    def step(self, state: QState, features: BlockFeatures, previous_lexeme: int, log_prior: Scores
-             ) -> tuple[Scores, QState]:
-        """See `interpreters.advantage_run.Advantages.step`."""
-        scores, after = self.trunk.step(state, features, previous_lexeme)
-        values = self._of(torch.as_tensor(scores, dtype=torch.float32, device=self.unit.device))
-        prior = torch.as_tensor(log_prior, dtype=torch.float32)
-        return (self.advantage(values, prior) / self.spread).double().cpu().numpy(), after
-
 
 def _each(lexemes: Tensor, values: Tensor) -> Tensor:
     """Lexemes [B, T, k] for each of J critics, [B, T, J, k]."""

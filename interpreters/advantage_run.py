@@ -13,6 +13,7 @@ from interpreters.base import (
     BlockFeatures,
     InterpreterDefaults,
     InterpreterParts,
+    InterpreterSizes,
     LexemeInterpreter,
     Need,
     Scores,
@@ -48,6 +49,10 @@ class CriticsRunner:
         Dense.of(tensors.within("value"), config.width, CRITICS)
         for name in ("unit", "value_scale", "value_mean"):
             tensors.take(name)
+
+    @classmethod
+    def of(cls, settings: CriticConfig, sizes: InterpreterSizes, tensors: Tensors) -> CriticsRunner:
+        return cls(settings, sizes.frames, sizes.high, len(sizes.lexemes), sizes.speakers, tensors)
 
     def start(self, speaker: int) -> QRunState:
         return self._trunk.start(speaker)

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor
 
 from data_module.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from data_module.layers_run import Floats
 
 __all__ = [
     "BlockFeatures",
@@ -42,7 +42,7 @@ EVERY_NEED: frozenset[Need] = frozenset(("text", "pose", "control", "durations")
 
 @dataclass(frozen=True)
 class BlockFeatures:
-    """The input features of one block.
+    """The input features of one block, arrays in single precision.
 
     low, high: [3K, d] the two levels of audio on the window of the previous, current and next block. silent: the block
     is silent. text: [3K, d_t + 1] word vectors and the flag of the empty word on the same window, or None in the
@@ -51,12 +51,12 @@ class BlockFeatures:
     previous and the current block, or None.
     """
 
-    low: Tensor
-    high: Tensor
+    low: Floats
+    high: Floats
     silent: bool = False
-    text: Tensor | None = None
-    control: Tensor | None = None
-    past: Tensor | None = None
+    text: Floats | None = None
+    control: Floats | None = None
+    past: Floats | None = None
     durations: tuple[float, float] | None = None
 
 
@@ -138,7 +138,7 @@ class InterpreterDefaults:
 
     @classmethod
     def open(cls, parts: InterpreterParts) -> Any:
-        """The interpreter of a bundle: the trained model itself, or without one an instance made from the counts."""
+        """The interpreter of a bundle: the part as it is played, or without one an instance made from the counts."""
         return parts.model if parts.model is not None else cls(parts.frequencies, parts.transitions)  # type: ignore[call-arg]
 
 
@@ -193,7 +193,7 @@ class InterpreterSizes:
     text: int
     control: int
     motion: int
-    lexemes: Tensor
+    lexemes: Floats
     silent: Sequence[int] = ()
 
 
@@ -201,7 +201,7 @@ class InterpreterSizes:
 class InterpreterParts:
     """The parts of a bundle from which an interpreter is opened (`InterpreterDefaults.open`).
 
-    model: the trained part, None without weights; prior: the interpreter named as prior by its entry, if any;
+    model: the part as it is played, None without weights; prior: the interpreter named as prior by its entry, if any;
     frequencies: [speakers, S] and transitions: [S, S], counted on the training split; settings: the group named by the
     entry's section; beta: that of the bundle.
     """

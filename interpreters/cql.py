@@ -14,38 +14,21 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from data_module.layers import BlockLinear, freeze, masked_mean
-from interpreters.base import BlockFeatures, InterpreterDefaults, InterpreterSizes, Need, Scores
+from interpreters.base import InterpreterSizes
 from interpreters.settings import QConfig
-from interpreters.transformer import INITIAL, Head, KeyValue, Layer, begin_small, sliding, two_stream_mask
+from interpreters.transformer import INITIAL, Head, Layer, begin_small, sliding, two_stream_mask
 
-__all__ = ["ConservativeQ", "LiteralQNetwork", "QNetwork", "conservative_q_loss"]
+__all__ = ["ConservativeQ", "QNetwork", "conservative_q_loss"]
 
 DROPOUT = 0.1
 """As in the paper (RACER 5.2)."""
 
 
-@dataclass(frozen=True)
-class QState:
-    """The pairs that the next decision attends to, and the speaker. Never changed in place.
-
-    tokens: [1, 2, n, C] audio and action tokens of the last n <= T decisions, without positions. past: keys and values
-    of these tokens, layer by layer; None once the window slides, or without a cache.
-    """
-
-    speaker: Tensor
-    tokens: Tensor
-    past: tuple[KeyValue, ...] | None
-
-
-class QNetwork(nn.Module, InterpreterDefaults):
+class QNetwork(nn.Module):
     """Q(s_i, .) over the lexicon for each decision i: a transformer over audio and actions (RACER Fig. 1, Eq. 12)."""
 
-    name = "cql"
-    gives_values = True
-    """Its scores are Q values and no log-probabilities."""
     when_silent: Tensor
 
     def __init__(self, config: QConfig, frames: int, audio_width: int, lexemes: int, speakers: int,
@@ -56,8 +39,6 @@ class QNetwork(nn.Module, InterpreterDefaults):
         if any(not 0 <= index < lexemes for index in silent):
             raise ValueError(f"silent lexemes {list(silent)} lie outside a lexicon of {lexemes}")
         self.config, self.frames, self.lexemes, self.speakers = config, frames, lexemes, speakers
-        self.cached = True
-        """Cache keys and values while the window fills (the same scores, faster)."""
         self.encode_audio = BlockLinear(frames, audio_width, config.audio_features, config.audio_blocks,
                                         config.audio_bottleneck)
         # One more input than audio and speaker: whether the block is silent.
@@ -78,10 +59,6 @@ class QNetwork(nn.Module, InterpreterDefaults):
     def build(cls, settings: QConfig, sizes: InterpreterSizes) -> QNetwork:
         return cls(settings, sizes.frames, sizes.high, len(sizes.lexemes), sizes.speakers, sizes.silent)
 
-    @property
-    def needs(self) -> frozenset[Need]:
-        return frozenset()
-
     def allowed(self, silent: Tensor) -> Tensor:
         """A(s): the allowed lexemes, bool [..., S], for blocks that are silent or not [...]. Only silent lexemes in
         silence, all lexemes elsewhere; all everywhere if the lexicon has no silent ones. Used by the choice, the
@@ -97,25 +74,21 @@ class QNetwork(nn.Module, InterpreterDefaults):
             parts.append(speaker.to(audio)[:, None].expand(-1, audio.shape[1], -1))
         return torch.stack([self.audio_token(torch.cat(parts, dim=-1)), self.action_token(previous)], dim=1)
 
-    def through(self, tokens: Tensor, layers: Iterable[nn.Module], past: tuple[KeyValue, ...] | None = None
-                ) -> tuple[Tensor, tuple[KeyValue, ...]]:
-        """Tokens that have their positions, [B, 2, T', C], through some layers, and the keys and values of each. With a
-        past, the tokens are the next pair (T' = 1): it sees itself and all before it, so nothing is masked."""
-        steps = tokens.shape[2]
-        mask = two_stream_mask(steps, tokens.device) if past is None else None
-        x, present = tokens.flatten(1, 2), list[KeyValue]()
-        for index, layer in enumerate(layers):
-            x, pair = layer(x, mask, None if past is None else past[index])
-            present.append(pair)
-        return x.unflatten(1, (2, steps)), tuple(present)
+    def through(self, tokens: Tensor, layers: Iterable[nn.Module]) -> Tensor:
+        """Tokens that have their positions, [B, 2, T', C], through some layers."""
+        steps, x = tokens.shape[2], tokens.flatten(1, 2)
+        mask = two_stream_mask(steps, tokens.device)
+        for layer in layers:
+            x = layer(x, mask)
+        return x.unflatten(1, (2, steps))
 
-    def placed(self, tokens: Tensor, first: int = 0) -> Tensor:
+    def placed(self, tokens: Tensor) -> Tensor:
         """Tokens [B, 2, T', C] with the learned embedding of their stream and position added (RACER: 2 x T' x C)."""
-        return self.dropout(tokens + self.positions[:, first:first + tokens.shape[2]])
+        return self.dropout(tokens + self.positions[:, :tokens.shape[2]])
 
     def read(self, tokens: Tensor) -> Tensor:
         """Q values [B, T', S] of one window of tokens [B, 2, T', C], T' <= T, taken from the action half."""
-        return self.head(self.through(self.placed(tokens), self.layers)[0][:, 1])
+        return self.head(self.through(self.placed(tokens), self.layers)[:, 1])
 
     def values(self, previous: Tensor, audio: Tensor, speaker: Tensor, silent: Tensor) -> Tensor:
         """Q(s_i, .) [B, M, S] for each of M decisions; the arguments are those of `tokens`. Decisions past the first T
@@ -124,38 +97,6 @@ class QNetwork(nn.Module, InterpreterDefaults):
 
     def choose(self, values: Tensor, silent: Tensor) -> Tensor:
         return values.masked_fill(~self.allowed(silent), -torch.inf).argmax(-1)
-
-    def start(self, speaker: int, first_lexeme: int) -> QState:
-        """The state before the first block; `first_lexeme`, a_0, is the previous lexeme in the first `step`."""
-        # On the device of the weights: a stream may run on a GPU.
-        number = torch.tensor([speaker], device=self.positions.device)
-        one_hot = functional.one_hot(number, self.speakers).float()
-        return QState(one_hot, self.positions.new_zeros(1, 2, 0, self.config.width), None)
-
-    @torch.inference_mode()
-    def step(self, state: QState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, QState]:
-        """Q values [S] of this block's lexeme, and the state after it. The silent mask is applied by the caller."""
-        device = self.positions.device
-        pair = self.tokens(torch.tensor([[previous_lexeme]], device=device), features.high[None, None].to(device),
-                           state.speaker, torch.tensor([[features.silent]], device=device))
-        filled, window = state.tokens.shape[2], self.config.decisions
-        tokens = torch.cat([state.tokens, pair], dim=2)[:, :, -window:]
-        # Positions count from the start of the window. Once it slides, every token moves to another position, and
-        # cached keys and values no longer hold.
-        resumes = state.past is not None and filled < window
-        new, first = (pair, filled) if resumes else (tokens, 0)
-        out, present = self.through(self.placed(new, first), self.layers, state.past if resumes else None)
-        # A full window slides at the next step, which could not use the cache.
-        keep = self.cached and tokens.shape[2] < window
-        scores = self.head(out[0, 1, -1]).double().cpu().numpy()
-        return scores, QState(state.speaker, tokens, present if keep else None)
-
-
-class LiteralQNetwork(QNetwork):
-    """The Q-network as published: trained on recorded lexemes only, and the lexeme of the highest value is taken."""
-
-    name = "cql-literal"
-
 
 def data_nll(values: Tensor, action: Tensor, allowed: Tensor) -> Tensor:
     """log sum_a exp Q(s, a) - Q(s, a_data), [...], the first bracket of RACER Eq. 11. values, allowed: [..., S];

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_module.layers_run import BlockDense, Dense, Floats, Norm, Tensors, attention, gelu
-from interpreters.base import BlockFeatures, InterpreterDefaults, Need, Scores
+from interpreters.base import BlockFeatures, InterpreterDefaults, InterpreterSizes, Need, Scores
 from interpreters.settings import QConfig
 
 __all__ = ["LiteralQRunner", "QRunState", "QRunner"]
@@ -79,7 +79,7 @@ class QTrunk:
 
     def step(self, state: QRunState, features: BlockFeatures, previous_lexeme: int) -> tuple[Floats, QRunState]:
         """[C] features of this block's decision, and the state after it."""
-        parts = [self._encode(np.asarray(features.high)).ravel(), np.array([features.silent], np.float32)]
+        parts = [self._encode(features.high).ravel(), np.array([features.silent], np.float32)]
         parts += [state.speaker] if self._use_speaker else []
         pair = np.stack([self._audio_token(np.concatenate(parts)), self._action_token[previous_lexeme]])[:, None]
         filled = state.tokens.shape[1]
@@ -113,6 +113,10 @@ class QRunner(InterpreterDefaults):
         self._trunk = QTrunk(config, frames, audio_width, lexemes, speakers, tensors)
         self._norm = Norm(tensors.within("head.0"), config.width)
         self._values = Dense.of(tensors.within("head.1"), config.width, lexemes)
+
+    @classmethod
+    def of(cls, settings: QConfig, sizes: InterpreterSizes, tensors: Tensors) -> QRunner:
+        return cls(settings, sizes.frames, sizes.high, len(sizes.lexemes), sizes.speakers, tensors)
 
     @property
     def needs(self) -> frozenset[Need]:

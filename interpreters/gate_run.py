@@ -10,7 +10,7 @@ from data_module.layers_run import BlockDense, Dense, Floats, Lstm, Tensors, sid
 from interpreters.base import BlockFeatures
 from interpreters.settings import GateConfig
 
-__all__ = ["GateRunner", "opened"]
+__all__ = ["GateRunner"]
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,3 @@ class GateRunner:
         # In doubles, so that a probability near 1 still differs from 1.
         logit = float(self._classify(out[0, -1])[0])
         return float(0.5 + 0.5 * np.tanh(0.5 * logit)), GateState(hidden, state.speaker)
-
-
-def opened(probability: float, activity: float) -> bool:
-    """Whether a block may have a gesture: probability >= 1 - activity, and never at activity 0. activity: 0 for no
-    gestures, 0.5 for gestures that are more likely than not, 1 for a gesture on every block. Raising either number
-    never closes the gate. ValueError for a number outside 0 to 1."""
-    if not (0 <= probability <= 1 and 0 <= activity <= 1):
-        raise ValueError(f"probability {probability} and activity {activity} must lie in 0 to 1")
-    # At activity 0 a certain gesture (probability 1) would pass the comparison.
-    return activity > 0 and probability >= 1 - activity

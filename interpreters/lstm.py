@@ -3,7 +3,6 @@ Eq. 16 to 18), and the style interpreter P_z, from low-level audio to a block's 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,12 +10,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.layers import BlockLinear, Linear, masked_mean, repeat_frames, run_lstm, without_after
-from interpreters.base import BlockFeatures, InterpreterDefaults, InterpreterSizes, Need, Scores, pose_of
+from data_module.layers import BlockLinear, masked_mean, repeat_frames, without_after
+from interpreters.base import InterpreterSizes, pose_of
 from interpreters.settings import LstmConfig, StyleConfig
 
 if TYPE_CHECKING:
-    from interpreters.base import InterpreterByEar
+    pass
 
 __all__ = ["LstmInterpreter", "StyleInterpreter"]
 
@@ -33,15 +32,6 @@ TEXT_HEAD_DROPOUT = 0.5
 
 
 @dataclass(frozen=True)
-class LstmState:
-    """The state of the LSTM (with limited memory, the rows [1, m, n, W] of the last blocks) and the speaker."""
-
-    hidden: Hidden | None
-    speaker: Tensor
-    rows: Tensor | None = None
-
-
-@dataclass(frozen=True)
 class InterpreterWidths:
     """The sizes of a lexeme interpreter that depend on the data. frames: K; audio: d of the high level; speakers:
     length of the one-hot; text: d_t + 1, control: 2 F and motion: D_m, used only if the settings enable them."""
@@ -54,12 +44,11 @@ class InterpreterWidths:
     motion: int = 0
 
 
-class LstmInterpreter(nn.Module, InterpreterDefaults):
+class LstmInterpreter(nn.Module):
     """P_s: previous lexeme, three blocks of high-level audio, text and the speaker to scores over the lexicon. The K
     frames of a block run through the LSTM, whose state is carried across blocks (or starts from zero `memory` blocks
     before the scored one); the last frame is classified. With `pose_features` the pose is an input too."""
 
-    name = "lstm"
     lexemes: Tensor
 
     def __init__(self, config: LstmConfig, lexemes: Tensor, widths: InterpreterWidths) -> None:
@@ -72,7 +61,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
                                         bottleneck=config.audio_bottleneck)
         self.encode_text = BlockLinear(frames, text_width, config.text_features, 1,
                                        config.text_bottleneck) if config.text_features else None
-        self.encode_pose = Linear(3 * widths.motion, config.pose_features) if config.pose_features else None
+        self.encode_pose = nn.Linear(3 * widths.motion, config.pose_features) if config.pose_features else None
         self.text_head = None
         if config.text_head:
             from interpreters.text_head import TextHead
@@ -92,21 +81,15 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         width = self.words_at + self.words_width + rows * self.control_width + config.pose_features
         width += speakers if config.use_speaker else 0
         self.dropout = nn.Dropout(config.dropout)
-        self.enter = Linear(width, config.width) if self.by_block else None
+        self.enter = nn.Linear(width, config.width) if self.by_block else None
         self.lstm = nn.LSTM(config.width if self.by_block else width, config.width, batch_first=True)
         # By block, the block's row of inputs reaches the classifier past the recurrence, too.
-        self.classify = Linear((2 if self.by_block else 1) * config.width, len(lexemes))
+        self.classify = nn.Linear((2 if self.by_block else 1) * config.width, len(lexemes))
 
     @classmethod
     def build(cls, settings: LstmConfig, sizes: InterpreterSizes) -> LstmInterpreter:
-        return cls(settings, sizes.lexemes, InterpreterWidths(sizes.frames, sizes.high, sizes.speakers, sizes.text,
-                                                              sizes.control, sizes.motion))
-
-    @property
-    def needs(self) -> frozenset[Need]:
-        reads: dict[Need, bool] = {"text": self.config.reads, "control": bool(self.control_width),
-                                   "pose": self.encode_pose is not None, "durations": self.encode_pose is not None}
-        return frozenset(need for need, needed in reads.items() if needed)
+        widths = InterpreterWidths(sizes.frames, sizes.high, sizes.speakers, sizes.text, sizes.control, sizes.motion)
+        return cls(settings, torch.as_tensor(sizes.lexemes), widths)
 
     @torch.no_grad()
     def init_from_audio_only(self, audio_only: LstmInterpreter) -> None:
@@ -135,11 +118,6 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
     @property
     def weights(self) -> dict[str, float]:
         return {"nll": 1.0}
-
-    def guided(self, guidance: float) -> LstmInterpreter | InterpreterByEar:
-        from interpreters.base import InterpreterByEar
-
-        return InterpreterByEar(self, guidance) if guidance and self.config.audio_dropout > 0 else self
 
     def scores(self, previous: Tensor, audio: Tensor, speaker: Tensor, hidden: Hidden | None = None,
                text: Tensor | None = None, control: Tensor | None = None, pose: Tensor | None = None
@@ -190,7 +168,7 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
 
     def _read(self, rows: Tensor, hidden: Hidden | None = None) -> tuple[Tensor, Hidden]:
         """Rows [B, N, n, W] to features [B, N, width] (twice that by block), and the state after them."""
-        out, hidden = run_lstm(self.lstm, rows.flatten(1, 2), hidden)
+        out, hidden = self.lstm(rows.flatten(1, 2), hidden)
         last = out.unflatten(1, rows.shape[1:3])[:, :, -1]
         return torch.cat([last, rows[:, :, -1]], dim=-1) if self.by_block else last, hidden
 
@@ -247,62 +225,6 @@ class LstmInterpreter(nn.Module, InterpreterDefaults):
         motion, durations = batch["motion"], batch["duration"].to(batch["motion"])[..., None]
         return torch.cat(pose_of(motion[:, :-1], (durations[:, :-1], durations[:, 1:])), dim=-1)
 
-    def start(self, speaker: int, first_lexeme: int) -> LstmState:
-        number = torch.tensor([speaker], device=self.lexemes.device)
-        return LstmState(None, functional.one_hot(number, self.speakers).float())
-
-    def step(self, state: LstmState, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, LstmState]:
-        return self._steps([state], features.high[None], features, previous_lexeme)[0]
-
-    def step_with_and_without_sound(self, states: tuple[LstmState, LstmState], features: BlockFeatures,
-                                    previous_lexeme: int) -> list[tuple[Scores, LstmState]]:
-        """The result of `step` for the first state, and for the second with zeros as audio."""
-        audio = torch.stack([features.high, torch.zeros_like(features.high)])
-        return self._steps(states, audio, features, previous_lexeme)
-
-    @torch.inference_mode()
-    def _steps(self, states: Sequence[LstmState], audio: Tensor, features: BlockFeatures, previous_lexeme: int
-               ) -> list[tuple[Scores, LstmState]]:
-        """`step` for B states of equal age, with separate audio [B, 3K, d] and all else the same."""
-        count, device = len(states), self.lexemes.device
-        previous = torch.full((count, 1), previous_lexeme, device=device)
-        text, control, pose, speaker = (None if row is None else row.expand(count, *[-1] * (row.dim() - 1)) for row in (
-            None if features.text is None else features.text[None, None],
-            None if features.control is None else features.control[None, None],
-            self._pose(features), states[0].speaker))
-        assert speaker is not None
-        rows = self.rows(previous, audio[:, None], speaker, text, control, pose)
-        hidden = None
-        if self.config.memory:
-            # With limited memory the state is the input rows themselves: the LSTM reads them again from a zero state at
-            # every block, as in training.
-            before = [state.rows for state in states if state.rows is not None]
-            rows = (torch.cat([torch.cat(before), rows], 1) if before else rows)[:, -self.config.memory:]
-        else:
-            known = [state.hidden for state in states if state.hidden is not None]
-            hidden = (torch.cat([h for h, _ in known], 1), torch.cat([c for _, c in known], 1)) if known else None
-        last, (h, c) = self._read(rows, hidden)
-        logits = self._classified(last[:, -1:], previous, speaker, text)
-        scores = functional.log_softmax(logits[:, 0].double(), -1).cpu().numpy()
-        return [(scores[i], LstmState(None, state.speaker, rows[i:i + 1]) if self.config.memory else
-                 LstmState((h[:, i:i + 1], c[:, i:i + 1]), state.speaker)) for i, state in enumerate(states)]
-
-    def _pose(self, features: BlockFeatures) -> Tensor | None:
-        """[1, 1, 3 D_m] the pose input of a block; None if not used."""
-        if self.encode_pose is None or features.past is None:
-            return None
-        return torch.cat(pose_of(features.past, features.durations), dim=-1)[None, None]
-
-
-@dataclass(frozen=True)
-class StyleState:
-    """The state of the LSTM, the last code [1, d_z] and the speaker."""
-
-    hidden: Hidden | None
-    code: Tensor
-    speaker: Tensor
-
-
 class StyleInterpreter(nn.Module):
     """P_z: previous code, lexeme, three blocks of low-level audio and text to the code of the block, [d_z]."""
 
@@ -320,7 +242,7 @@ class StyleInterpreter(nn.Module):
         width += config.text_features
         self.dropout = nn.Dropout(config.dropout)
         self.lstm = nn.LSTM(width, config.width, batch_first=True)
-        self.to_code = Linear(config.width, code_width)
+        self.to_code = nn.Linear(config.width, code_width)
 
     @property
     def weights(self) -> dict[str, float]:
@@ -340,7 +262,7 @@ class StyleInterpreter(nn.Module):
         if self.config.use_speaker:
             parts.append(speaker[:, None, None].expand(-1, blocks, self.frames, -1))
         rows = self.dropout(torch.cat(parts, dim=-1)).flatten(1, 2)
-        out, hidden = run_lstm(self.lstm, rows, hidden)
+        out, hidden = self.lstm(rows, hidden)
         return self.to_code(out.unflatten(1, (blocks, self.frames))[:, :, -1]), hidden
 
     def losses(self, batch: dict[str, Tensor], progress: float = 1.0) -> dict[str, Tensor]:
@@ -357,16 +279,3 @@ class StyleInterpreter(nn.Module):
         predicted, _ = self.codes(previous, batch["lexeme"][:, 1:], batch["audio_low"][:, 1:], batch["speaker"], None,
                                   text)
         return {"code": masked_mean((predicted - code[:, 1:]).pow(2), batch["valid"][:, 1:, None])}
-
-    def start(self, speaker: int) -> StyleState:
-        device = self.lexemes.device
-        one_hot = nn.functional.one_hot(torch.tensor([speaker], device=device), self.speakers).float()
-        return StyleState(None, torch.zeros(1, self.code_width, device=device), one_hot)
-
-    @torch.inference_mode()
-    def step(self, state: StyleState, features: BlockFeatures, lexeme: int) -> tuple[Tensor, StyleState]:
-        current = torch.tensor([[lexeme]], device=self.lexemes.device)
-        code, hidden = self.codes(state.code[:, None], current, features.low[None, None],
-                                  state.speaker, state.hidden,
-                                  None if features.text is None else features.text[None, None])
-        return code[:, 0], StyleState(hidden, code[:, 0], state.speaker)

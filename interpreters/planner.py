@@ -23,22 +23,17 @@ dimension is scaled to the variance of the measured codes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.layers import BlockLinear, Linear, masked_mean
-from interpreters.base import BlockFeatures
+from data_module.layers import BlockLinear, masked_mean
 from interpreters.settings import PlannerConfig, StyleConfig
-from interpreters.units import CLASSES, HANDS, PHASES, UnitDecision
+from interpreters.units import CLASSES, HANDS, PHASES
 
 __all__ = ["UnitPlanner", "UnitStyleInterpreter", "one_hot"]
 
-LEAST_HOLD = 0.6
-"""Shortest hold, seconds."""
 
 
 def one_hot(decisions: Tensor) -> Tensor:
@@ -50,21 +45,6 @@ DROPOUT = 0.2
 """Of the input and the output of the planner's GRU."""
 PAST_DROPOUT = 0.2
 """Share of the blocks in training whose past decision is left out, so that the sound counts."""
-
-
-@dataclass(frozen=True)
-class PlannerState:
-    """hidden: of the GRU; speaker: [1, speakers] one-hot; last: [1, 4] the decision before, by index; held: seconds for
-    which the hands have been held."""
-
-    hidden: Tensor | None
-    speaker: Tensor
-    last: Tensor
-    held: float = 0.0
-
-    def begins(self) -> PlannerState:
-        """The state with the audio before the last decision forgotten, as at the start of a training window."""
-        return replace(self, hidden=None)
 
 
 class UnitPlanner(nn.Module):
@@ -87,14 +67,9 @@ class UnitPlanner(nn.Module):
         self.dropout = nn.Dropout(DROPOUT)
         self.gru = nn.GRU(frames * config.audio_features + len(CLASSES) * config.embedding + speakers, config.width,
                           batch_first=True)
-        self.heads = nn.ModuleList(Linear(config.width + level * config.embedding, count)
+        self.heads = nn.ModuleList(nn.Linear(config.width + level * config.embedding, count)
                                    for level, count in enumerate(CLASSES))
         self.register_buffer("fit", torch.zeros(lexemes, len(PHASES) * len(HANDS)))
-
-    @property
-    def choices(self) -> int:
-        """The number of classes of all levels, each of which takes a random number."""
-        return sum(CLASSES)
 
     @property
     def weights(self) -> dict[str, float]:
@@ -133,50 +108,6 @@ class UnitPlanner(nn.Module):
             out[name] = masked_mean(each, valid.flatten())
         return out
 
-    def start(self, speaker: int) -> PlannerState:
-        """Before the first block."""
-        device = self.fit.device
-        who = functional.one_hot(torch.tensor([speaker], device=device), self.speakers).float()
-        # The same row for a missing past stands before the first block.
-        return PlannerState(None, who, torch.tensor([CLASSES], device=device))
-
-    @torch.inference_mode()
-    def step(self, state: PlannerState, features: BlockFeatures, noise: np.ndarray, temperature: float = 1.0,
-             bias: np.ndarray | None = None) -> tuple[UnitDecision, PlannerState]:
-        """The decision for the next block: arg max of logits / temperature + Gumbel noise, which is a sample; the
-        likeliest at temperature 0. noise: [`choices`] standard Gumbel numbers. bias: [5] added to the logits of the
-        phases, that of a hold only after a stroke or a hold, where hands are up. A hold lasts at least `LEAST_HOLD`
-        seconds: a hand takes half of that to stop, so a shorter one is not visible."""
-        context, hidden = self.encode_speech(features.low[None, None], state.speaker, state.last[:, None],
-                                             state.hidden)
-        seconds = 0.0 if features.durations is None else features.durations[1]
-        # The GRU has read this block's audio all the same, so its state is that of training.
-        if 0.0 < state.held < LEAST_HOLD:
-            same = UnitDecision(*state.last[0].tolist())
-            return same, replace(state, hidden=hidden, held=state.held + seconds)
-        after = int(state.last[0, 0])
-        raised = after < len(PHASES) and PHASES[after] in ("stroke", "hold")
-        decided = torch.zeros((1, 1, 0), dtype=torch.long, device=context.device)
-        each = np.split(noise, np.cumsum(CLASSES)[:-1])
-        for level in range(len(CLASSES)):
-            scores = self.logits(context, level, decided)[0, 0].double().cpu().numpy()
-            if level == 0 and bias is not None:
-                scores += np.where(raised | (np.array(PHASES) != "hold"), bias, 0.0)
-            if temperature > 0:
-                # The Gumbel-max trick: the arg max is a sample of the softmax, decided by the given noise alone.
-                scores = scores / temperature + each[level]
-            chosen = torch.full((1, 1, 1), int(scores.argmax()), device=context.device)
-            decided = torch.cat([decided, chosen], dim=-1)
-        phase, hand, size, apex = decided[0, 0].tolist()
-        decision = UnitDecision(phase, hand, size, apex)
-        held = state.held + seconds if decision.holds else 0.0
-        return decision, PlannerState(hidden, state.speaker, decided[0], held)
-
-    def bias(self, decision: UnitDecision) -> np.ndarray:
-        """[S] what the phase and the hand add to the scores of the lexemes: log p(phase, hand | lexeme)."""
-        column = self.fit[:, decision.phase * len(HANDS) + decision.hand]
-        return np.asarray(column.double().cpu().numpy())
-
     def count(self, lexemes: np.ndarray, units: np.ndarray, ease: float = 0.5) -> None:
         """Set `fit` from the lexemes [N] and the decisions [N, 4] of training blocks. ease: added to each count in
         proportion to the frequency of the phase and hand, so that rare lexemes say little."""
@@ -190,20 +121,9 @@ class UnitPlanner(nn.Module):
         self.fit.copy_(torch.as_tensor(np.log(shares) - np.log(overall)))
 
 
-_MOST_GAIN, _MOST, _HEARD = 4.0, 2.5, 0.05
-"""Largest factor on a prediction, largest value of a code, and the share of its variance below which a dimension counts
+_MOST_GAIN, _HEARD = 4.0, 0.05
+"""Largest factor on a prediction, and the share of its variance below which a dimension counts
 for less: one that can hardly be heard must not become noise."""
-
-
-@dataclass(frozen=True)
-class UnitStyleState:
-    """hidden: of the GRU; speaker: [1, speakers] one-hot; total: [1, d_z] sum of the predictions of this unit's blocks
-    so far, and their number."""
-
-    hidden: Tensor | None
-    speaker: Tensor
-    total: Tensor
-    count: int
 
 
 class UnitStyleInterpreter(nn.Module):
@@ -219,7 +139,7 @@ class UnitStyleInterpreter(nn.Module):
         self.dropout = nn.Dropout(config.dropout)
         self.gru = nn.GRU(frames * config.audio_features + (speakers if config.use_speaker else 0), config.width,
                           batch_first=True)
-        self.to_code = Linear(config.width, code_width)
+        self.to_code = nn.Linear(config.width, code_width)
         self.register_buffer("gain", torch.ones(code_width))
 
     @property
@@ -253,23 +173,3 @@ class UnitStyleInterpreter(nn.Module):
         r = ((predicted - predicted.mean(0)) * (measured - measured.mean(0))).mean(0) / (deviation * measured.std(0))
         audible = (r.clamp_min(0.0).square() / _HEARD).clamp(max=1.0)
         self.gain.copy_(audible * (measured.std(0) / deviation).clamp(max=_MOST_GAIN))
-
-    def start(self, speaker: int) -> UnitStyleState:
-        """Before the first block."""
-        device = self.gain.device
-        who = nn.functional.one_hot(torch.tensor([speaker], device=device), self.speakers).float()
-        return UnitStyleState(None, who, torch.zeros(1, self.code_width, device=device), 0)
-
-    @torch.inference_mode()
-    def step(self, state: UnitStyleState, features: BlockFeatures, resting: bool = False
-             ) -> tuple[Tensor, UnitStyleState]:
-        """The code [1, d_z] of the next block's unit, and the state after it; resting: the block belongs to no unit, so
-        the next unit starts anew and the code is 0."""
-        predicted, hidden = self.predict(features.low[None, None], state.speaker, state.hidden)
-        if resting:
-            # The GRU goes on through rests: it measures the voice, not the unit.
-            return torch.zeros_like(state.total), UnitStyleState(hidden, state.speaker, state.total * 0, 0)
-        # The mean over the unit so far: the style of a unit becomes clearer while it lasts.
-        total, count = state.total + predicted[:, 0], state.count + 1
-        code = (self.gain * total / count).clamp(-_MOST, _MOST)
-        return code, UnitStyleState(hidden, state.speaker, total, count)

@@ -137,5 +137,5 @@ class UnitStyleRunner:
             return nothing, UnitStyleState(hidden, state.speaker, nothing, 0)
         # The mean over the unit so far: the style of a unit becomes clearer while it lasts.
         total, count = state.total + self._to_code(out[0, 0]), state.count + 1
-        code = np.clip(self._gain * total / np.float32(count), -_MOST, _MOST)
+        code: Floats = np.clip(self._gain * total / np.float32(count), -_MOST, _MOST).astype(np.float32)
         return code, UnitStyleState(hidden, state.speaker, total, count)

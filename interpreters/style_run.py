@@ -58,11 +58,11 @@ class StyleRunner:
 
     def step(self, state: StyleRunState, features: BlockFeatures, lexeme: int) -> tuple[Floats, StyleRunState]:
         """The code [d_z] of this block, and the state after it. ValueError without needed text."""
-        rows = [self._encode_audio(np.asarray(features.low)), self._lexemes[lexeme][None], state.code[None]]
+        rows = [self._encode_audio(features.low), self._lexemes[lexeme][None], state.code[None]]
         if self._encode_text is not None:
             if features.text is None:
                 raise ValueError("this interpreter needs text; use the audio-only one")
-            rows.append(self._encode_text(np.asarray(features.text)))
+            rows.append(self._encode_text(features.text))
         if self._config.use_speaker:
             rows.append(state.speaker[None])
         out, hidden = self._lstm(side_by_side(rows)[None], state.hidden)

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from data_module.layers import Linear
 from interpreters.settings import HALF_BLOCKS
 
 
@@ -25,10 +24,10 @@ class TextHead(nn.Module):
         The initial output is 0."""
         super().__init__()
         self.dropout = nn.Dropout(dropout)
-        self.narrow = Linear(text_width, bottleneck)
-        self.hidden = Linear(HALF_BLOCKS * bottleneck, width)
-        self.weigh = Linear(lexeme_width + speakers, width)
-        self.out = Linear(width, size)
+        self.narrow = nn.Linear(text_width, bottleneck)
+        self.hidden = nn.Linear(HALF_BLOCKS * bottleneck, width)
+        self.weigh = nn.Linear(lexeme_width + speakers, width)
+        self.out = nn.Linear(width, size)
         # Training starts from the scores of the audio-only interpreter.
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)

@@ -12,9 +12,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-KeyValue = tuple[Tensor, Tensor]
-"""Cached keys and values [B, heads, tokens, C / heads] of a layer."""
-
 INITIAL = 0.02
 """Standard deviation of every weight at the start, that of GPT-2."""
 
@@ -57,18 +54,15 @@ class Attention(nn.Module):
         self.project = nn.Linear(width, 3 * width)
         self.out = nn.Linear(width, width)
 
-    def forward(self, x: Tensor, mask: Tensor | None, past: KeyValue | None = None) -> tuple[Tensor, KeyValue]:
-        """[B, tokens, C] to [B, tokens, C], and the keys and values of the `past` and these tokens."""
+    def forward(self, x: Tensor, mask: Tensor | None) -> Tensor:
+        """[B, tokens, C] to [B, tokens, C]."""
         query, key, value = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2)
                              for part in self.project(x).chunk(3, dim=-1))
-        if past is not None:
-            # The new pair comes after all cached tokens, so the order in the cache is by time and not [U; A]; attention
-            # does not depend on it, as positions are in the tokens.
-            key, value = torch.cat([past[0], key], dim=2), torch.cat([past[1], value], dim=2)
         # Dropout is an argument here, which `eval` does not switch off by itself.
         attended = functional.scaled_dot_product_attention(query, key, value, mask,
                                                        dropout_p=self.dropout if self.training else 0.0)
-        return self.out(attended.transpose(1, 2).flatten(-2)), (key, value)
+        out: Tensor = self.out(attended.transpose(1, 2).flatten(-2))
+        return out
 
 
 class Layer(nn.Module):
@@ -82,11 +76,11 @@ class Layer(nn.Module):
         self.feed = nn.Sequential(nn.Linear(width, 4 * width), nn.GELU(), nn.Linear(4 * width, width))
         self.dropout = nn.Dropout(dropout)
 
-    def forward(self, x: Tensor, mask: Tensor | None, past: KeyValue | None = None) -> tuple[Tensor, KeyValue]:
-        """[B, tokens, C] to [B, tokens, C], and the keys and values for later tokens."""
-        attended, present = self.attention(self.before_attention(x), mask, past)
-        x = x + self.dropout(attended)
-        return x + self.dropout(self.feed(self.before_feed(x))), present
+    def forward(self, x: Tensor, mask: Tensor | None) -> Tensor:
+        """[B, tokens, C] to [B, tokens, C]."""
+        x = x + self.dropout(self.attention(self.before_attention(x), mask))
+        out: Tensor = x + self.dropout(self.feed(self.before_feed(x)))
+        return out
 
 
 class Head(nn.Sequential):

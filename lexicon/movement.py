@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from data_module.layers import Linear
 from data_module.motion.movement import MovementBasis, Pasts
 from data_module.motion.movement_run import PAST
 from data_module.types import Array
@@ -164,14 +163,14 @@ class BentMap(nn.Module):
     def __init__(self, width: int, hidden: int, out: int) -> None:
         """hidden: units of each of the two hidden layers."""
         super().__init__()
-        self.straight = Linear(width, out, bias=False)
+        self.straight = nn.Linear(width, out, bias=False)
         # An orthogonal map keeps distances as far as the widths allow, so that at the start near latents are near
         # movements.
         nn.init.orthogonal_(self.straight.weight)
-        last = Linear(hidden, out)
+        last = nn.Linear(hidden, out)
         nn.init.zeros_(last.weight)
         nn.init.zeros_(last.bias)
-        self.bend = nn.Sequential(Linear(width, hidden), nn.GELU(), Linear(hidden, hidden), nn.GELU(), last)
+        self.bend = nn.Sequential(nn.Linear(width, hidden), nn.GELU(), nn.Linear(hidden, hidden), nn.GELU(), last)
 
     def forward(self, x: Tensor) -> Tensor:
         """[..., width] to [..., out]."""

@@ -27,15 +27,13 @@ from torch import Tensor, nn
 
 from data_module.layers import masked_mean
 from lexicon.quantizer import Quantizer
-from lexicon.settings import FRAMES, HALVINGS, RacerConfig
+from lexicon.settings import DILATIONS, FRAMES, HALVINGS, RacerConfig
 
 __all__ = ["RacerCodec"]
 
 _LONG = 65
 """Codes of stillness, enough that the receptive field of the middle one does not reach the ends."""
 
-DILATIONS = (1, 3, 9)
-"""Of the residual blocks of a stage, in the encoder's order."""
 COMMITMENT = 0.1
 """beta of RACER Eq. 4."""
 
@@ -119,10 +117,6 @@ class RacerCodec(nn.Module):
         # A single code would see the zero padding on both sides, which is no stillness.
         latents = self.encode(pose.expand(1, _LONG * FRAMES, -1))
         return self.quantizer.distances(latents[:, _LONG // 2])[0]
-
-    def tokens(self, motion: Tensor) -> Tensor:
-        """`label` under RACER's name: action tokens [B, T / 8], which the Q-network chooses."""
-        return self.label(motion)
 
     @torch.no_grad()
     def decode_tokens(self, tokens: Tensor) -> Tensor:

@@ -13,7 +13,8 @@ HALVINGS = 3
 """Number of times that the encoder of RACER's codec halves the frame rate."""
 FRAMES = 2**HALVINGS
 """Frames per code of RACER's codec."""
-
+DILATIONS = (1, 3, 9)
+"""Of the residual blocks of a stage, in the encoder's order."""
 
 @dataclass(frozen=True)
 class LexiconConfig:

@@ -403,8 +403,8 @@ def test_a_lexicon_of_movements_decodes_from_the_past() -> None:
     class Played:
         block_lexicon = lexicon
 
-        def rest_feature(self, speaker: int) -> Tensor:
-            return torch.zeros(one.motion.shape[-1])
+        def rest_feature(self, speaker: int) -> Array:
+            return np.zeros(one.motion.shape[-1], np.float32)
 
     made = Rendering(moved(1.0, np.ones(60)), np.arange(21) * 0.3, lexemes=asked, drawn=torch.stack(blocks).numpy())
     assert movements.encode(Played(), made, 0).tolist() == [0] * 20  # type: ignore[arg-type]

@@ -9,6 +9,7 @@ import pytest
 import torch
 from learning import learn
 from numpy.typing import NDArray
+from runners import played_critics
 from torch import Tensor
 
 from gesticulator.training.stages.advantage import CounterfactualRewards, discounted, gains
@@ -46,7 +47,7 @@ def critics(seed: int = 0, config: CriticConfig = SMALL) -> Critics:
 
 
 def heard(seed: int = 0) -> BlockFeatures:
-    window = torch.randn(3 * FRAMES, AUDIO, generator=torch.Generator().manual_seed(seed))
+    window = torch.randn(3 * FRAMES, AUDIO, generator=torch.Generator().manual_seed(seed)).numpy()
     return BlockFeatures(window, window)
 
 
@@ -69,7 +70,7 @@ def test_the_least_of_the_critics_is_taken_lexeme_by_lexeme() -> None:
 
 
 def test_beta_0_is_the_behaviour_policy_to_the_last_bit() -> None:
-    system = AdvantageInterpreter(Always(prior()), critics(), 3.0).steered(0.0, 0.7)
+    system = AdvantageInterpreter(Always(prior()), played_critics(critics()), 3.0).steered(0.0, 0.7)
     scores, _ = system.step(system.start(0, 1), heard(), 1)
     np.testing.assert_array_equal(scores, prior())
 
@@ -77,7 +78,7 @@ def test_beta_0_is_the_behaviour_policy_to_the_last_bit() -> None:
 @pytest.mark.parametrize("temperature", [1.0, 0.7, 2.0])
 @pytest.mark.parametrize("beta", [0.5, 2.0])
 def test_the_policy_is_the_tempered_prior_times_exp_beta_advantage(beta: float, temperature: float) -> None:
-    plain = AdvantageInterpreter(Always(prior()), critics())
+    plain = AdvantageInterpreter(Always(prior()), played_critics(critics()))
     # Up to a constant, which no policy feels.
     advantage = plain.step(plain.start(0, 1), heard(), 1)[0] - prior()
     system = plain.steered(beta, temperature)
@@ -91,7 +92,7 @@ def test_the_policy_is_the_tempered_prior_times_exp_beta_advantage(beta: float, 
 
 
 def test_at_temperature_0_the_best_of_the_policy_is_taken() -> None:
-    one, none = (AdvantageInterpreter(Always(prior()), critics()).steered(2.0, t) for t in (1.0, 0.0))
+    one, none = (AdvantageInterpreter(Always(prior()), played_critics(critics())).steered(2.0, t) for t in (1.0, 0.0))
     np.testing.assert_array_equal(one.step(one.start(0, 1), heard(), 1)[0], none.step(none.start(0, 1), heard(), 1)[0])
 
 

@@ -18,7 +18,6 @@ from untrained import untrained
 import gesticulator
 from data_module.controls import Controls, Curve
 from data_module.errors import InputError
-from data_module.motion import rotation
 from data_module.speech.audio import amplified
 from data_module.types import Speech, Word
 from gesticulator.gesticulator import Gesticulator
@@ -135,26 +134,6 @@ def test_gain_is_decibels() -> None:
     np.testing.assert_allclose(amplified(speech, 6.0206).samples, 2 * speech.samples, rtol=1e-5)
     assert amplified(speech, 40).samples.max() == 1.0 and amplified(speech, 40).words == speech.words
     assert amplified(speech, 0) is speech
-
-
-# ----------------------------------------------------------------------------------------------------- devices
-
-@pytest.mark.parametrize("interpreter", ["lstm", "cql", "statistical"])
-def test_every_tensor_is_made_on_the_models_device(g: Gesticulator, interpreter: str) -> None:
-    # Where no device is told, tensors are now made on "meta", which holds no numbers and mixes with no other device.
-    spoken = Speech(voice(), RATE, (Word("heavy", 0.2, 0.6), Word("bread", 0.6, 1.1)))
-    encoded = g.encode_speech(spoken)
-    base = g(spoken, interpreter=interpreter, hand_height=0.2, activity=0.6, encoded=encoded)
-    with torch.device("meta"):
-        assert same(g(spoken, interpreter=interpreter, hand_height=0.2, activity=0.6, encoded=encoded), base)
-
-
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU here")
-def test_a_gpu_plays_the_same_lexemes() -> None:
-    near, far = (Gesticulator.from_pretrained(device=device)(voice(), RATE, hand_height=0.2)
-                 for device in ("cpu", "cuda"))
-    assert np.array_equal(near.lexemes, far.lexemes)
-    assert rotation.angle_between(near.rotations, far.rotations).max() < 1e-2
 
 
 # -------------------------------------------------------------------------------------------- what comes back

@@ -38,9 +38,11 @@ def test_a_policy_that_is_no_better_is_remarked_upon(shipped: bundles.Bundle) ->
     system = Gesticulator(shipped)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        for name in ("lstm", "statistical", "advantage"):
+        for name in ("lstm", "statistical"):
             system.resolver.setup(InferenceOptions(interpreter=name), text=False)
         assert not caught
-        system.resolver.setup(InferenceOptions(interpreter="cql"), text=False)
-    assert [warning.category for warning in caught] == [InterpreterWarning]
-    assert "lstm" in str(caught[0].message) and "\n" not in str(caught[0].message)
+        for name in ("cql", "advantage"):
+            system.resolver.setup(InferenceOptions(interpreter=name), text=False)
+    assert [warning.category for warning in caught] == [InterpreterWarning] * 2
+    for name, warning in zip(("cql", "advantage"), caught, strict=True):
+        assert name in str(warning.message) and "lstm" in str(warning.message) and "\n" not in str(warning.message)

@@ -48,7 +48,7 @@ def test_it_draws_the_whole_character_at_every_frame(system: Gesticulator, playe
                                                      recording: Recording) -> None:
     bundle = system.bundle
     assert isinstance(bundle.lexicon, MovementLexicon) and isinstance(bundle.generator, FlowGenerator)
-    assert isinstance(bundle.style, UnitStyleInterpreter) and bundle.planner is not None and bundle.encoder is None
+    assert isinstance(bundle.style, UnitStyleInterpreter) and "planner" in bundle.parts and bundle.encoder is None
     assert played.motion.skeleton.names == CHARACTERS[46].names
     assert played.motion.duration == pytest.approx(recording.speech.duration, abs=0.05)
     assert np.isfinite(played.motion.rotations).all()
@@ -90,7 +90,7 @@ def test_motion_is_read_as_the_training_read_it(context: EvalContext) -> None:
     lexicon = bundle.block_lexicon
     assert isinstance(lexicon, MovementLexicon)
     poses, past = normalised_blocks(bundle.config, bundle.statistics, recording.motion, blocks, recording.info.speaker)
-    distances = torch.cdist(latents_of(lexicon, poses, past).double(), bundle.vectors.double())
+    distances = torch.cdist(latents_of(lexicon, poses, past).double(), torch.as_tensor(bundle.vectors).double())
     assert (distances.argmin(1).numpy() == own.labels).mean() > 0.99
 
 

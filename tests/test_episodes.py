@@ -58,7 +58,7 @@ def takes(lengths: tuple[int, ...] = (40, 31, 55), seed: int = 0) -> list[Demons
 
 
 def features(block: int) -> BlockFeatures:
-    return BlockFeatures(torch.full((3, 2), float(block)), torch.zeros(3, 2))
+    return BlockFeatures(np.full((3, 2), float(block), np.float32), np.zeros((3, 2), np.float32))
 
 
 def earned(lexemes: Tensor, blocks: Tensor) -> Tensor:

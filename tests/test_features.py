@@ -14,7 +14,7 @@ from data_module.errors import InputError
 from data_module.speech.front_ends import FrontEnd, MelFrontEnd
 from data_module.speech.learned_front_ends import front_end
 from data_module.speech.silence import TYPICAL_LEVEL, reference_level
-from data_module.speech.speech_encoder import SpeechEncoder
+from data_module.speech.speech_encoder import SpeechEncoder, runner_of
 from data_module.types import Array, Samples
 from gesticulator.bundle.features import Normaliser
 
@@ -126,7 +126,7 @@ KINDS = ("mel", "vqwav2vec", "fairseq")
 
 def made(kind: str, models: Path) -> FrontEnd:
     name = f"fairseq:{models / 'vq-wav2vec.pt'}" if kind == "fairseq" else kind
-    front = front_end(name, MEL, encoder=stack())
+    front = front_end(name, MEL, encoder=runner_of(stack()))
     assert front.name == name
     return front
 
@@ -174,7 +174,7 @@ def test_a_front_end_that_is_not_to_be_had_is_refused_by_name(tmp_path: Path) ->
             front_end(name, MEL)
     for layers in ((0, 8), (2, 9), (2,), (1, 2, 3)):
         with pytest.raises(InputError, match="two numbers from 1 to 8"):
-            front_end("vqwav2vec", MEL, encoder=stack(), layers=layers)
+            front_end("vqwav2vec", MEL, encoder=runner_of(stack()), layers=layers)
 
 
 def voice(gains: Array, block: float = 0.4) -> Samples:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
@@ -19,10 +18,10 @@ REST = np.concatenate([np.full(3, 9.0), np.full(3, 2.0), np.full(3, -4.0)])
 @given(st.floats(0.0, 100.0), st.floats(-2.0, 2.0), st.floats(-5.0, 5.0))
 def test_an_offset_begins_with_the_pose_and_velocity_shown_and_ends_at_rest(begin: float, pose: float, speed: float
                                                                             ) -> None:
-    offset = Offset(begin, torch.tensor([pose], dtype=torch.float64), torch.tensor([speed], dtype=torch.float64))
+    offset = Offset(begin, np.array([pose]), np.array([speed]))
     step = 1e-3
-    start = offset.at(begin + step * np.arange(4.0))[:, 0].numpy()
-    end = offset.at(begin + FADES - step * np.arange(4.0))[:, 0].numpy()
+    start = offset.at(begin + step * np.arange(4.0))[:, 0]
+    end = offset.at(begin + FADES - step * np.arange(4.0))[:, 0]
     assert start[0] == pytest.approx(pose, abs=1e-9) and end[0] == pytest.approx(0.0, abs=1e-9)
     assert (start[1] - start[0]) / step == pytest.approx(speed, abs=0.02)
     assert (end[1] - end[0]) / step == pytest.approx(0.0, abs=0.01)

@@ -11,10 +11,12 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from learning import learn
+from runners import played_gate
 from torch import Tensor
 
+from gesticulator.sampling.loop import opened
 from interpreters.base import BlockFeatures
-from interpreters.gate import ActivityGate, GateConfig, Latch, follow, opened
+from interpreters.gate import ActivityGate, GateConfig
 
 FRAMES, AUDIO, SPEAKERS, BLOCKS = 4, 3, 2, 9
 
@@ -65,10 +67,10 @@ def test_streams_as_it_trains() -> None:
     model = gate().eval()
     batch = spoken(1, 5)
     whole = torch.sigmoid(model.logits(batch["audio_low"], batch["speaker"])[0][0]).tolist()
-    state = model.start(int(batch["speaker"][0].argmax()))
-    streamed = []
-    for window in batch["audio_low"][0]:
-        probability, state = model.step(state, BlockFeatures(window, window * math.nan))  # the high level is not heard
+    runner, streamed = played_gate(model), []
+    state = runner.start(int(batch["speaker"][0].argmax()))
+    for window in batch["audio_low"][0].numpy():
+        probability, state = runner.step(state, BlockFeatures(window, window * math.nan))  # the high level is not heard
         streamed.append(probability)
     np.testing.assert_allclose(streamed, whole, atol=1e-6)
 
@@ -95,36 +97,3 @@ def test_opening_is_monotone(p: float, more: float, activity: float, livelier: f
     p, more = sorted((p, more))
     activity, livelier = sorted((activity, livelier))
     assert opened(more, livelier) >= opened(p, activity)
-
-
-def run(probabilities: list[float], activity: float, hold: int) -> list[bool]:
-    latch, out = Latch(), []
-    for probability in probabilities:
-        latch = follow(latch, probability, activity, hold)
-        out.append(latch.open)
-    return out
-
-
-@given(st.lists(share, max_size=30), share)
-def test_hold_of_one_block_is_the_bare_gate(probabilities: list[float], activity: float) -> None:
-    assert run(probabilities, activity, 1) == [opened(p, activity) for p in probabilities]
-
-
-@given(st.lists(share, min_size=1, max_size=40), st.floats(0.01, 0.99), st.integers(1, 5))
-def test_it_stands_for_as_long_as_it_must(probabilities: list[float], activity: float, hold: int) -> None:
-    lengths = [len(list(group)) for _, group in itertools.groupby(run(probabilities, activity, hold))]
-    assert all(length >= hold for length in lengths[1:-1])
-    assert run(probabilities, activity, hold)[0] == opened(probabilities[0], activity)  # the first block is free
-
-
-@given(st.lists(share, max_size=20), st.integers(1, 5))
-def test_orders_turn_it_at_once(probabilities: list[float], hold: int) -> None:
-    assert run(probabilities, 0.0, hold) == [False] * len(probabilities)
-    assert run(probabilities, 1.0, hold) == [True] * len(probabilities)
-
-
-def test_a_held_gate_by_hand() -> None:
-    says = [0.9, 0.1, 0.9, 0.1, 0.1, 0.1, 0.9]
-    assert run(says, 0.5, 2) == [True, True, True, False, False, False, True]
-    with pytest.raises(ValueError):
-        follow(Latch(), 0.5, 0.5, 0)

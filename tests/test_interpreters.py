@@ -10,6 +10,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from learning import learn
+from numpy.typing import NDArray
+from runners import played_critics, played_lstm, played_q, played_style
 
 from data_module.errors import InputError
 from interpreters import INTERPRETERS
@@ -24,7 +26,8 @@ from interpreters.base import (
     as_interpreter,
     select,
 )
-from interpreters.cql import LiteralQNetwork, QConfig, QNetwork
+from interpreters.cql import QConfig, QNetwork
+from interpreters.cql_run import LiteralQRunner, QRunner
 from interpreters.lstm import InterpreterWidths, LstmConfig, LstmInterpreter, StyleConfig, StyleInterpreter
 from interpreters.settings import CriticConfig
 from interpreters.statistical import StatisticalInterpreter
@@ -52,10 +55,10 @@ def style(**changes: object) -> StyleInterpreter:
     return StyleInterpreter(config, FRAMES, AUDIO, torch.randn(SIZE, 7), CODE, 2, TEXT).eval()
 
 
-def q_network(kind: type[QNetwork] = QNetwork) -> QNetwork:
+def q_network(kind: type[QRunner] = QRunner) -> QRunner:
     torch.manual_seed(0)
     config = QConfig(width=8, heads=2, layers=1, decisions=3, audio_features=4, audio_bottleneck=0)
-    return kind(config, FRAMES, AUDIO, SIZE, 2, [1]).eval()
+    return played_q(QNetwork(config, FRAMES, AUDIO, SIZE, 2, [1]).eval(), kind)
 
 
 def critics() -> Critics:
@@ -65,7 +68,7 @@ def critics() -> Critics:
 
 
 def advantage(beta: float = 1.5) -> AdvantageInterpreter:
-    return AdvantageInterpreter(lstm().eval(), critics(), beta)
+    return AdvantageInterpreter(played_lstm(lstm()), played_critics(critics()), beta)
 
 
 class Outsider:
@@ -78,16 +81,16 @@ class Outsider:
     def step(self, state: int, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, int]:
         """Loud blocks favour the next lexeme."""
         scores = np.full(SIZE, -3.0)
-        scores[(previous_lexeme + 1) % SIZE] = float(features.high.abs().mean())
+        scores[(previous_lexeme + 1) % SIZE] = float(np.abs(features.high).mean())
         return scores - np.logaddexp.reduce(scores), state + 1
 
 
-MAKERS = {"lstm": lambda: lstm().eval(), "cql": q_network, "cql-literal": lambda: q_network(LiteralQNetwork),
+MAKERS = {"lstm": lambda: played_lstm(lstm()), "cql": q_network, "cql-literal": lambda: q_network(LiteralQRunner),
           "advantage": advantage, "statistical": statistical}
 
 
-def hear(seed: int = 0, **also: torch.Tensor) -> BlockFeatures:
-    window = torch.randn(3 * FRAMES, AUDIO, generator=torch.Generator().manual_seed(seed))
+def hear(seed: int = 0, **also: NDArray[np.float32]) -> BlockFeatures:
+    window = torch.randn(3 * FRAMES, AUDIO, generator=torch.Generator().manual_seed(seed)).numpy()
     return BlockFeatures(window, window, **also)
 
 
@@ -97,8 +100,9 @@ def windows(seed: int, blocks: int, width: int = TEXT) -> torch.Tensor:
     return torch.cat([rows[:-2], rows[1:-1], rows[2:]], dim=1)[None]
 
 
-PLAYED = {**MAKERS, "by ear": lambda: InterpreterByEar(lstm(audio_dropout=0.1).eval(), 0.5),
-          "reads all": lambda: lstm(text_features=4, use_control=True, pose_features=4).eval(), "outsider": Outsider}
+PLAYED = {**MAKERS, "by ear": lambda: InterpreterByEar(played_lstm(lstm(audio_dropout=0.1)), 0.5),
+          "reads all": lambda: played_lstm(lstm(text_features=4, use_control=True, pose_features=4)),
+          "outsider": Outsider}
 """Every registered interpreter, two more forms of the LSTM, and an object from outside."""
 
 
@@ -112,9 +116,9 @@ def test_a_registered_interpreter_is_of_its_class_and_name(name: str) -> None:
 def everything(seed: int = 0) -> BlockFeatures:
     """A block of which all is known."""
     generator = torch.Generator().manual_seed(seed)
-    past = torch.randn(FRAMES, MOTION, generator=generator)
-    return dataclasses.replace(hear(seed), text=windows(seed, 1)[0, 0], past=past, durations=(0.4, 0.5),
-                               control=torch.randn(FRAMES, CONTROL, generator=generator))
+    past = torch.randn(FRAMES, MOTION, generator=generator).numpy()
+    return dataclasses.replace(hear(seed), text=windows(seed, 1)[0, 0].numpy(), past=past, durations=(0.4, 0.5),
+                               control=torch.randn(FRAMES, CONTROL, generator=generator).numpy())
 
 
 @pytest.mark.parametrize("name", PLAYED)
@@ -177,10 +181,12 @@ def test_lstm_streams_as_it_trains(changes: dict[str, object]) -> None:
     audio, text, control = windows(1, 5, AUDIO), windows(2, 5), torch.randn(1, 5, FRAMES, CONTROL)
     speaker = torch.tensor([[0.0, 1.0]])
     whole = torch.log_softmax(model.scores(previous, audio, speaker, None, text, control)[0], -1)[0]
-    state = model.start(1, int(previous[0, 0]))
+    runner = played_lstm(model)
+    state = runner.start(1, int(previous[0, 0]))
     for i in range(5):
-        heard = BlockFeatures(torch.zeros_like(audio[0, i]), audio[0, i], text=text[0, i], control=control[0, i])
-        scores, state = model.step(state, heard, int(previous[0, i]))
+        sound, words, rows = (values[0, i].numpy() for values in (audio, text, control))
+        heard = BlockFeatures(np.zeros_like(sound), sound, text=words, control=rows)
+        scores, state = runner.step(state, heard, int(previous[0, i]))
         np.testing.assert_allclose(scores, whole[i].detach().numpy(), atol=1e-5)
 
 
@@ -259,14 +265,15 @@ def test_a_lexeme_that_only_the_word_tells_is_learned_from_the_word() -> None:
 def test_style_streams_as_it_runs_and_starts_from_the_code_of_stillness(changes: dict[str, object]) -> None:
     model = style(**changes)
     text = windows(4, 3)
-    features, lexemes = [hear(i, text=text[0, i]) for i in range(3)], [0, 4, 2]
-    state, codes = model.start(0), [torch.zeros(1, CODE)]
+    features, lexemes = [hear(i, text=text[0, i].numpy()) for i in range(3)], [0, 4, 2]
+    runner, codes = played_style(model), [np.zeros(CODE, np.float32)]
+    state = runner.start(0)
     for heard, lexeme in zip(features, lexemes, strict=True):
-        code, state = model.step(state, heard, lexeme)
+        code, state = runner.step(state, heard, lexeme)
         codes.append(code)
-    whole, _ = model.codes(torch.stack(codes[:-1], 1), torch.tensor([lexemes]),
-                           torch.stack([f.low for f in features])[None], torch.eye(2)[:1], None, text)
-    torch.testing.assert_close(whole[0], torch.cat(codes[1:]).clone(), atol=1e-5, rtol=1e-4)
+    whole, _ = model.codes(torch.as_tensor(np.stack(codes[:-1]))[None], torch.tensor([lexemes]),
+                           torch.as_tensor(np.stack([f.low for f in features]))[None], torch.eye(2)[:1], None, text)
+    np.testing.assert_allclose(whole[0].detach().numpy(), np.stack(codes[1:]), atol=1e-5, rtol=1e-4)
 
 
 @given(st.lists(st.floats(-5, 5), min_size=2, max_size=9), st.data())

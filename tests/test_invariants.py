@@ -148,7 +148,7 @@ def test_a_lexeme_that_was_never_seen_keeps_a_chance(labels: list[int], speaker:
     inventory = count([("ann", np.array(labels, dtype=np.int64))], size=6)  # 4 and 5 never occur
     np.testing.assert_allclose(inventory.transitions.sum(1), 1.0)
     system = StatisticalInterpreter(inventory.frequencies["ann"][None], inventory.transitions)
-    nothing = torch.zeros(1, 1)
+    nothing = np.zeros((1, 1), np.float32)
     scores, _ = system.step(system.start(0, speaker), BlockFeatures(nothing, nothing), speaker)
     assert np.exp(scores).sum() == pytest.approx(1.0)
     assert scores.min() > -120.0, "far from the floor of the logarithm"

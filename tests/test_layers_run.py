@@ -49,12 +49,13 @@ def test_dense(width_in: int, width: int, rows: int, seed: int, bias: bool) -> N
     same(nn.Linear(width_in, width, bias), lambda at: run.Dense.of(at, width_in, width, bias), rows, width_in)
 
 
-@given(COUNT, COUNT, st.integers(1, 5), st.integers(1, 3), st.integers(0, 2), SEED)
-def test_a_convolution(width_in: int, width: int, kernel: int, stride: int, padding: int, seed: int) -> None:
+@given(COUNT, COUNT, st.integers(1, 5), st.integers(1, 3), st.integers(0, 2), st.integers(1, 2), SEED)
+def test_a_convolution(width_in: int, width: int, kernel: int, stride: int, padding: int, dilation: int, seed: int
+                       ) -> None:
     torch.manual_seed(seed)
-    same(Transposed(nn.Conv1d(width_in, width, kernel, stride, padding)),
+    same(Transposed(nn.Conv1d(width_in, width, kernel, stride, padding, dilation)),
          lambda at: run.Conv(at.take("inner.weight", width, width_in, kernel), at.take("inner.bias", width),
-                             stride=stride, padding=padding), 2, 11, width_in)
+                             stride=stride, padding=padding, dilation=dilation), 2, 11, width_in)
 
 
 @given(st.lists(COUNT, min_size=2, max_size=4), st.sampled_from((1, 3, 5)), st.booleans(), st.booleans(), SEED)

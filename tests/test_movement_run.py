@@ -240,7 +240,7 @@ def test_the_lexeme_interpreter(by: str, memory: int, text: int, pose: int, spea
 
 @pytest.mark.parametrize("part", ["interpreter", "interpreter_text"])
 def test_the_shipped_interpreters(shipped: Bundle, part: str) -> None:
-    module = shipped.parts[part]
+    module = shipped.trained(part)
     assert isinstance(module, LstmInterpreter) and shipped.text is not None
     width = len(shipped.statistics.high.mean)
     same_interpreter(module, InterpreterSizes(module.frames, width, width, len(shipped.speakers), shipped.text.width,
@@ -305,6 +305,5 @@ def test_gate_planner_and_style(bottleneck: int, width: int, speaker: bool, seed
 
 
 def test_the_shipped_gate_planner_and_style(shipped: Bundle) -> None:
-    gate, planner, style = shipped.gate, shipped.planner, shipped.style
-    assert gate is not None and planner is not None and isinstance(style, UnitStyleInterpreter)
+    gate, planner, style = (shipped.trained(name) for name in ("gate", "planner", "style"))
     same_heads(gate, planner, style, len(shipped.statistics.low.mean), 7)

@@ -221,10 +221,10 @@ def test_the_parts_of_the_shipped_bundles() -> None:
     close(LexiconRunner(config.lexicon, frames, lexicon.present.numpy(), tensors_of(lexicon)).shown(), lexicon.shown())
     for bundle, name, settings_ in ((paper, "q_network", config.cql), (paper, "q_network_literal", config.cql_literal),
                                     (default, "q_network", default.config.cql)):
-        module = bundle.parts[name]
+        module = bundle.trained(name)
         assert isinstance(module, QNetwork)
         same_values(module, QRunner(settings_, *sizes_of(bundle), tensors_of(module)), inputs_of(bundle))
-    critics = default.parts["advantage"]
+    critics = default.trained("advantage")
     assert isinstance(critics, Critics)
     same_advantages(critics, CriticsRunner(default.config.advantage, *sizes_of(default), tensors_of(critics)),
                     inputs_of(default), 4)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from learning import learn
+from runners import played_planner
 from scipy.stats import chisquare
 
 from gesticulator.bundle.features import SpeechBlock
@@ -28,7 +29,7 @@ def planner(**settings: float) -> UnitPlanner:
 
 
 def features(rows: torch.Tensor) -> BlockFeatures:
-    return BlockFeatures(rows, rows, False)
+    return BlockFeatures(rows.numpy(), rows.numpy(), False)
 
 
 # ---------------------------------------------------------------------------------------------------- what blocks show
@@ -81,9 +82,10 @@ def test_it_learns_what_can_be_heard_and_steps_as_it_was_trained() -> None:
     learn(model, lambda _: torch.stack(list(model.losses(loud_strokes(16, 9, rng)).values())).sum(), 150, 0.02)
     heard = loud_strokes(4, 12, rng)
     assert sum(loss.item() for loss in model.losses(heard).values()) < 0.1, "the sound alone decides"
-    state, right = model.start(0), []
+    runner, right = played_planner(model.eval()), []
+    state = runner.start(0)
     for k in range(12):
-        decision, state = model.step(state, features(heard["audio_low"][0, k]), numbers(k), 0.0)
+        decision, state = runner.step(state, features(heard["audio_low"][0, k]), numbers(k), 0.0)
         shown = (decision.phase, decision.hand, decision.size, decision.apex)
         right.append(shown == tuple(heard["units"][0, k].tolist()))
     assert sum(right[1:]) >= 10
@@ -103,14 +105,16 @@ def test_losses_are_the_nats_of_its_own_distribution() -> None:
 
 def test_a_bias_moves_the_odds_of_a_phase_and_a_hold_needs_raised_hands() -> None:
     model, rows = planner(), torch.zeros(3 * FRAMES, WIDTH)
+    runner = played_planner(model)
     for last, raised in ((PHASES.index("stroke"), True), (PHASES.index("rest"), False)):
-        begun = replace(model.start(1), last=torch.tensor([[last, 1, 0, 0]]))
-        heard, _ = model.encode_speech(rows[None, None], begun.speaker, begun.last[:, None])
+        begun = replace(runner.start(1), last=(last, 1, 0, 0))
+        heard, _ = model.encode_speech(rows[None, None], torch.as_tensor(begun.speaker)[None],
+                                       torch.tensor(begun.last)[None, None])
         logits = model.logits(heard, 0, torch.zeros(1, 1, 0, dtype=torch.long))[0, 0].double().detach().numpy()
         for name in ("preparation", "hold"):
             bias = 1.5 * (np.array(PHASES) == name)
             shares = np.exp(logits + (bias if raised or name != "hold" else 0.0))
-            drawn = [model.step(begun, features(rows), numbers(k), 1.0, bias)[0].phase for k in range(2000)]
+            drawn = [runner.step(begun, features(rows), numbers(k), 1.0, bias)[0].phase for k in range(2000)]
             counts = np.bincount(drawn, minlength=len(PHASES))
             assert chisquare(counts, shares / shares.sum() * 2000).pvalue > 1e-3
 
@@ -132,7 +136,7 @@ def test_a_pause_that_goes_on_holds_and_one_that_ends_prepares() -> None:
 
 def test_a_new_unit_forgets_the_sound_before_its_last_decision() -> None:
     """From there on the decisions are those of a planner that heard nothing earlier."""
-    model, rng = planner(), np.random.default_rng(3)
+    model, rng = played_planner(planner()), np.random.default_rng(3)
     rows = [torch.as_tensor(rng.normal(size=(3 * FRAMES, WIDTH)), dtype=torch.float32) for _ in range(9)]
     state = other = model.start(0)
     for k in range(4):
@@ -163,7 +167,7 @@ def test_lexemes_are_worth_what_their_phase_says() -> None:
     hold, stroke = (3, 1, 0, 0), (2, 1, 2, 1)
     units = np.array([hold] * 80 + [stroke] * 10 + [stroke] * 90 + [hold])
     model.count(lexemes, units)
-    bias = model.bias(UnitDecision(*hold))
+    bias = played_planner(model).bias(UnitDecision(*hold))
     p, p0 = 80 / 90, 81 / 181
     assert bias[0] == pytest.approx(np.log(p / p0), abs=0.1)
     assert bias[1] < -1.0 and 0.0 < bias[2] < bias[0], "one block says little"

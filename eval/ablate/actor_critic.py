@@ -64,9 +64,9 @@ class ActorCritic(nn.Module):
 
     def _read(self, tokens: Tensor) -> Tensor:
         """Logits and the state's value [B, T', S + 1] of one window of tokens [B, 2, T', C]."""
-        trunk, _ = self.actor.through(self.actor.placed(tokens), self.actor.layers[:self.shared])
-        acted, _ = self.actor.through(trunk, self.actor.layers[self.shared:])
-        judged, _ = self.actor.through(trunk, self.critic)
+        trunk = self.actor.through(self.actor.placed(tokens), self.actor.layers[:self.shared])
+        acted = self.actor.through(trunk, self.actor.layers[self.shared:])
+        judged = self.actor.through(trunk, self.critic)
         return torch.cat([self.actor.head(acted[:, 1]), self.value(judged[:, 1])], dim=-1)
 
     def logits_and_value(self, previous: Tensor, audio: Tensor, speaker: Tensor, silent: Tensor

@@ -24,7 +24,7 @@ from gesticulator.training.stages import Corpus
 from gesticulator.training.stages.q_network import features_of, takes_of
 from interpreters.base import LexemeInterpreter, select
 from interpreters.episodes import Demonstration
-from interpreters.lstm import LstmInterpreter
+from interpreters.lstm_run import LstmRunner
 from interpreters.reward_table import EnsembleReward, RewardTable
 
 Lexemes = NDArray[np.int64]
@@ -72,20 +72,19 @@ class Decisions:
         return allowed
 
 
-@torch.inference_mode()
 def walk(interpreter: LexemeInterpreter, decisions: Decisions, take: Demonstration, teacher: bool = False) -> Lexemes:
     """The lexemes [M] of an interpreter that takes its best score on each block of a recording; the first is given.
 
     teacher: its past is the performer's lexemes.
     """
     allowed, features = decisions.allowed(take), features_of(decisions.corpus)
-    reads = isinstance(interpreter, LstmInterpreter) and interpreter.config.reads
+    reads = isinstance(interpreter, LstmRunner) and interpreter.config.reads
     # The first lexeme is the performer's: no policy decides it.
     lexemes = take.lexemes.copy()
     state = interpreter.start(take.speaker, int(lexemes[0]))
     for i in range(1, len(lexemes)):
         block, previous = int(take.blocks[i]), int((take.lexemes if teacher else lexemes)[i - 1])
-        words = decisions.corpus.text(np.array([block]))[0] if reads else None
+        words = decisions.corpus.text(np.array([block]))[0].numpy() if reads else None
         scores, state = interpreter.step(state, replace(features(block), text=words), previous)
         lexemes[i] = select(scores, allowed=np.flatnonzero(allowed[i]))
     return lexemes

@@ -39,10 +39,11 @@ from eval.context import EvalContext, Lexemes
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
 from gesticulator.bundle.config import Config
-from gesticulator.bundle.models import JUDGES
+from gesticulator.bundle.models import JUDGES, runner_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages import STAGES, Corpus
 from gesticulator.training.stages.caches import weights_hash
+from gesticulator.training.stages.corpus import sizes
 from gesticulator.training.stages.q_network import features_of, new_q_network, q_batch, takes_of
 from gesticulator.training.stages.reward import reward_table, taught_reward
 from interpreters.base import LexemeInterpreter
@@ -97,7 +98,7 @@ class RacerRows:
         if not decisions.takes:
             raise InputError(context.store.path, "has no test recording with a decision in it", "build the store again")
         # The data are relabelled as the hint wants it: in silence the nearest silent lexeme is what was done.
-        silent = SilentLexemes(bundle.silent, nearest_silent(bundle.vectors.double().numpy(), bundle.silent))
+        silent = SilentLexemes(bundle.silent, nearest_silent(bundle.vectors.astype(np.float64), bundle.silent))
         takes = [replace(take, lexemes=silent.relabel(take)) for take in takes_of(corpus, labels, "train")]
         tables = {"": reward_table(bundle.reward, bundle.block_lexicon, corpus),
                   "judge_": reward_table(bundle.reward_judge, bundle.block_lexicon, corpus)}
@@ -162,13 +163,20 @@ class RacerRows:
             # The greatest of random numbers over what may be chosen is any of that, all alike.
             return [np.append(take.lexemes[:1], np.where(allowed, rng.random(allowed.shape), -1).argmax(1)[1:])
                     for take in takes for allowed in [self.decisions.allowed(take)]]
-        policy = Majority(self.bundle) if train == "majority" else trained(self, name, seed)
+        policy = Majority(self.bundle) if train == "majority" else self.policy(name, trained(self, name, seed))
         return [walk(policy, self.decisions, take) for take in takes]
 
     @cached_property
     def recordings(self) -> list[Recording]:
         """The test recordings, which every row is played on."""
         return [self.context.store.load(self.corpus.names[take.recording]) for take in self.decisions.takes]
+
+    def policy(self, name: str, network: QNetwork) -> LexemeInterpreter:
+        """A row's trained network as it chooses lexemes."""
+        silent = tuple(self.bundle.silent.tolist())
+        runner: LexemeInterpreter = runner_of("q_network", sizes(self.config(name), self.corpus, silent=silent,
+                                                              vectors=self.bundle.vectors), network)
+        return runner
 
     def untrained(self, name: str, seed: int) -> QNetwork:
         """The network that a row begins with, the same for all rows of a seed."""
@@ -196,9 +204,10 @@ def rewarded(racer: RacerRows, config: Config) -> Episodes:
     if key not in racer._episodes:
         # Behaviour beside the recorded one: without it no other lexeme than the person's was ever tried.
         interpreters: dict[str, LexemeInterpreter] = {
-            "sampled": racer.bundle.interpreter, "statistical": racer.bundle.interpreter_named("statistical")}
+            "sampled": racer.bundle.runners["interpreter"],
+            "statistical": racer.bundle.interpreter_named("statistical")}
         racer._episodes[key] = build(racer.takes, plain, racer.taught(config).sequence, silent=racer.silent,
-                                     vectors=racer.bundle.vectors.numpy(), seed=config.seed,
+                                     vectors=racer.bundle.vectors, seed=config.seed,
                                      policies=BehaviourPolicies(interpreters, features_of(racer.corpus)))
     episodes = racer._episodes[key]
     if config.episodes.reward == "contrastive" and racer.scale == 1:

@@ -120,13 +120,13 @@ def lexicon_figures(recordings: Sequence[HeldOut], decoded: Sequence[Tensor]) ->
                                               f"decoded {drawn.text()}, truth {true.text()}")}
 
 
-def absent_figure(decoded: Sequence[Tensor], present: Tensor) -> Measured:
+def absent_figure(decoded: Sequence[Tensor], present: NDArray[np.float32]) -> Measured:
     """Range of numbers that no source has, which must not move at all. present: [D_m] 1 where some source has them."""
     lacking = present < 0.5
     if not lacking.any():
         return Measured(missing="every joint is present in some source")
     # The range, not the mean: a constant offset of a joint that no source has is harmless.
-    moved = max(float(np.ptp(blocks[..., lacking].reshape(-1, int(lacking.sum())).numpy(), axis=0).max())
+    moved = max(float(np.ptp(blocks.numpy()[..., lacking].reshape(-1, lacking.sum()), axis=0).max())
                 for blocks in decoded)
     return Measured(Interval.exact(moved, 1), f"{int(lacking.sum())} of {len(present)} numbers")
 
@@ -141,7 +141,7 @@ def encode(bundle: Bundle, rendering: Rendering, speaker: int) -> NDArray[np.int
     if isinstance(lexicon, Lexicon):
         return ranks_of(lexicon.quantizer.distances(lexicon.latents(blocks)), requested)
     durations = torch.as_tensor(np.diff(rendering.edges), dtype=torch.float32)
-    ranks = lexicon.ranks(blocks, pasts_of(blocks, durations, bundle.rest_feature(speaker)), requested)
+    ranks = lexicon.ranks(blocks, pasts_of(blocks, durations, torch.as_tensor(bundle.rest_feature(speaker))), requested)
     return np.asarray(ranks.numpy(), dtype=np.int64)
 
 
@@ -201,7 +201,7 @@ def held_out(bundle: Bundle, store: Store) -> list[HeldOut]:
         known = info.speaker in statistics.speakers
         mean = statistics.mean_pose[statistics.speakers.index(info.speaker)] if known else poses.mean(axis=(0, 1))
         first = block_module.first_pose(recording.motion, representation)
-        moves = statistics.present.numpy()  # as `Statistics.normalise` has it: exactly 0 in what never moves
+        moves = statistics.present  # as `Statistics.normalise` has it: exactly 0 in what never moves
         features, start = (torch.as_tensor((values - mean) / statistics.deviation * moves, dtype=torch.float32)
                            for values in (poses, first))
 

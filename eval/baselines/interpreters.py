@@ -11,9 +11,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
 
 from data_module.types import Array
 
@@ -96,11 +94,10 @@ class ReplayInterpreter:
         return _only(self._left.popleft(), self._size), None
 
 
-class RandomStyle(nn.Module):
+class RandomStyle:
     """Style codes that know nothing: z from N(0, I) anew on each block, as L_z would have the learned (RG Table 2)."""
 
     def __init__(self, code_width: int, seed: int) -> None:
-        super().__init__()
         self.code_width, self._seed = code_width, seed
 
     def start(self, speaker: int) -> np.random.Generator:
@@ -108,6 +105,6 @@ class RandomStyle(nn.Module):
         return np.random.default_rng([self._seed, speaker])
 
     def step(self, state: np.random.Generator, features: BlockFeatures, lexeme: int
-             ) -> tuple[Tensor, np.random.Generator]:
-        """A code [1, d_z]."""
-        return torch.as_tensor(state.standard_normal((1, self.code_width)), dtype=torch.float32), state
+             ) -> tuple[NDArray[np.float32], np.random.Generator]:
+        """A code [d_z]."""
+        return state.standard_normal(self.code_width).astype(np.float32), state

@@ -292,7 +292,7 @@ class LifeLayer:
         pose = statistics.rest_pose[speaker]
         names = representation.motion(pose[None], 1.0).skeleton.names
         self._idle, self._parts = Idle(seed, names, pose.reshape(-1, 3)), parts
-        self._scale = statistics.present.numpy() / statistics.deviation
+        self._scale = statistics.present / statistics.deviation
         self._head_moves = _head_moves(statistics, representation, speaker)
         self._shown = statistics.normalise(pose, speaker)
         self._gains = np.zeros((len(parts), 2))
@@ -307,7 +307,7 @@ class LifeLayer:
         """Return to a frame already shown: its `gains` [parts, 2] and pose [D_m]."""
         self._gains, self._shown = gains, pose.astype(np.float64)
 
-    def __call__(self, block: Array, span: Span, rests: Sequence[Flags]) -> Array:
+    def __call__(self, block: NDArray[np.floating], span: Span, rests: Sequence[Flags]) -> Array:
         """[K, D_m] a block of normalised poses with idle motion added; rests: [K] for each part, whether it rests."""
         times = span.times
         # In the units of the normalised poses; absent joints have none.

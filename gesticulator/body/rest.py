@@ -433,7 +433,7 @@ class Rest:
         """[K, 2, 2] gains of the idle motion in each frame of the last block, see `RestKnots`."""
         return self._life.gains
 
-    def step(self, generated: Array) -> Array:
+    def step(self, generated: NDArray[np.floating]) -> Array:
         """[K, D_m] a generated block [K, D_m] with rest applied, both normalised, without idle motion."""
         assert self._span is not None, "analyse comes first"
         out = np.empty_like(generated, dtype=np.float64)
@@ -442,7 +442,7 @@ class Rest:
                                         self._asked)
         return out
 
-    def alive(self, block: Array) -> Array:
+    def alive(self, block: NDArray[np.floating]) -> Array:
         """[K, D_m] the block of `step` with idle motion added."""
         assert self._span is not None, "analyse comes first"
         return self._life(block, self._span, self._rests)

@@ -16,16 +16,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, cast
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from safetensors.torch import save_file
-from torch import Tensor, nn
+from safetensors.numpy import save_file
 
 from data_module.controls import Levels
 from data_module.errors import InputError
 from data_module.motion.skeletons import CHARACTERS
 from gesticulator.bundle.config import Config, from_dict, to_dict
-from gesticulator.bundle.features import Normaliser, Sizes, Statistics, representation_of
+from gesticulator.bundle.features import Features, Normaliser, Sizes, Statistics, representation_of
 from gesticulator.bundle.files import (
     CARD,
     ENDING,
@@ -38,20 +36,30 @@ from gesticulator.bundle.files import (
     replace_folder,
     write_index,
 )
-from gesticulator.bundle.models import JUDGES, LazyParts, System, part_table, stored_parts, system_of
+from gesticulator.bundle.models import (
+    JUDGES,
+    LazyParts,
+    StoredPart,
+    System,
+    part_table,
+    runner_of,
+    stored_parts,
+    system_of,
+    trained_tensors,
+)
 from interpreters import INTERPRETERS, entries
 from interpreters.base import InterpreterParts, opened
 
 if TYPE_CHECKING:
+    from torch import nn
+
     from data_module.speech.speech_encoder import SpeechEncoder
     from data_module.text.word_vectors import WordEncoder
     from generator.flow import FlowGenerator
     from generator.model import Generator
     from interpreters.base import Interpreter
-    from interpreters.cql import QNetwork
-    from interpreters.gate import ActivityGate
     from interpreters.lstm import LstmInterpreter, StyleInterpreter
-    from interpreters.planner import UnitPlanner, UnitStyleInterpreter
+    from interpreters.planner import UnitStyleInterpreter
     from interpreters.reward import RewardEnsemble
     from lexicon.autoencoder import Lexicon
     from lexicon.movement import MovementLexicon
@@ -95,25 +103,26 @@ class TextSource:
 
 
 class _Part(Generic[P]):
-    """An attribute of `Bundle` that loads the part of the same name; None if the bundle lacks it."""
+    """An attribute of `Bundle`: the trained model of the same name; None if the bundle lacks it."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
 
     def __get__(self, bundle: Bundle, owner: type | None = None) -> P | None:
         # Not `Mapping.get`, which would hide a KeyError raised while loading.
-        return cast("P", bundle.parts[self.name]) if self.name in bundle.parts else None
+        return cast("P", bundle.trained(self.name)) if self.name in bundle.parts else None
 
 
 @dataclass(frozen=True)
 class Bundle:
     """Trained models with their settings and statistics.
 
-    parts: the models by name (`gesticulator.bundle.models.part_table`); in a bundle read from disk each is loaded when
-    it is first used. vectors: [S, D_s] the codebook; rest_distances: [speakers, S] squared distance of each lexeme, in
-    the codebook, from standing still in the speaker's resting pose. silent: the silent lexemes. frequencies: [speakers,
-    S] of each lexeme, and transitions: [S, S] between lexemes, on the training split. text: the source of the word
-    vectors. provenance: the training data, in plain values; figures: stage -> its validation figures.
+    parts: the trained models by name (`gesticulator.bundle.models.part_table`); those of a bundle read from disk are
+    read when they are first used, as they are played (`runners`) or as they were trained (`trained`). vectors: [S, D_s]
+    the codebook; rest_distances: [speakers, S] squared distance of each lexeme, in the codebook, from standing still in
+    the speaker's resting pose. silent: the silent lexemes. frequencies: [speakers, S] of each lexeme, and transitions:
+    [S, S] between lexemes, on the training split. text: the source of the word vectors. provenance: the training data,
+    in plain values; figures: stage -> its validation figures.
     """
 
     config: Config
@@ -121,49 +130,64 @@ class Bundle:
     silent: NDArray[np.int64]
     frequencies: NDArray[np.float64]
     transitions: NDArray[np.float64]
-    vectors: Tensor
+    vectors: Features
     rest_distances: NDArray[np.float32]
-    parts: Mapping[str, nn.Module]
+    parts: Mapping[str, Any]
     provenance: dict[str, Any]
     figures: dict[str, Any]
     text: TextSource | None = None
 
+    @cached_property
+    def runners(self) -> Mapping[str, Any]:
+        """The parts by name as they are played, on arrays: without torch, each made when it is first used."""
+        return LazyParts({name: partial(self._played, name) for name in self.parts})
+
+    def _played(self, name: str) -> Any:
+        part = self.parts[name]
+        return part.played() if isinstance(part, StoredPart) else runner_of(name, self.sizes, part)
+
+    def trained(self, name: str) -> Any:
+        """The trained model of a part, for training and evaluation."""
+        return self._trained[name]
+
+    @cached_property
+    def _trained(self) -> Mapping[str, Any]:
+        return LazyParts({name: partial(part.trained) if isinstance(part, StoredPart) else part
+                          for name, part in self.parts.items()})
+
+    @property
+    def sizes(self) -> Sizes:
+        """The sizes of its models that depend on the data."""
+        s = self.statistics
+        return Sizes(self.config, representation_of(self.config).width, len(s.low.mean), len(s.high.mean),
+                     not np.array_equal(s.low.mean, s.high.mean), len(s.speakers), self.text.width if self.text else 0,
+                     s.present, self.vectors, tuple(self.silent.tolist()))
+
     @property
     def lexicon(self) -> Tokens:
         """The gesture vocabulary: a lexicon of blocks, or RACER's codec."""
-        return cast("Tokens", self.parts["lexicon"])
+        return cast("Tokens", self.trained("lexicon"))
 
     @property
     def interpreter(self) -> LstmInterpreter:
         """The audio-only lexeme interpreter; KeyError in a bundle of RACER's codec."""
-        return cast("LstmInterpreter", self.parts["interpreter"])
+        return cast("LstmInterpreter", self.trained("interpreter"))
 
     generator: ClassVar[_Part[Generator | FlowGenerator]] = _Part()
     """Generates blocks at the beat; None in a bundle of RACER's codec."""
-    interpreter_text: ClassVar[_Part[LstmInterpreter]] = _Part()
-    """The lexeme interpreter that also reads the words."""
     style: ClassVar[_Part[StyleInterpreter | UnitStyleInterpreter]] = _Part()
     """The audio-only style interpreter; None if the generator takes no style codes."""
-    style_text: ClassVar[_Part[StyleInterpreter]] = _Part()
-    """The style interpreter that also reads the words."""
     encoder: ClassVar[_Part[SpeechEncoder]] = _Part()
     """The speech encoder."""
-    gate: ClassVar[_Part[ActivityGate]] = _Part()
-    """Decides whether a block is gestured."""
-    planner: ClassVar[_Part[UnitPlanner]] = _Part()
-    """Decides the phase of each block's gesture unit; None if lexemes are chosen without phases."""
-    q_network: ClassVar[_Part[QNetwork]] = _Part()
-    """RACER's Q-network."""
     reward: ClassVar[_Part[RewardEnsemble]] = _Part()
     """The reward that trained the policies; None unless it was added (`JUDGES`)."""
     reward_judge: ClassVar[_Part[RewardEnsemble]] = _Part()
     """The reward that evaluates them; None unless it was added (`JUDGES`)."""
 
-    def with_parts(self, **changes: nn.Module | None) -> Bundle:
+    def with_parts(self, **changes: Any) -> Bundle:
         """A copy with other parts; None removes one. Parts that are not loaded yet stay so."""
-        others = {name: partial(self.parts.__getitem__, name) for name in self.parts if name not in changes}
-        given = {name: module for name, module in changes.items() if module is not None}
-        return replace(self, parts=LazyParts({**others, **given}))
+        others = {name: part for name, part in self.parts.items() if name not in changes}
+        return replace(self, parts={**others, **{name: part for name, part in changes.items() if part is not None}})
 
     @property
     def block_lexicon(self) -> BlockLexicon:
@@ -199,7 +223,7 @@ class Bundle:
         part = entry.text_part if text and entry.text_part in self.parts else entry.part
         # An interpreter may stand on another one: an advantage steers a behaviour policy.
         system = opened(INTERPRETERS.load(name), InterpreterParts(
-            self.parts[part] if part else None, self.interpreter_named(entry.prior, text) if entry.prior else None,
+            self.runners[part] if part else None, self.interpreter_named(entry.prior, text) if entry.prior else None,
             self.frequencies, self.transitions, getattr(self.config, entry.settings, None), self.config.selection.beta))
         return system.guided(self.config.selection.interpreter_guidance)
 
@@ -213,9 +237,9 @@ class Bundle:
         """Names of the performers."""
         return self.statistics.speakers
 
-    def rest_feature(self, speaker: int) -> Tensor:
+    def rest_feature(self, speaker: int) -> Features:
         """[D_m] the speaker's resting pose, normalised."""
-        return rest_feature(self.statistics, speaker, self.vectors.device)
+        return rest_feature(self.statistics, speaker)
 
     def rest_lexeme(self, speaker: int) -> int:
         """The silent lexeme nearest to standing still in the resting pose (a_0, s_0); any lexeme if none is silent, as
@@ -225,22 +249,21 @@ class Bundle:
         return int(allowed[int(self.rest_distances[speaker][allowed].argmin())])
 
 
-def rest_feature(statistics: Statistics, speaker: int, device: torch.device | None = None) -> Tensor:
+def rest_feature(statistics: Statistics, speaker: int) -> Features:
     """[D_m] a speaker's resting pose, normalised."""
-    rest = statistics.normalise(statistics.rest_pose[speaker], speaker)
-    return torch.as_tensor(rest, dtype=torch.float32, device=device)
+    return statistics.normalise(statistics.rest_pose[speaker], speaker).astype(np.float32)
 
 
-@torch.no_grad()
-def rest_distances(tokens: Tokens, statistics: Statistics) -> NDArray[np.float32]:
+def rest_distances(tokens: Tokens, statistics: Statistics) -> Features:
     """[speakers, S] squared distances of the codebook from standing still in each speaker's resting pose."""
-    return np.stack([tokens.eval().still_distances(rest_feature(statistics, speaker)).numpy()
+    still = tokens.eval().still_distances
+    return np.stack([still(tokens.vectors.new_tensor(rest_feature(statistics, speaker))).numpy()
                      for speaker in range(len(statistics.speakers))]).astype(np.float32)
 
 
 # ------------------------------------------------------------------------------------------------------------ writing
 
-def statistics_tensors(bundle: Bundle) -> dict[str, Tensor]:
+def statistics_tensors(bundle: Bundle) -> dict[str, Features]:
     """The contents of `statistics.safetensors`."""
     s = bundle.statistics
     # Single precision: in half precision poses would shift by hundredths of a degree.
@@ -253,26 +276,26 @@ def statistics_tensors(bundle: Bundle) -> dict[str, Tensor]:
         arrays.update({"quiet_low": s.quiet_low, "quiet_high": s.quiet_high})
     if s.levels is not None:
         arrays.update({f"levels_{key}": value for key, value in s.levels.to_dict().items()})
-    return {key: torch.as_tensor(np.ascontiguousarray(value), dtype=torch.float32) for key, value in arrays.items()}
+    return {key: np.ascontiguousarray(value, np.float32) for key, value in arrays.items()}
 
 
-def _half(module: nn.Module) -> dict[str, Tensor]:
-    # The table of style codes ("styles.") belongs to the training blocks and is not used at inference.
-    return {key: (value.half() if value.is_floating_point() else value).contiguous().cpu()
-            for key, value in module.state_dict().items() if not key.startswith("styles.")}
+def _half(model: nn.Module) -> dict[str, NDArray[Any]]:
+    arrays = {key: value.detach().cpu().numpy() for key, value in trained_tensors(model).items()}
+    return {key: np.asarray(value, np.float16 if np.issubdtype(value.dtype, np.floating) else value.dtype, order="C")
+            for key, value in arrays.items()}
 
 
 def save(bundle: Bundle, path: str | Path, card: str) -> None:
     """Write a bundle atomically; an existing bundle is replaced, any other folder is left alone."""
     def write(folder: Path) -> None:
-        for name, module in bundle.parts.items():
+        for name in bundle.parts:
             # Policies are played without the models that judge them.
             if name in JUDGES:
                 continue
             # A tied part names its codebook, because lexeme 7 of another one is another gesture.
             part = part_table()[name]
             tied = {TIED: lexicon_hash(bundle.vectors)} if part.tied else None
-            save_file(_half(module), folder / f"{part.file}{ENDING}", tied)
+            save_file(_half(bundle.trained(name)), folder / f"{part.file}{ENDING}", tied)
         save_file(statistics_tensors(bundle), folder / f"{_STATISTICS}{ENDING}")
         (folder / CARD).write_text(card, encoding="utf-8")
         write_index(folder, CHARACTERS[bundle.config.motion.joints], {
@@ -285,13 +308,13 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
     replace_folder(Path(path), write)
 
 
-def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
+def load(path: str | Path) -> Bundle:
     """Open a bundle; InputError if it is broken, of another format, or does not match its hashes.
 
     The settings, the statistics and the codebook are read at once; each model when it is first used, which may raise
-    InputError as well. device: where the models are put, such as "cuda".
+    InputError as well.
     """
-    folder, device = Path(path), torch.device(device)
+    folder = Path(path)
     index = read_index(folder)
     config = from_dict(Config, index["config"])
     # Joints in another order would move the wrong limbs.
@@ -317,16 +340,16 @@ def load(path: str | Path, device: str | torch.device = "cpu") -> Bundle:
     if len(silent) and silent.max() >= len(vectors):
         raise InputError(folder / INDEX, f"names silent lexemes beyond the {len(vectors)} of the lexicon",
                          "copy the bundle again")
-    return Bundle(config, statistics, silent, tensors["frequencies"], tensors["transitions"], vectors.to(device),
+    return Bundle(config, statistics, silent, tensors["frequencies"], tensors["transitions"], vectors,
                   tensors["rest_distances"].astype(np.float32),
-                  stored_parts(weights, replace(sizes, vectors=vectors), device), index["provenance"], index["figures"],
+                  stored_parts(weights, replace(sizes, vectors=vectors)), index["provenance"], index["figures"],
                   text)
 
 
-def _codebook(folder: Path, weights: Weights, config: Config) -> Tensor:
+def _codebook(folder: Path, weights: Weights, config: Config) -> Features:
     """[S, D_s] the vectors of the lexemes, from the file of the lexicon."""
     system, name = system_of(config), part_table()["lexicon"].file
-    vectors = weights.read(name, None).get(system.CODEBOOK)
+    vectors = weights.read(name).get(system.CODEBOOK)
     if vectors is None or tuple(vectors.shape) != system.codebook_shape(config):
         raise InputError(folder / f"{name}{ENDING}", f"does not fit the settings ({system.CODEBOOK})", "train it again")
     return vectors
@@ -336,7 +359,7 @@ def _statistics(folder: Path, weights: Weights, config: Config, speakers: tuple[
                 ) -> tuple[Statistics, dict[str, NDArray[np.float64]]]:
     """The statistics, and all arrays of their file."""
     # Stored in single precision; in double, normalising and its inverse do not drift apart.
-    tensors = {key: value.double().numpy() for key, value in weights.read(_STATISTICS, None).items()}
+    tensors = {key: value.astype(np.float64) for key, value in weights.read(_STATISTICS).items()}
     levels = {key.removeprefix("levels_"): value for key, value in tensors.items() if key.startswith("levels_")}
     motion, count, size = representation_of(config).width, len(speakers), system_of(config).codebook_shape(config)[0]
     shapes = {"mean_pose": (count, motion), "rest_pose": (count, motion), "deviation": (motion,),

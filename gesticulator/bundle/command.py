@@ -16,8 +16,6 @@ def _arguments(p: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    # Here, because torch takes seconds and the verb is listed without it.
-    from data_module.layers import parameter_count
     from gesticulator.bundle.bundle import load
     from gesticulator.bundle.files import FORMAT, bundle_folder
 
@@ -29,8 +27,9 @@ def _run(args: argparse.Namespace) -> int:
           f"lexemes: {len(bundle.vectors)}, silent: {', '.join(map(str, bundle.silent.tolist())) or 'none'}\n"
           f"words: {bundle.text.encoder if bundle.text else 'not read'}\n\nweights")
     # Every part is opened, which also checks its hash and its shapes.
-    for name in bundle.parts:
-        print(f"  {name:<20}{parameter_count(bundle.parts[name]):>12,}")
+    for name, part in bundle.parts.items():
+        _ = bundle.runners[name]
+        print(f"  {name:<20}{sum(tensor.size for tensor in part.read()[0].values()):>12,}")
     print("\ntrained on", *(f"  {name}: {json.dumps(value)}" for name, value in bundle.provenance.items()), sep="\n")
     print("\nfigures on the validation split")
     for stage, figures in bundle.figures.items():

@@ -10,9 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from data_module import blocks as block_module
 from data_module import controls
@@ -23,7 +21,7 @@ from data_module.types import Array, BeatFlag, Blocks, Samples
 from gesticulator.bundle.config import Config
 
 if TYPE_CHECKING:
-    from data_module.speech.speech_encoder import SpeechEncoder
+    from data_module.speech.speech_encoder_run import SpeechEncoderRunner
 
 CONTROL_WIDTH = 2 * len(controls.FEATURES)
 """2 F: the target of each style feature, and whether it is given."""
@@ -87,9 +85,9 @@ class Statistics:
     levels: controls.Levels | None = None
 
     @property
-    def present(self) -> Tensor:
+    def present(self) -> Features:
         """[D_m] 1 for dimensions that ever move in training, 0 for joints absent from all sources."""
-        return torch.as_tensor(self._moves, dtype=torch.float32)
+        return self._moves.astype(np.float32)
 
     @property
     def _moves(self) -> NDArray[np.bool_]:
@@ -147,8 +145,8 @@ class Sizes:
     two_levels: bool
     speakers: int
     text: int
-    present: Tensor
-    vectors: Tensor | None = None
+    present: Features
+    vectors: Features | None = None
     silent: tuple[int, ...] = ()
     training_blocks: int = 0
 
@@ -158,7 +156,7 @@ class Sizes:
         return self.config.rhythm.frames
 
     @property
-    def lexemes(self) -> Tensor:
+    def lexemes(self) -> Features:
         """[S, D_s] the codebook; ValueError if there is none yet."""
         if self.vectors is None:
             raise ValueError("this model is built over a codebook, and there is none yet")
@@ -265,7 +263,7 @@ class SpeechBlock:
         return Span(self.start, duration, self.quiet, self.ahead, 0.0 if self.ahead is None else after)
 
 
-def front_end_for(config: Config, encoder: SpeechEncoder | None = None) -> FrontEnd:
+def front_end_for(config: Config, encoder: SpeechEncoderRunner | None = None) -> FrontEnd:
     """The audio front end of the settings; encoder: that of the bundle, for "vqwav2vec"."""
     rhythm = config.rhythm
     settings = config.front_end

@@ -1,29 +1,30 @@
 """The folder of a bundle: its index (`bundle.json`), its weight files, and their hashes.
 
-Everything read is checked first: the format, the content of the index, and size, hash and shapes of each file. A
-bundle is written to a temporary folder, which is synced and renamed.
+Everything read is checked first: the format, the content of the index, and size and hash of each file. A bundle is
+written to a temporary folder, which is synced and renamed.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import platform
 import shutil
 from collections.abc import Callable, Mapping
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
-import torch
+import numpy as np
+from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load as load_tensors
-from torch import Tensor
+from safetensors.numpy import load as load_tensors
 
 from data_module.errors import InputError
 from data_module.files import is_free, new_folder, read_object, rename
+from data_module.layers_run import Floats
 from data_module.types import Skeleton
 from gesticulator.cli import __version__
 
@@ -37,10 +38,8 @@ ENDING = ".safetensors"
 _ASSETS = Path(__file__).parents[1] / "assets"
 NAMED = {"default": _ASSETS / "bundle", "paper": _ASSETS / "paper"}
 """Name -> folder of the shipped bundles; `paper` is both papers in their own form."""
-_HEADER = 2**20
-"""Largest header of a weight file, bytes."""
-_LARGEST_STATISTICS = 256 * 2**20
-"""Largest statistics file, bytes: the transition matrix of 8,192 lexemes."""
+_LARGEST = 2**30
+"""Largest weight file, bytes: a hundred times the generator of the shipped bundles."""
 
 
 def bundle_folder(given: str | os.PathLike[str] | None) -> Path:
@@ -55,16 +54,16 @@ def bundle_folder(given: str | os.PathLike[str] | None) -> Path:
     return NAMED[given] if isinstance(given, str) and given in NAMED else Path(given)
 
 
-def lexicon_hash(vectors: Tensor) -> str:
+def lexicon_hash(vectors: Floats) -> str:
     """SHA-256 of a codebook [S, D_s], which ties an interpreter's weights to it."""
     # In half precision, as it is stored, so that a bundle in training and one on disk agree.
-    return hashlib.sha256(vectors.detach().half().cpu().numpy().tobytes()).hexdigest()
+    return hashlib.sha256(vectors.astype(np.float16).tobytes()).hexdigest()
 
 
 def write_index(folder: Path, skeleton: Skeleton, index: dict[str, Any]) -> None:
     """Write `bundle.json` with the hashes of all files in the folder. skeleton: that the models animate."""
     index = {"format": FORMAT,
-             "made_by": {"gesticulator": __version__, "torch": torch.__version__.split("+")[0],
+             "made_by": {"gesticulator": __version__, "torch": version("torch").split("+")[0],
                          "python": platform.python_version()},
              "skeleton": {"names": list(skeleton.names), "parents": list(skeleton.parents),
                           "offsets": skeleton.offsets.tolist()},
@@ -139,7 +138,7 @@ def read_index(path: str | Path) -> dict[str, Any]:
 
 
 class Weights:
-    """The weight files of a bundle; each is checked when it is read: listed, hash, shapes, finite values."""
+    """The weight files of a bundle; each is checked when it is read: listed, hash, finite values."""
 
     def __init__(self, folder: Path, listed: Mapping[str, str]) -> None:
         """InputError if a listed file is missing or a weight file is not listed."""
@@ -156,54 +155,44 @@ class Weights:
     def __contains__(self, name: str) -> bool:
         return f"{name}{ENDING}" in self.listed
 
-    def read(self, name: str, shapes: Mapping[str, tuple[int, ...]] | None, tied: str | None = None
-             ) -> dict[str, Tensor]:
-        """The tensors of a file in single precision.
+    def path(self, name: str) -> Path:
+        return self.folder / f"{name}{ENDING}"
 
-        shapes: the expected shapes; None if the caller checks them. tied: hash of the codebook that the file must have
-        been trained with.
-        """
-        file = self.folder / f"{name}{ENDING}"
+    def read(self, name: str, tied: str | None = None) -> dict[str, NDArray[Any]]:
+        """The tensors of a file, in single precision. tied: hash of the codebook that the file must have been trained
+        with."""
+        file = self.path(name)
         if file.name not in self.listed:
             raise InputError(file, "is missing from the bundle", "copy the bundle again")
         # The size bounds the memory, whatever a header claims.
-        largest = _LARGEST_STATISTICS if shapes is None else _HEADER + sum(8 * math.prod(s) for s in shapes.values())
-        if file.stat().st_size > largest:
-            raise InputError(file, "is larger than the settings say", "train it again")
+        if file.stat().st_size > _LARGEST:
+            raise InputError(file, f"is larger than {_LARGEST >> 20} MiB", "train it again")
         data = file.read_bytes()
         if hashlib.sha256(data).hexdigest() != self.listed[file.name]:
             raise InputError(file, "is not the file that the bundle was made with (wrong SHA-256)",
                              "copy the bundle again")
         try:
             # `load` gives no metadata, so the header is read a second time for them.
-            with safe_open(file, framework="pt") as opened:
+            with safe_open(file, framework="np") as opened:
                 made_with = opened.metadata() or {}
             tensors = load_tensors(data)
         except _BROKEN as error:
             raise InputError(file, f"is broken ({str(error).splitlines()[0][:100]})", "copy the bundle again") from None
-        # Compared as a whole: an extra tensor means other settings as much as a missing one does.
-        found = {key: tuple(value.shape) for key, value in tensors.items()}
-        if shapes is not None and found != dict(shapes):
-            raise InputError(file, f"does not fit the settings ({_difference(found, shapes)})", "train it again")
         if tied is not None and made_with.get(TIED) != tied:
             raise InputError(file, "was trained over another lexicon than the bundle's",
                              "train it again")
         return _finite(file, tensors)
 
 
-_BROKEN = (SafetensorError, ValueError, KeyError, RuntimeError, OverflowError)
+_BROKEN = (SafetensorError, ValueError, TypeError, KeyError, RuntimeError, OverflowError)
 """Exceptions raised by reading a damaged file of tensors."""
 
 
-def _finite(file: Path, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+def _finite(file: Path, tensors: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Tensors in single precision; InputError for NaN or infinity."""
     # NaN in weights gives NaN poses, which show only at the end, in the file that is written.
-    broken = next((key for key, value in tensors.items() if not bool(torch.isfinite(value).all())), None)
+    broken = next((key for key, value in tensors.items() if not np.isfinite(value).all()), None)
     if broken is not None:
         raise InputError(file, f"holds values that are no numbers ({broken})", "train it again")
-    return {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}
-
-
-def _difference(found: Mapping[str, tuple[int, ...]], wanted: Mapping[str, tuple[int, ...]]) -> str:
-    name = next(key for key in sorted({*found, *wanted}) if found.get(key) != wanted.get(key))
-    return f"{name[:80]}: {found.get(name, 'absent')} instead of {wanted.get(name, 'absent')}"
+    return {key: value.astype(np.float32) if np.issubdtype(value.dtype, np.floating) else value
+            for key, value in tensors.items()}

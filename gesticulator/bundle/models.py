@@ -7,18 +7,17 @@ so that loading one part imports only that part. The parts of a bundle on disk a
 
 from __future__ import annotations
 
-import warnings
 from collections import UserDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
-import torch
-from torch import nn
+from numpy.typing import NDArray
 
 from data_module.errors import InputError
-from data_module.layers import freeze
+from data_module.layers_run import Tensors
 from data_module.registry import Registry, RegistryEntry
 from gesticulator.bundle.config import Config, RewardConfig
 from gesticulator.bundle.features import CONTROL_WIDTH, Sizes
@@ -27,9 +26,14 @@ from interpreters import InterpreterEntry, entries
 from interpreters.base import InterpreterSizes
 
 if TYPE_CHECKING:
+    from torch import nn
+
     from data_module.speech.speech_encoder import SpeechEncoder
+    from data_module.speech.speech_encoder_run import SpeechEncoderRunner
     from interpreters.gate import ActivityGate
+    from interpreters.gate_run import GateRunner
     from interpreters.planner import UnitPlanner
+    from interpreters.planner_run import PlannerRunner
     from interpreters.reward import RewardEnsemble
 
 
@@ -60,11 +64,20 @@ class System(Protocol):
     def lexicon(self, sizes: Sizes) -> nn.Module:
         """The untrained lexicon or codec."""
 
+    def lexicon_runner(self, sizes: Sizes, tensors: Tensors) -> Any:
+        """The lexicon or codec as it is played."""
+
     def generator(self, sizes: Sizes) -> nn.Module:
         """The untrained generator; InputError if the system has none."""
 
+    def generator_runner(self, sizes: Sizes, tensors: Tensors) -> Any:
+        """The generator as it is played."""
+
     def style(self, sizes: Sizes, reads: bool) -> nn.Module:
         """The untrained style interpreter; reads: it also takes the words. InputError if the system has none."""
+
+    def style_runner(self, sizes: Sizes, reads: bool, tensors: Tensors) -> Any:
+        """The style interpreter as it is played."""
 
 
 SYSTEMS: Registry[RegistryEntry] = Registry("systems", "a system", {
@@ -87,6 +100,12 @@ def encoder(sizes: Sizes) -> SpeechEncoder:
     return SpeechEncoder(sizes.config.encoder.width)
 
 
+def encoder_runner(sizes: Sizes, tensors: Tensors) -> SpeechEncoderRunner:
+    from data_module.speech.speech_encoder_run import SpeechEncoderRunner
+
+    return SpeechEncoderRunner(sizes.config.encoder.width, tensors)
+
+
 def gate(sizes: Sizes) -> ActivityGate:
     """The gate, which decides whether a block is gestured."""
     from interpreters.gate import ActivityGate
@@ -94,11 +113,23 @@ def gate(sizes: Sizes) -> ActivityGate:
     return ActivityGate(sizes.config.gate, sizes.frames, sizes.low, sizes.speakers)
 
 
+def gate_runner(sizes: Sizes, tensors: Tensors) -> GateRunner:
+    from interpreters.gate_run import GateRunner
+
+    return GateRunner(sizes.config.gate, sizes.frames, sizes.low, sizes.speakers, tensors)
+
+
 def planner(sizes: Sizes) -> UnitPlanner:
     """The planner of gesture units."""
     from interpreters.planner import UnitPlanner
 
     return UnitPlanner(sizes.config.planner, sizes.frames, sizes.low, sizes.speakers, len(sizes.lexemes))
+
+
+def planner_runner(sizes: Sizes, tensors: Tensors) -> PlannerRunner:
+    from interpreters.planner_run import PlannerRunner
+
+    return PlannerRunner(sizes.config.planner, sizes.frames, sizes.low, sizes.speakers, len(sizes.lexemes), tensors)
 
 
 def reward(sizes: Sizes) -> RewardEnsemble:
@@ -122,57 +153,83 @@ def _reward(sizes: Sizes, config: RewardConfig) -> RewardEnsemble:
 
 @dataclass(frozen=True)
 class BundlePart:
-    """A part of a bundle. file: without the suffix; build: returns the untrained model; tied: whether its weights are
-    valid only for the codebook that they were trained with."""
+    """A part of a bundle. file: without the suffix; build: returns the untrained model; play: returns the runner that
+    plays its weights; tied: whether its weights are valid only for the codebook that they were trained with."""
 
     file: str
     build: Callable[[Sizes], nn.Module]
+    play: Callable[[Sizes, Tensors], Any]
     tied: bool = False
 
 
-PARTS = {"encoder": BundlePart("speech_encoder", encoder),
-         "lexicon": BundlePart("lexicon", lambda sizes: system_of(sizes.config).lexicon(sizes)),
-         "generator": BundlePart("generator", lambda sizes: system_of(sizes.config).generator(sizes)),
-         "style": BundlePart("style_interpreter", lambda sizes: system_of(sizes.config).style(sizes, False)),
-         "style_text": BundlePart("style_interpreter_text", lambda sizes: system_of(sizes.config).style(sizes, True)),
-         "gate": BundlePart("gate", gate), "planner": BundlePart("planner", planner, tied=True)}
+PARTS = {"encoder": BundlePart("speech_encoder", encoder, encoder_runner),
+         "lexicon": BundlePart("lexicon", lambda sizes: system_of(sizes.config).lexicon(sizes),
+                               lambda sizes, tensors: system_of(sizes.config).lexicon_runner(sizes, tensors)),
+         "generator": BundlePart("generator", lambda sizes: system_of(sizes.config).generator(sizes),
+                                 lambda sizes, tensors: system_of(sizes.config).generator_runner(sizes, tensors)),
+         "style": BundlePart("style_interpreter", lambda sizes: system_of(sizes.config).style(sizes, False),
+                             lambda sizes, tensors: system_of(sizes.config).style_runner(sizes, False, tensors)),
+         "style_text": BundlePart("style_interpreter_text", lambda sizes: system_of(sizes.config).style(sizes, True),
+                                  lambda sizes, tensors: system_of(sizes.config).style_runner(sizes, True, tensors)),
+         "gate": BundlePart("gate", gate, gate_runner),
+         "planner": BundlePart("planner", planner, planner_runner, tied=True)}
 """The parts other than lexeme interpreters; only the lexicon is always present."""
 
 
 def part_table() -> dict[str, BundlePart]:
     """Every part that a bundle may have, including those of all registered lexeme interpreters."""
     # Computed on each call, because packages can be registered while the program runs.
-    return {**PARTS, **{part: BundlePart(file, partial(_interpreter, entry, part), entry.tied)
+    return {**PARTS, **{part: BundlePart(file, partial(_interpreter, entry, part), partial(_playing, entry, part),
+                                     entry.tied)
                         for entry in entries().values() for part, file in entry.files.items()}}
 
 
 def _interpreter(entry: InterpreterEntry, part: str, sizes: Sizes) -> nn.Module:
     """The model of a lexeme interpreter, with or without text."""
+    model: nn.Module = entry.load_model().build(*_settled(entry, part, sizes))
+    return model
+
+
+def _playing(entry: InterpreterEntry, part: str, sizes: Sizes, tensors: Tensors) -> Any:
+    """The runner of a lexeme interpreter, with or without text."""
+    return entry.load_runner().of(*_settled(entry, part, sizes), tensors)
+
+
+def _settled(entry: InterpreterEntry, part: str, sizes: Sizes) -> tuple[Any, InterpreterSizes]:
+    """The settings and the sizes of a lexeme interpreter."""
     # The audio-only twin has the same settings, but no layer for words.
     settings = getattr(sizes.config, entry.settings)
     if entry.text_part and part != entry.text_part:
         settings = settings.without_text()
-    model: nn.Module = entry.load_model().build(settings, InterpreterSizes(
-        sizes.frames, sizes.low, sizes.high, sizes.speakers, sizes.text, CONTROL_WIDTH, sizes.motion, sizes.lexemes,
-        sizes.silent))
-    return model
+    return settings, InterpreterSizes(sizes.frames, sizes.low, sizes.high, sizes.speakers, sizes.text, CONTROL_WIDTH,
+                                      sizes.motion, sizes.lexemes, sizes.silent)
 
 
 def build(part: str, sizes: Sizes) -> Any:
     return part_table()[part].build(sizes)
 
 
-def shapes(name: str, sizes: Sizes) -> dict[str, tuple[int, ...]]:
-    """The shape of every tensor of a part, computed without allocating memory; InputError for inconsistent settings."""
-    # Tensors on the meta device have shapes and no memory, so any size in a broken file is safe.
-    on_meta = replace(sizes, present=sizes.present.to("meta"),
-                      vectors=None if sizes.vectors is None else sizes.vectors.to("meta"))
+def runner_of(name: str, sizes: Sizes, model: Any, source: object = "the weights") -> Any:
+    """The runner of a part: of its trained model, or of its tensors by name, which are from `source`. A model without
+    weights is played itself. InputError for inconsistent settings, and for tensors of others."""
+    if not isinstance(model, Mapping):
+        if not hasattr(model, "state_dict"):
+            return model
+        model = {key: value.detach().cpu().numpy() for key, value in trained_tensors(model).items()}
+    tensors = Tensors(model, source)
     try:
-        with torch.device("meta"), warnings.catch_warnings(action="ignore", category=UserWarning):
-            return {key: tuple(value.shape) for key, value in build(name, on_meta).state_dict().items()}
-    except (ValueError, RuntimeError, IndexError, OverflowError, ZeroDivisionError) as error:
+        runner = part_table()[name].play(sizes, tensors)
+    except (ValueError, IndexError, OverflowError, ZeroDivisionError) as error:
         raise InputError("settings", f"no {name} can be built of them ({str(error).splitlines()[0][:200]})",
                          "change them") from None
+    tensors.finish()
+    return runner
+
+
+def trained_tensors(model: nn.Module) -> dict[str, Any]:
+    """The tensors of a trained model that are used at inference."""
+    # The table of style codes ("styles.") belongs to the training blocks.
+    return {key: value for key, value in model.state_dict().items() if not key.startswith("styles.")}
 
 
 JUDGES = ("reward", "reward_judge")
@@ -180,27 +237,56 @@ JUDGES = ("reward", "reward_judge")
 evaluation adds them to an opened bundle (`with_parts`). Saving a bundle omits them."""
 
 
-class LazyParts(UserDict[str, Any]):
-    """Models by name; those that are given by a function are loaded when they are first used."""
+@dataclass(frozen=True)
+class StoredPart:
+    """A part of a bundle on disk, under its name in `part_table`."""
 
-    def __getitem__(self, name: str) -> nn.Module:
+    name: str
+    weights: Weights
+    sizes: Sizes
+
+    def played(self) -> Any:
+        """The runner; InputError for a broken file, or one of other settings."""
+        return runner_of(self.name, self.sizes, *self.read())
+
+    def trained(self) -> nn.Module:
+        """The trained model, for training and evaluation; InputError as of `played`."""
+        import torch
+
+        from data_module.layers import freeze
+
+        part = part_table()[self.name]
+        # Its shapes are checked before the model is built: a width in a broken index could take all memory.
+        self.played()
+        (tensors, file), model = self.read(), part.build(self.sizes)
+        try:
+            model.load_state_dict({key: torch.as_tensor(value) for key, value in tensors.items()})
+        except RuntimeError as error:
+            raise InputError(file, f"does not fit the settings ({str(error)[:200]})", "train it again") from None
+        return freeze(model)
+
+    def read(self) -> tuple[dict[str, NDArray[Any]], Path]:
+        """Its tensors, and the file that they are from."""
+        part = part_table()[self.name]
+        tied = lexicon_hash(self.sizes.lexemes) if part.tied else None
+        return self.weights.read(part.file, tied), self.weights.path(part.file)
+
+
+class LazyParts(UserDict[str, Any]):
+    """Parts by name; those that are given by a function are made when they are first used."""
+
+    def get(self, name: str, default: Any = None) -> Any:
+        # Not that of `Mapping`, which would hide a KeyError raised while loading.
+        return self[name] if name in self.data else default
+
+    def __getitem__(self, name: str) -> Any:
         part = self.data[name]
-        if not isinstance(part, nn.Module):
+        if isinstance(part, partial):
             # Kept, because loading reads and checks a file.
             part = self.data[name] = part()
         return part
 
 
-def stored_parts(weights: Weights, sizes: Sizes, device: torch.device) -> LazyParts:
-    """The models of a bundle on disk."""
-    return LazyParts({name: partial(_opened, part, name, weights, sizes, device)
-                      for name, part in part_table().items() if part.file in weights})
-
-
-def _opened(part: BundlePart, name: str, weights: Weights, sizes: Sizes, device: torch.device) -> nn.Module:
-    tied = lexicon_hash(sizes.lexemes) if part.tied else None
-    # Before the model is built: a width in a broken index could take all memory.
-    tensors = weights.read(part.file, shapes(name, sizes), tied)
-    model = part.build(sizes)
-    model.load_state_dict(tensors)
-    return freeze(model.to(device))
+def stored_parts(weights: Weights, sizes: Sizes) -> dict[str, StoredPart]:
+    """The parts of a bundle on disk."""
+    return {name: StoredPart(name, weights, sizes) for name, part in part_table().items() if part.file in weights}

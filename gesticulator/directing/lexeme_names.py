@@ -45,20 +45,15 @@ class HandWays:
 
 def hand_ways(bundle: Bundle) -> HandWays | None:
     """Movements of the hands in every lexeme; None if lexemes cannot be decoded one by one (RACER's codes)."""
-    import torch
-
-    from lexicon.movement import MovementLexicon
-
-    lexicon: Any = bundle.lexicon
+    lexicon: Any = bundle.runners["lexicon"]
     if not hasattr(lexicon, "shown"):
         return None
-    with torch.no_grad():
-        blocks = lexicon.shown()
-        # Movements need a start: that of the nearest training block.
-        if isinstance(lexicon, MovementLexicon):
-            blocks = torch.cat([lexicon.examples[:, -1:], blocks], dim=1)
+    blocks = lexicon.shown()
+    # Movements need a start: that of the nearest training block.
+    if hasattr(lexicon, "examples"):
+        blocks = np.concatenate([lexicon.examples[:, -1:], blocks], axis=1)
     statistics = bundle.statistics
-    poses = blocks.double().cpu().numpy() * statistics.deviation + statistics.mean_pose.mean(axis=0)
+    poses = blocks.astype(np.float64) * statistics.deviation + statistics.mean_pose.mean(axis=0)
     motion = representation_of(bundle.config).motion(poses.reshape(-1, poses.shape[-1]), 1.0)
     names = motion.skeleton.names
     places = positions_of(motion).reshape(len(bundle.vectors), -1, len(names), 3)

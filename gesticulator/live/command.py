@@ -53,7 +53,7 @@ def _common_arguments(p: argparse.ArgumentParser, stream: str) -> None:
     p.add_argument("--vmc", metavar="HOST:PORT", help=f"also send the poses of {stream} by VMC, such as "
                    "127.0.0.1:39539")
     p.add_argument("--bundle", metavar="NAME|DIR", help="trained weights: default, paper, or a folder")
-    p.add_argument("--threads", type=int, default=1, metavar="N", help="torch threads to use (default 1)")
+    p.add_argument("--threads", type=int, default=1, metavar="N", help="threads of matrix products (default 1)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -139,8 +139,7 @@ def serve(args: argparse.Namespace, address: ServerAddress, limits: ServerLimits
     if not bundle_folder(args.bundle).is_dir():
         raise InputError(args.bundle or "--bundle", "is not a folder", "give default, paper, or a trained bundle")
     _log_to_stderr()
-    # The threads of numpy's matrix products are limited with torch's: beside a stream's small products the others wait
-    # in a loop, which costs more than the stream.
+    # Beside a stream's small matrix products further threads wait in a loop, which costs more than the stream.
     with address.listen() as listening, limited_threads(args.threads):
         host, port = listening.getsockname()[:2]
         LOG.info("listening on ws://%s:%d/stream, /healthz, /readyz and /metrics", f"[{host}]" if ":" in host else host,

@@ -29,6 +29,8 @@ from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, representation_of
 from gesticulator.contacts.default_body import back_at, front_at
 
+Floating = NDArray[np.floating]
+
 _NEAR = 0.05
 """Standard deviation of w, seconds: half the tolerance of the timing metrics."""
 _STILL = 3.0
@@ -102,7 +104,7 @@ class CandidateChooser:
         # Local rotations are independent, and only a quarter of the joints moves the hands.
         self._arms = chains(skeleton, self._joints) if self._representation.name == "rotations" else None
 
-    def motion(self, past: Array, blocks: Array, shift: Array | None = None) -> CandidateMotion:
+    def motion(self, past: Floating, blocks: Floating, shift: Floating | None = None) -> CandidateMotion:
         """The motion of candidates. past: [P, D_m] features of the motion up to the block's start; blocks: [C, K, D_m]
         the candidates; shift: [P + K, D_m] that is added to what is shown (`systems.movement.Offset`), or None."""
         poses = self._poses(past, blocks)
@@ -110,7 +112,8 @@ class CandidateChooser:
         return CandidateMotion(poses, places, places if shift is None else self._places(
             self._poses(past, blocks, shift)))
 
-    def choose(self, speech: SpeechBlock, motion: CandidateMotion, apart: Array, control: Array | None = None) -> int:
+    def choose(self, speech: SpeechBlock, motion: CandidateMotion, apart: Floating, control: Floating | None = None
+               ) -> int:
         """The index of the best candidate; the first of equals. motion: of C candidates; apart: [C] squared distance of
         each to the lexeme to play over that to its nearest lexeme; control: rows [K, 2 F], or None."""
         # A stream in a hurry samples one candidate; there is nothing to weigh.
@@ -135,7 +138,7 @@ class CandidateChooser:
             score -= CONTROLS * self._control_error(hands, times, control)
         return int(allowed[score.argmax()])
 
-    def retimed(self, speech: SpeechBlock, past: Array, block: Array) -> Array:
+    def retimed(self, speech: SpeechBlock, past: Floating, block: Floating) -> Floating:
         """The block [K, D_m], earlier or later in its middle by up to `RETIMING` of its length, so that more
         of the hands' braking lies near the onsets; past: see `motion`. Its ends, and the speed there, stay."""
         if not len(speech.onsets):
@@ -155,7 +158,7 @@ class CandidateChooser:
         """Whether an arm comes before the face in every candidate."""
         return bool((_to_face(motion.places[:, _BEFORE:]).min((1, 2)) < _BEFORE_FACE).all())
 
-    def _poses(self, past: Array, blocks: Array, shift: Array | None = None) -> Array:
+    def _poses(self, past: Floating, blocks: Floating, shift: Floating | None = None) -> Array:
         """[C, T, D_m] as of `CandidateMotion`; see `motion` for the arguments."""
         # Frames before the block give the speeds at its start.
         frames = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
@@ -184,7 +187,7 @@ class CandidateChooser:
         return np.concatenate([speech.start - before / frames * np.arange(_BEFORE - 1, -1, -1),
                                speech.start + duration * steps])
 
-    def _control_error(self, hands: Array, times: Array, control: Array) -> Array:
+    def _control_error(self, hands: Array, times: Array, control: Floating) -> Array:
         """[C] distance of each candidate's hands [C, T, 2, 3] from the controlled features, in standard deviations."""
         levels, width, inside = self._statistics.levels, len(controls.FEATURES), hands[:, _BEFORE:]
         if levels is None:

@@ -19,12 +19,10 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from data_module.controls import Controls, Levels
-from data_module.layers import without_after
+from data_module.layers_run import Floats
 from data_module.types import Array, Blocks
 from gesticulator.body.life import normal
 from gesticulator.body.rest import Rest, RestKnots
@@ -158,8 +156,8 @@ class Request:
 @dataclass(frozen=True)
 class State:
     """The state of a performance between two blocks. keys: of the noise of its motion. text: whether the blocks come
-    with words. lexeme: of the block before. past: [1, K, D_m] the motion last shown, without idle motion; generated:
-    [1, K, D_m] the same as the generator sees it; offset: what lies between the two and fades, or None. interpreter,
+    with words. lexeme: of the block before. past: [K, D_m] the motion last shown, without idle motion; generated:
+    [K, D_m] the same as the generator sees it; offset: what lies between the two and fades, or None. interpreter,
     unguided, generator, planner, gate: states of the models; unguided is that of the interpreter without the style
     control. unit: the planner's decision for the block before. rest: decides when and how the hands rest; never
     changed, only copied. quiet: number of quiet blocks in a row. until: seconds, end of the block before. varied: the
@@ -168,8 +166,8 @@ class State:
     keys: Keys
     text: bool
     lexeme: int
-    past: Tensor
-    generated: Tensor
+    past: Floats
+    generated: Floats
     interpreter: Any
     unguided: Any
     offset: Any = None
@@ -219,7 +217,6 @@ class Generation:
 
 # ------------------------------------------------------------------------------------------------------------ the loop
 
-@torch.inference_mode()
 def begin(bundle: Bundle, setup: Setup, text: bool = False, keys: Keys | None = None) -> State:
     """The state before the first block, at rest. text: the blocks come with words. keys: of the noise, if not those of
     the setup. A setup with a variation chooses its lexemes as without one, and shows the motion of a second state."""
@@ -231,7 +228,6 @@ def begin(bundle: Bundle, setup: Setup, text: bool = False, keys: Keys | None = 
     return start(bundle, setup, text, keys or Keys(setup.seed))
 
 
-@torch.inference_mode()
 def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
     """The next block, and the state after it."""
     take = bundle.system.step
@@ -243,7 +239,6 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     return varied, replace(after, varied=varied_after)
 
 
-@torch.inference_mode()
 def idle(bundle: Bundle, state: State, start: float, seconds: float, knots: int) -> tuple[NDArray[np.float32], State]:
     """[knots, D_m] frames of rest at intervals of `seconds`, the first one interval after `start`, and the state after
     them; of a bundle that rests by phrases."""
@@ -251,8 +246,8 @@ def idle(bundle: Bundle, state: State, start: float, seconds: float, knots: int)
     rest = state.rest.fork()
     # All frames are silent: the same rules of rest as in a pause of speech.
     rest.rest(Span(start, seconds * knots, np.ones(knots, bool)))
-    past, motion = shown(bundle, rest, state.past[:, -1:].expand(1, knots, -1))
-    past = torch.cat([state.past, past], 1)[:, -state.past.shape[1]:]
+    past, motion = shown(bundle, rest, np.repeat(state.past[-1:], knots, axis=0))
+    past = np.concatenate([state.past, past])[-len(state.past):]
     varied = state.varied
     if varied is not None:
         motion, varied = idle(bundle, varied, start, seconds, knots)
@@ -262,11 +257,10 @@ def idle(bundle: Bundle, state: State, start: float, seconds: float, knots: int)
 def break_off(state: State, knots: RestKnots, time: float) -> State:
     """Back at these knots (K or more), going to rest from there at once; time: of the interruption, seconds."""
     assert state.rest is not None
-    frames = state.past.shape[1]
+    frames = len(state.past)
     # The generator needs a whole block of past; before the first knot the pose stands still.
     before = np.repeat(knots.poses[:1], max(frames - len(knots.poses), 0), axis=0)
-    past = torch.as_tensor(np.concatenate([before, knots.poses[-frames:]]), dtype=torch.float32,
-                           device=state.past.device)[None]
+    past = np.concatenate([before, knots.poses[-frames:]]).astype(np.float32)
     rest = state.rest.fork()
     rest.break_off(knots, time)
     varied = None if state.varied is None else break_off(state.varied, knots, time)
@@ -277,7 +271,7 @@ def knots_of(state: State, times: Array) -> RestKnots:
     """The frames last shown, without idle motion, as knots at `times` [M] seconds, the times of the last M of them."""
     state = state.varied or state
     assert state.rest is not None
-    return RestKnots(times, np.asarray(state.past[0].cpu().numpy())[-len(times):], state.rest.gains)
+    return RestKnots(times, state.past[-len(times):], state.rest.gains)
 
 
 def controls_at(levels: Levels | None, controls: Controls, times: Array) -> ControlRows | None:
@@ -296,31 +290,26 @@ def at_rest(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
     speaker, config = setup.speaker, bundle.config
     # The first choice is conditioned on rest (a_0, s_0), as in the papers.
     lexeme = bundle.rest_lexeme(speaker)
-    past = bundle.rest_feature(speaker).expand(1, bundle.frames, -1)
+    past = np.repeat(bundle.rest_feature(speaker)[None], bundle.frames, axis=0)
     interpreter = setup.interpreter.start(speaker, lexeme)
-    # Reading `bundle.gate` opens its weights, which a run at full activity does not need.
-    gate = bundle.gate.start(speaker) if setup.activity < 1 and bundle.gate is not None else None
+    # Its weights are opened here, which a run at full activity does not need.
+    gate = bundle.runners["gate"].start(speaker) if setup.activity < 1 and "gate" in bundle.parts else None
     rest = Rest(bundle.statistics, representation_of(config), speaker, setup.activity,
                 setup.seed) if bundle.config.rests_by_phrase else None
     return State(keys, text, lexeme, past, past, interpreter, interpreter, gate=gate, rest=rest)
 
 
-def tensor(bundle: Bundle, values: NDArray[Any]) -> Tensor:
-    """Values in single precision, where the models are."""
-    return torch.as_tensor(values, dtype=torch.float32, device=bundle.vectors.device)
-
-
-def features_of(bundle: Bundle, request: Request, past: Tensor | None = None) -> BlockFeatures:
+def features_of(bundle: Bundle, request: Request, past: Floats | None = None) -> BlockFeatures:
     """The models' inputs of a block; past: [K, D_m] the motion before it."""
     s, config, speech = bundle.statistics, bundle.config, request.speech
-    low, high = tensor(bundle, s.low.apply(speech.low)), tensor(bundle, s.high.apply(speech.high))
+    low, high = s.low.apply(speech.low).astype(np.float32), s.high.apply(speech.high).astype(np.float32)
     if speech.foreseen:  # a model trained with dropout of the next block gets none rather than an incomplete one
-        drop = torch.ones(1, dtype=torch.bool, device=low.device)
-        low = without_after(low[None], drop)[0] if config.generator.after_dropout else low
-        high = without_after(high[None], drop)[0] if config.interpreter.after_dropout else high
-    return BlockFeatures(low, high, speech.silent[1], None if speech.text is None else tensor(bundle, speech.text),
-                         None if request.control is None else tensor(bundle, request.control), past,
-                         speech.durations[:2])
+        after = 2 * bundle.frames
+        if config.generator.after_dropout:
+            low[after:] = 0.0
+        if config.interpreter.after_dropout:
+            high[after:] = 0.0
+    return BlockFeatures(low, high, speech.silent[1], speech.text, request.control, past, speech.durations[:2])
 
 
 @dataclass(frozen=True)
@@ -334,14 +323,24 @@ class Resting:
     rest: Rest | None
 
 
+def opened(probability: float, activity: float) -> bool:
+    """Whether a block may have a gesture: probability >= 1 - activity, and never at activity 0. activity: 0 for no
+    gestures, 0.5 for gestures that are more likely than not, 1 for a gesture on every block. Raising either number
+    never closes the gate. ValueError for a number outside 0 to 1."""
+    if not (0 <= probability <= 1 and 0 <= activity <= 1):
+        raise ValueError(f"probability {probability} and activity {activity} must lie in 0 to 1")
+    # At activity 0 a certain gesture (probability 1) would pass the comparison.
+    return activity > 0 and probability >= 1 - activity
+
+
 def resting(bundle: Bundle, setup: Setup, state: State, request: Request, features: BlockFeatures, still: Flags | None
             ) -> Resting:
     """Decide whether the hands rest: by the gate, by pauses and phrases, and in the frames `still` [K]."""
     # At activity 0 the hands rest whatever the gate says.
     closed, probability, gate = setup.activity == 0, math.nan, state.gate
-    if gate is not None and bundle.gate is not None:
-        probability, gate = bundle.gate.step(gate, features)
-        closed = not bundle.gate.opened(probability, setup.activity)
+    if gate is not None:
+        probability, gate = bundle.runners["gate"].step(gate, features)
+        closed = not opened(probability, setup.activity)
     if state.rest is None:
         return Resting(closed or (still is not None and bool(still.mean() >= 0.5)), probability, gate, None)
     rest = state.rest.fork()
@@ -370,20 +369,18 @@ def choose(setup: Setup, request: Request, scores: Scores, allowed: NDArray[np.i
                   noise=keys.gumbel(request.speech.keyed_at, len(scores)))
 
 
-def shown(bundle: Bundle, rest: Rest | None, block: Tensor, offset: Tensor | None = None
-          ) -> tuple[Tensor, NDArray[np.float32]]:
-    """The motion [1, K, D_m] that becomes the past of the next block, and the frames [K, D_m] to show, of a generated
-    block [1, K, D_m]; offset: [K, D_m] to add to it, or None. `rest`, which heard the block, goes on."""
+def shown(bundle: Bundle, rest: Rest | None, block: Floats, offset: Floats | None = None) -> tuple[Floats, Floats]:
+    """The motion [K, D_m] that becomes the past of the next block, and the frames [K, D_m] to show, of a generated
+    block [K, D_m]; offset: [K, D_m] to add to it, or None. `rest`, which heard the block, goes on."""
     # Stay within the training data: the models' input must not drift away from it, pose by pose.
-    low, high = tensor(bundle, bundle.statistics.bounds)
-    block = torch.clamp(block, low, high)
+    block = np.clip(block, *bundle.statistics.bounds.astype(np.float32))
     if rest is None:
-        return block, np.asarray(block[0].cpu().numpy())
+        return block, block
     if offset is not None:
         block = block + offset
     # Rest shapes what the generator continues from; idle motion is only laid over what is shown.
-    past = tensor(bundle, rest.step(block[0].cpu().numpy()))[None]
-    return past, rest.alive(past[0].cpu().numpy()).astype(np.float32)
+    past = rest.step(block).astype(np.float32)
+    return past, rest.alive(past).astype(np.float32)
 
 
 def decided(speech: SpeechBlock, lexeme: int, scores: Scores, keys: Keys, gate: float = math.nan) -> Block:

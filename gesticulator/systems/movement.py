@@ -18,23 +18,21 @@ speed of the hands, then by timing and smooth joins.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
+from data_module.layers_run import Floats, Tensors
 from data_module.motion.kinematics import fade_weights
-from data_module.motion.movement import Pasts
 from data_module.motion.movement_run import PAST
 from data_module.motion.skeletons import CHARACTERS
 from data_module.types import Array
-from generator.flow import FlowGenerator, FlowInputs
-from generator.flow_run import Circumstances, alone
+from generator.flow_run import Body, Circumstances, FlowConditions, FlowRunner, alone
+from generator.settings import GeneratorWidths
 from gesticulator.body.life import SIDES
 from gesticulator.bundle.features import CONTROL_WIDTH, Flags, SpeechBlock, body_columns
-from gesticulator.sampling.candidates import CandidateChooser, CandidateMotion
+from gesticulator.sampling.candidates import CandidateChooser
 from gesticulator.sampling.loop import (
     CONTIGUOUS,
     BlockMotion,
@@ -50,20 +48,22 @@ from gesticulator.sampling.loop import (
     resting,
     scores_of,
     shown,
-    tensor,
 )
 from interpreters.base import BlockFeatures
-from interpreters.planner import UnitStyleInterpreter
+from interpreters.planner_run import PlannerRunner, UnitStyleRunner
 from interpreters.units import CLASSES, PHASES, UnitDecision
-from lexicon.movement import MovementLexicon, MovementVqVae, basis_for, code_width
+from lexicon.movement_run import MovementLexiconRunner
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from generator.flow import FlowGenerator
     from gesticulator.bundle.bundle import Bundle
     from gesticulator.bundle.config import Config, LexiconConfig
     from gesticulator.bundle.features import Sizes
-    from interpreters.planner import PlannerState, UnitStyleState
+    from interpreters.planner import UnitStyleInterpreter
+    from interpreters.planner_run import PlannerState, UnitStyleState
+    from lexicon.movement import MovementLexicon
 
 NAME = "movement"
 PARTS = ("generator", "interpreter")
@@ -76,9 +76,11 @@ STAGES = ("speech", "contrast", "lexicon", "interpreter", "interpreter_text", "g
 
 def codebook_shape(config: Config) -> tuple[int, int]:
     """(S, D_s) of the lexicon."""
-    with torch.device("meta"):
-        width = basis_for(config.lexicon, config.rhythm.frames, body_columns(config)).width
-    return config.lexicon.size, code_width(config.lexicon, width)
+    settings, parts = config.lexicon, body_columns(config)
+    # Without a learned code a lexeme is the coefficients of a movement.
+    width = sum(min(settings.components_of(name), config.rhythm.frames * len(columns))
+                for name, columns in parts.items())
+    return settings.size, settings.code_width if settings.quantizer == "vq-vae" else width
 
 
 def lexicon(sizes: Sizes) -> MovementLexicon:
@@ -88,26 +90,52 @@ def lexicon(sizes: Sizes) -> MovementLexicon:
 
 def movement_lexicon(settings: LexiconConfig, frames: int, parts: Mapping[str, tuple[int, ...]]) -> MovementLexicon:
     """The lexicon of movements of these settings; arguments as of `MovementLexicon`."""
+    from lexicon.movement import MovementLexicon, MovementVqVae
+
     if settings.quantizer == "vq-vae":
         return MovementVqVae(settings, frames, parts)
     return MovementLexicon(settings, frames, parts)
 
 
+def lexicon_runner(sizes: Sizes, tensors: Tensors) -> MovementLexiconRunner:
+    return MovementLexiconRunner(sizes.config.lexicon, sizes.frames, body_columns(sizes.config), tensors)
+
+
 def generator(sizes: Sizes) -> FlowGenerator:
     """The generator of RG 5.2 with a head that samples by conditional flow matching (`generator.flow`)."""
-    from generator.settings import GeneratorWidths
+    import torch
+
+    from generator.flow import FlowGenerator
+    from lexicon.movement import basis_for
 
     config = sizes.config
-    widths = GeneratorWidths(sizes.frames, sizes.motion, sizes.low, codebook_shape(config)[1], CONTROL_WIDTH,
-                             config.lexicon.size, sizes.speakers, sum(CLASSES) if config.generator.units else 0)
     basis = basis_for(config.lexicon, sizes.frames, body_columns(config))
-    return FlowGenerator(config.generator, widths, basis, sizes.present)
+    return FlowGenerator(config.generator, _widths(sizes), basis, torch.as_tensor(sizes.present))
+
+
+def generator_runner(sizes: Sizes, tensors: Tensors) -> FlowRunner:
+    config, parts = sizes.config, body_columns(sizes.config)
+    body = Body(parts, {name: config.lexicon.components_of(name) for name in parts})
+    return FlowRunner(config.generator, _widths(sizes), sizes.present, body, tensors)
+
+
+def _widths(sizes: Sizes) -> GeneratorWidths:
+    config = sizes.config
+    return GeneratorWidths(sizes.frames, sizes.motion, sizes.low, codebook_shape(config)[1], CONTROL_WIDTH,
+                           config.lexicon.size, sizes.speakers, sum(CLASSES) if config.generator.units else 0)
 
 
 def style(sizes: Sizes, reads: bool) -> UnitStyleInterpreter:
     """The style interpreter of gesture units, which takes no words."""
+    from interpreters.planner import UnitStyleInterpreter
+
     return UnitStyleInterpreter(sizes.config.style, sizes.frames, sizes.low, sizes.speakers,
                                 sizes.config.generator.style_width)
+
+
+def style_runner(sizes: Sizes, reads: bool, tensors: Tensors) -> UnitStyleRunner:
+    return UnitStyleRunner(sizes.config.style, sizes.frames, sizes.low, sizes.speakers,
+                           sizes.config.generator.style_width, tensors)
 
 
 # ----------------------------------------------------------------------------------------------------- one block
@@ -117,7 +145,8 @@ def begin(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
     state = at_rest(bundle, setup, text, keys)
     sampler = FlowSampler(bundle, setup.speaker)
     style_state = None if sampler.style is None else sampler.style.start(setup.speaker)
-    return replace(state, planner=None if bundle.planner is None else bundle.planner.start(setup.speaker),
+    planner = bundle.runners["planner"].start(setup.speaker) if "planner" in bundle.parts else None
+    return replace(state, planner=planner,
                    generator=FlowState(sampler, style=style_state))
 
 
@@ -126,14 +155,14 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     speech = request.speech
     if abs(speech.start - state.until) > CONTIGUOUS:  # an offset does not fade while nothing is seen
         state = replace(state, generated=state.past, offset=None)
-    features = features_of(bundle, request, state.generated[0])
+    features = features_of(bundle, request, state.generated)
 
     # 1. The planner: what the hands do in this block.
     unit, planner = decide_unit(bundle, setup, state.planner, speech, features)
     state = replace(state, planner=planner)
     if request.keys is None and sets_out(state, speech, unit):
         state = set_out(bundle, setup, state, speech)
-        features = replace(features, past=state.generated[0])
+        features = replace(features, past=state.generated)
 
     # 2. Rest: whether they move at all.
     rested = resting(bundle, setup, state, request, features, still_frames(bundle, state, request, unit))
@@ -148,7 +177,7 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     # 4. The motion: candidates from the flow generator, of which one is kept.
     keys = request.keys or state.keys
     offset = None if state.offset is None else state.offset.at(speech.span.times)
-    shift = None if offset is None else torch.cat([(state.past - state.generated)[0], offset])
+    shift = None if offset is None else np.concatenate([state.past - state.generated, offset])
     block, code, generator = state.generator.sampler.sample(
         state.generator, BlockToSample(speech, features, lexeme, unit, keys, shift, request.fast,
                                        rest is not None and rest.rests_wholly),
@@ -161,7 +190,7 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     after = replace(state, lexeme=lexeme, past=past, generated=past if offset is None else past - offset,
                     interpreter=interpreter, unguided=unguided, generator=generator, gate=rested.gate, unit=unit,
                     rest=rest, until=speech.end, offset=None if faded else state.offset)
-    return BlockMotion(record, lexeme, motion, code[0].cpu().numpy(), unit), after
+    return BlockMotion(record, lexeme, motion, code, unit), after
 
 
 def motion_of(bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
@@ -195,19 +224,20 @@ def decide_unit(bundle: Bundle, setup: Setup, planner: PlannerState | None, spee
                 features: BlockFeatures) -> tuple[UnitDecision | None, PlannerState | None]:
     """The planner's decision for a block, and its state after it; None without a planner. Its noise is keyed by the
     seed and the time of the block, so that a difference elsewhere in the recording does not change it."""
-    if bundle.planner is None or planner is None:
+    if planner is None:
         return None, None
-    noise = Keys(setup.seed).plan(speech.keyed_at, bundle.planner.choices)
+    model: PlannerRunner = bundle.runners["planner"]
+    noise = Keys(setup.seed).plan(speech.keyed_at, model.choices)
     # Where the best lexeme is taken instead of a sample, so is the best phase.
     temperature = float(setup.temperature > 0)
-    return bundle.planner.step(planner, features, noise, temperature, phrasing(speech))
+    return model.step(planner, features, noise, temperature, phrasing(speech))
 
 
 def within_phase(bundle: Bundle, scores: Scores, unit: UnitDecision | None) -> Scores:
     """Scores [S] plus what each lexeme is worth in the planner's phase, with the sum of probabilities as before."""
-    if unit is None or bundle.planner is None:
+    if unit is None:
         return scores
-    within = scores + bundle.planner.bias(unit)
+    within = scores + bundle.runners["planner"].bias(unit)
     return within - (np.logaddexp.reduce(within) - np.logaddexp.reduce(scores))
 
 
@@ -245,15 +275,15 @@ class Offset:
     """The fading offset from `begin` seconds. pose: [D_m] p - h; velocity: [D_m] v, a second."""
 
     begin: float
-    pose: Tensor
-    velocity: Tensor
+    pose: Floats
+    velocity: Floats
 
-    def at(self, times: Array) -> Tensor:
+    def at(self, times: Array) -> Floats:
         """[K, D_m] at times [K], seconds."""
         s = np.clip((np.asarray(times) - self.begin) / FADES, 0.0, 1.0)
         sinks, coasts, _ = fade_weights(s)
-        weights = torch.as_tensor(np.stack([sinks, FADES * coasts]), dtype=self.pose.dtype, device=self.pose.device)
-        return weights[0][:, None] * self.pose + weights[1][:, None] * self.velocity
+        weights = np.stack([sinks, FADES * coasts]).astype(self.pose.dtype)[..., None]
+        return weights[0] * self.pose + weights[1] * self.velocity
 
     def over(self, time: float) -> bool:
         """Whether it has faded at `time` seconds."""
@@ -281,19 +311,19 @@ def sets_out(state: State, speech: SpeechBlock, unit: UnitDecision | None) -> bo
 
 def set_out(bundle: Bundle, setup: Setup, state: State, speech: SpeechBlock) -> State:
     """The state in which the block is generated as the first of a performance."""
-    statistics, speaker, past = bundle.statistics, setup.speaker, state.past[0]
-    velocity = (past[-1] - past[-2]) * (past.shape[0] / speech.durations[0])
+    statistics, speaker, past = bundle.statistics, setup.speaker, state.past
+    velocity = (past[-1] - past[-2]) * (len(past) / speech.durations[0])
     rest, names = statistics.rest_pose[speaker], CHARACTERS[bundle.config.motion.joints].names
-    low, high = tensor(bundle, statistics.bounds)
     pose = first_pose(state.keys, names, statistics.normalise(rest, speaker), speech.keyed_at)
-    first = torch.clamp(tensor(bundle, pose), low, high)
+    first = np.clip(pose, *statistics.bounds.astype(np.float32))
     lexeme = bundle.rest_lexeme(speaker)
     interpreter = setup.interpreter.start(speaker, lexeme)
     return replace(state, offset=Offset(speech.start, past[-1] - first, velocity),
-                   generated=first.expand_as(past)[None], lexeme=lexeme, interpreter=interpreter, unguided=interpreter,
+                   generated=np.repeat(first[None], len(past), axis=0), lexeme=lexeme, interpreter=interpreter,
+                   unguided=interpreter,
                    planner=None if state.planner is None else state.planner.begins(),
                    # Without the blocks before, but for how long speech or silence has lasted.
-                   generator=replace(state.generator, lstm=None, past=None, base=None, set_out=speech.start))
+                   generator=replace(state.generator, lstm=None, base=None, set_out=speech.start))
 
 
 # --------------------------------------------------------------------------------------------------- the flow generator
@@ -336,29 +366,28 @@ class BlockToSample:
     lexeme: int
     unit: UnitDecision | None
     keys: Keys
-    shift: Tensor | None = None
+    shift: Floats | None = None
     fast: bool = False
     hidden: bool = False
 
 
 class _Style(NamedTuple):
-    """code: [1, d_z] the style code of a block; against: that without the planner's decision (`selection.contrast`)."""
+    """code: [d_z] the style code of a block; against: that without the planner's decision (`selection.contrast`)."""
 
-    code: Tensor
-    against: Tensor
+    code: Floats
+    against: Floats
 
 
 @dataclass(frozen=True)
 class FlowState:
-    """The state of the sampler between two blocks. lstm: of the generator; past: the frames before the last block;
-    base: [1, K, D_m] the extrapolation of them, to which its coefficients were added; all three None after a fresh
-    start. place: how long speech or silence has lasted. style: of the style interpreter, None without one. set_out:
-    seconds at which the hands last set out."""
+    """The state of the sampler between two blocks. lstm: of the generator; base: [K, D_m] the extrapolation of the
+    frames before the last block, to which its coefficients were added; both None after a fresh start. place: how long
+    speech or silence has lasted. style: of the style interpreter, None without one. set_out: seconds at which the hands
+    last set out."""
 
     sampler: FlowSampler
-    lstm: tuple[Tensor, Tensor] | None = None
-    past: Pasts | None = None
-    base: Tensor | None = None
+    lstm: tuple[Floats, Floats] | None = None
+    base: Floats | None = None
     place: Circumstances = field(default_factory=Circumstances)
     style: UnitStyleState | None = None
     set_out: float = 0.0
@@ -368,143 +397,123 @@ class FlowSampler:
     """Samples blocks of one speaker from the flow generator. It has no state of its own."""
 
     def __init__(self, bundle: Bundle, speaker: int) -> None:
-        self.generator = cast(FlowGenerator, bundle.generator)
-        self.lexicon = cast(MovementLexicon, bundle.lexicon)
-        self.style = cast("UnitStyleInterpreter | None", bundle.style)
+        self.generator: FlowRunner = bundle.runners["generator"]
+        self.lexicon: MovementLexiconRunner = bundle.runners["lexicon"]
+        self.style: UnitStyleRunner | None = bundle.runners.get("style")
         self.chooser = CandidateChooser(bundle, speaker)
-        self.settings, self.device = bundle.config.selection, bundle.vectors.device
-        self.speaker = torch.nn.functional.one_hot(torch.tensor([speaker], device=self.device),
-                                                   len(bundle.speakers)).float()
+        self.settings = bundle.config.selection
+        self.speaker = np.eye(len(bundle.speakers), dtype=np.float32)[speaker]
         self.share = self._by_part(TRUNK_GUIDANCE)
         self.trunk = self._by_part(0.0, 1.0) == 0.0
-        self.deviation = NOISE * self._by_part(TRUNK_NOISE, FINGER_NOISE)
+        self.deviation = np.float32(NOISE) * self._by_part(TRUNK_NOISE, FINGER_NOISE)
 
-    def _by_part(self, trunk: float, fingers: float = 1.0) -> Tensor:
+    def _by_part(self, trunk: float, fingers: float = 1.0) -> Floats:
         """[n] factors on the coefficients: `trunk` for torso and head, `fingers` for fingers, 1 for the arms."""
         basis = self.generator.basis
         factors = [trunk if name in ("torso", "head") else fingers if "finger" in name else 1.0 for name in basis.parts]
-        return torch.cat([torch.full((width,), factor)
-                          for factor, width in zip(factors, basis.widths, strict=True)]).to(self.device)
+        return np.repeat(np.array(factors, np.float32), basis.widths)
 
-    def sample(self, state: FlowState, block: BlockToSample, past: Tensor) -> tuple[Tensor, Tensor, FlowState]:
-        """A block [1, K, D_m] after the motion past [1, K, D_m], its style code [1, d_z], and the state after it."""
+    def sample(self, state: FlowState, block: BlockToSample, past: Floats) -> tuple[Floats, Floats, FlowState]:
+        """A block [K, D_m] after the motion past [K, D_m], its style code [d_z], and the state after it."""
         speech, basis = block.speech, self.generator.basis
-        added = past.new_zeros(1, basis.width)
-        if state.past is not None and state.base is not None:  # the motion may differ from what was sampled: rest
+        added = np.zeros(basis.width, np.float32)
+        if state.base is not None:  # the motion may differ from what was sampled: rest
             added = self.generator.squeeze(basis.project(past - state.base))
-        before, duration, _ = torch.tensor(speech.durations, dtype=torch.float32, device=self.device)
-        pasts = Pasts(past[:, -PAST:], (duration / before)[None])
-        base = basis.base(pasts)
-        at, place = state.place.step(speech.durations, speech.silent)
-        where = torch.as_tensor(at, device=self.device)
+        before, duration, _ = np.array(speech.durations, np.float32)
+        ratio = np.asarray(duration / before)
+        base = basis.base(past[-PAST:], ratio)
+        where, place = state.place.step(speech.durations, speech.silent)
         if speech.foreseen and self.generator.config.after_dropout:
             where = alone(where)
         style, style_state = self._style(state.style, block)
-        inputs, gains = self._inputs(where, block, past, pasts, style)
-        context, lstm = self.generator.contexts(inputs, added[None], state.lstm)
-        after = replace(state, lstm=lstm, past=pasts, base=base, place=place, style=style_state)
+        conditions, gains = self._conditions(block, style)
+        context, lstm = self.generator.contexts(FlowConditions(
+            block.features.low, before=past, ratio=ratio, added=added, place=where, speaker=self.speaker,
+            **conditions), state.lstm)
+        after = replace(state, lstm=lstm, base=base, place=place, style=style_state)
         if block.hidden:  # the state had to advance, but no block is needed
             return base * self.generator.present, style.code, after
         return self._sampled(block, past, base, context, gains, style.code), style.code, after
 
-    def _sampled(self, block: BlockToSample, past: Tensor, base: Tensor, context: Tensor, gains: list[float],
-                 code: Tensor) -> Tensor:
-        """[1, K, D_m] the best of several candidates, moved in time to the onsets of the sound."""
+    def _sampled(self, block: BlockToSample, past: Floats, base: Floats, context: Floats, gains: list[float],
+                 code: Floats) -> Floats:
+        """[K, D_m] the best of several candidates, moved in time to the onsets of the sound."""
         speech, steps = block.speech, FLOW_STEPS
-        pull = torch.tensor(gains, device=self.device)[:, None] * self.share
+        pull = np.array(gains, np.float32)[:, None] * self.share
         if block.fast:
             # One candidate, few steps, no guidance.
             context, pull, steps = context[:1], pull[:0], FAST_STEPS
             _, only = self._drawn(base, context, pull, steps, self._noise(block, 1, code))
-            if not self.chooser.too_fast(speech, self._motion(past, only, block.shift)):
-                return only
+            if not self.chooser.too_fast(speech, self.chooser.motion(past, only, block.shift)):
+                return only[0]
         # What is requested of the hands can only be followed by a choice among different arms; otherwise all candidates
         # share the arms of the first. A choice of arms would turn every small change of sound into another gesture.
         same = block.features.control is None
         noise = self._noise(block, CANDIDATES, code)
         coefficients, blocks = self._drawn(base, context, pull, steps, noise, same)
-        motion = self._motion(past, blocks, block.shift)
+        motion = self.chooser.motion(past, blocks, block.shift)
         if self.chooser.too_fast(speech, motion) or self.chooser.before_face(motion):
             # Guidance extrapolates, now and then beyond anything in the data; so does the noise.
-            further = [self._drawn(base, context[:1], pull[:0], steps, _CALM * noise, same)]
+            further = [self._drawn(base, context[:1], pull[:0], steps, np.float32(_CALM) * noise, same)]
             if same and not block.fast:  # other arms
-                further.append(self._drawn(base, context, pull, steps, noise.roll(-1, 0), same))
-            coefficients = torch.cat([coefficients, *(each for each, _ in further)])
-            blocks = torch.cat([blocks, *(each for _, each in further)])
-            motion = motion.joined(self._motion(past, blocks[len(motion):], block.shift))
+                further.append(self._drawn(base, context, pull, steps, np.roll(noise, -1, 0), same))
+            coefficients = np.concatenate([coefficients, *(each for each, _ in further)])
+            blocks = np.concatenate([blocks, *(each for _, each in further)])
+            motion = motion.joined(self.chooser.motion(past, blocks[len(motion):], block.shift))
         distances = self.lexicon.distances(coefficients)
-        apart = distances[:, block.lexeme] / distances.amin(-1).clamp_min(_NEAREST)
-        control = block.features.control
-        best = self.chooser.choose(speech, motion, _array(apart), None if control is None else _array(control))
-        return torch.as_tensor(self.chooser.retimed(speech, _array(past[0]), _array(blocks[best])),
-                               device=self.device)[None]
+        apart = distances[:, block.lexeme] / np.maximum(distances.min(-1), np.float32(_NEAREST))
+        best = self.chooser.choose(speech, motion, apart, block.features.control)
+        return self.chooser.retimed(speech, past, blocks[best]).astype(np.float32)
 
-    def _drawn(self, base: Tensor, context: Tensor, pull: Tensor, steps: int, noise: Tensor, same: bool = False
-               ) -> tuple[Tensor, Tensor]:
+    def _drawn(self, base: Floats, context: Floats, pull: Floats, steps: int, noise: Floats, same: bool = False
+               ) -> tuple[Floats, Floats]:
         """Coefficients [C, n] of candidates with noise [C, n], and the blocks [C, K, D_m] that they give over the base
-        [1, K, D_m]. context: [1 + G, 1, C]; pull: [G, n] of the guidance; same: all with the arms of the first."""
-        noise = torch.where(self.trunk, noise, noise[:1]) if same else noise
+        [K, D_m]. context: [1 + G, C]; pull: [G, n] of the guidance; same: all with the arms of the first."""
+        noise = np.where(self.trunk, noise, noise[:1]) if same else noise
         # The arms of the first are guided by their own predictions; the trunks, which are hardly guided, by the same.
-        coefficients = self.generator.draw(context[:, 0], pull, noise, steps, same)
+        coefficients = self.generator.sample(context, pull, noise, steps, same)
         if same:
-            coefficients = torch.where(self.trunk, coefficients, coefficients[:1])
+            coefficients = np.where(self.trunk, coefficients, coefficients[:1])
         return coefficients, (base + self.generator.basis.expand(coefficients)) * self.generator.present
-
-    def _motion(self, past: Tensor, blocks: Tensor, shift: Tensor | None) -> CandidateMotion:
-        return self.chooser.motion(_array(past[0]), _array(blocks), None if shift is None else _array(shift))
 
     def _style(self, state: UnitStyleState | None, block: BlockToSample) -> tuple[_Style, UnitStyleState | None]:
         """The style code of the block's unit: as the voice has it, as activity waxes and wanes by itself, and as far
         out as the settings say; empty without a style interpreter."""
         if self.style is None or state is None:
-            none = torch.zeros(1, 0, device=self.device)
+            none = np.zeros(0, np.float32)
             return _Style(none, none), None
         voiced, state = self.style.step(state, block.features, block.unit is not None and block.unit.rests)
         waxing = WAXING * block.keys.activity(block.speech.keyed_at)
-        code = voiced + waxing * voiced.new_tensor(LIVELINESS)
+        code = voiced + waxing * np.array(LIVELINESS, np.float32)
         if block.features.control is None:  # controls say how far out the hands are
-            code = code + self.settings.reach * code.new_tensor(_OUTWARDS)
+            code = code + self.settings.reach * np.array(_OUTWARDS, np.float32)
         return _Style(code, code - self.settings.contrast * voiced), state
 
-    def _noise(self, block: BlockToSample, candidates: int, code: Tensor) -> Tensor:
-        """[C, n] the noise of C candidates of a block. code: [1, d_z] the style code."""
-        keyed = block.keys.noise(block.speech.keyed_at, (candidates, self.generator.basis.width))
-        noise = torch.as_tensor(keyed, device=self.device) * self.deviation
+    def _noise(self, block: BlockToSample, candidates: int, code: Floats) -> Floats:
+        """[C, n] the noise of C candidates of a block. code: [d_z] the style code."""
+        noise = block.keys.noise(block.speech.keyed_at, (candidates, self.generator.basis.width)) * self.deviation
         if self.style is None:
             return noise
-        direction = code.new_tensor(LIVELINESS)
-        liveliness = code[0] @ direction / (direction @ direction)
-        return torch.where(self.trunk, noise, noise * torch.exp(LIVELY_NOISE * liveliness))
+        direction = np.array(LIVELINESS, np.float32)
+        liveliness = code @ direction / (direction @ direction)
+        return np.where(self.trunk, noise, noise * np.exp(LIVELY_NOISE * liveliness))
 
-    def _inputs(self, where: Tensor, block: BlockToSample, past: Tensor, pasts: Pasts, style: _Style
-                ) -> tuple[FlowInputs, list[float]]:
-        """[1 + G] inputs of the flow head: the full ones, and one without each of the G guiding conditions; and the
-        guidance weights [G]. where: [8] the block's place in speech."""
-        features, none = block.features, self.generator.lexemes
-        control = features.control
-        gains = {"audio": AUDIO_GUIDANCE, "lexeme": LEXEME_GUIDANCE}
-        row = None if block.unit is None or not self.generator.unit_width else torch.as_tensor(block.unit.row)
+    def _conditions(self, block: BlockToSample, style: _Style) -> tuple[dict[str, Any], list[float]]:
+        """The 1 + G conditions of the flow head that differ (`FlowConditions`): the full one, and one without each of
+        the G guiding inputs; and the guidance weights [G]."""
+        control, gains = block.features.control, {"audio": AUDIO_GUIDANCE, "lexeme": LEXEME_GUIDANCE}
+        row = None if block.unit is None or not self.generator.unit_width else block.unit.row
         if row is not None:
             gains["unit"] = UNIT_GUIDANCE
         if control is not None:
             gains["control"] = self.settings.guidance - 1.0
         gains = {condition: gain for condition, gain in gains.items() if gain}
-        left_out = ["", *gains]
-        if control is not None:
-            control = control.expand(len(left_out), 1, -1, -1).clone()
-            if left_out[-1] == "control":
-                control[-1] = 0.0
-        lexemes = torch.tensor([[none if condition == "lexeme" else block.lexeme] for condition in left_out],
-                               device=self.device)
-        if row is not None:
-            row = torch.stack([row * (condition != "unit") for condition in left_out])[:, None]
-        codes = None if self.style is None else torch.stack([
-            style.against if condition == "unit" else style.code for condition in left_out])
-        return FlowInputs(
-            features.low[None, None], lexemes, past[:, None], pasts.ratio[None], where[None, None], self.speaker,
-            control, torch.tensor([condition == "audio" for condition in left_out], device=self.device), None, row,
-            codes), list(gains.values())
-
-
-def _array(values: Tensor) -> Array:
-    return values.cpu().numpy()
+        left_out = np.array(["", *gains])
+        return {
+            "without_audio": left_out == "audio",
+            "lexeme": np.where(left_out == "lexeme", self.generator.lexemes, block.lexeme),
+            "control": None if control is None else control * (left_out != "control")[:, None, None],
+            "unit": None if row is None else row * (left_out != "unit")[:, None],
+            "style": None if self.style is None else np.stack([style.against if condition == "unit" else style.code
+                                                               for condition in left_out]),
+        }, list(gains.values())

@@ -17,13 +17,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
+from data_module.layers_run import Floats, Tensors
+from generator.model_run import GeneratorRunner
+from generator.settings import GeneratorWidths
 from gesticulator.bundle.features import CONTROL_WIDTH
 from gesticulator.sampling.loop import (
     BlockMotion,
@@ -38,9 +39,10 @@ from gesticulator.sampling.loop import (
     resting,
     scores_of,
     shown,
-    tensor,
 )
 from interpreters.base import BlockFeatures
+from interpreters.style_run import StyleRunner, StyleWidths
+from lexicon.autoencoder_run import LexiconRunner
 
 if TYPE_CHECKING:
     from generator.model import Generator
@@ -86,28 +88,51 @@ def codebook_shape(config: Config) -> tuple[int, int]:
 
 def lexicon(sizes: Sizes) -> Lexicon:
     """The VQ-VAE over blocks of motion (RG 5.1, Eq. 3)."""
+    import torch
+
     from lexicon.autoencoder import Lexicon
 
-    return Lexicon(sizes.config.lexicon, sizes.frames, sizes.motion, sizes.present)
+    return Lexicon(sizes.config.lexicon, sizes.frames, sizes.motion, torch.as_tensor(sizes.present))
+
+
+def lexicon_runner(sizes: Sizes, tensors: Tensors) -> LexiconRunner:
+    return LexiconRunner(sizes.config.lexicon, sizes.frames, sizes.present, tensors)
 
 
 def generator(sizes: Sizes) -> Generator:
     """G, E_M, E_A and, in training, a style code for each block (RG 5.2, 5.3, Eq. 5 to 14)."""
-    from generator.model import Generator
-    from generator.settings import GeneratorWidths
+    import torch
 
-    config = sizes.config
-    widths = GeneratorWidths(sizes.frames, sizes.motion, sizes.low, codebook_shape(config)[1], CONTROL_WIDTH)
-    return Generator(config.generator, widths, sizes.training_blocks, sizes.present)
+    from generator.model import Generator
+
+    return Generator(sizes.config.generator, _widths(sizes), sizes.training_blocks, torch.as_tensor(sizes.present))
+
+
+def generator_runner(sizes: Sizes, tensors: Tensors) -> GeneratorRunner:
+    return GeneratorRunner(sizes.config.generator, _widths(sizes), sizes.present, tensors)
+
+
+def _widths(sizes: Sizes) -> GeneratorWidths:
+    return GeneratorWidths(sizes.frames, sizes.motion, sizes.low, codebook_shape(sizes.config)[1], CONTROL_WIDTH)
 
 
 def style(sizes: Sizes, reads: bool) -> StyleInterpreter:
     """The style interpreter (RG 6.2, Eq. 19), or without the words (RG 6.3)."""
+    import torch
+
     from interpreters.lstm import StyleInterpreter
 
     settings = sizes.config.style
-    return StyleInterpreter(settings if reads else settings.without_text(), sizes.frames, sizes.low, sizes.lexemes,
-                            sizes.config.generator.style_width, sizes.speakers, sizes.text)
+    return StyleInterpreter(settings if reads else settings.without_text(), sizes.frames, sizes.low,
+                            torch.as_tensor(sizes.lexemes), sizes.config.generator.style_width, sizes.speakers,
+                            sizes.text)
+
+
+def style_runner(sizes: Sizes, reads: bool, tensors: Tensors) -> StyleRunner:
+    settings, shape = sizes.config.style, sizes.lexemes.shape
+    widths = StyleWidths(sizes.frames, sizes.low, (shape[0], shape[1]), sizes.config.generator.style_width,
+                         sizes.speakers, sizes.text)
+    return StyleRunner(settings if reads else settings.without_text(), widths, tensors)
 
 
 # ------------------------------------------------------------------------------------------- one block, RG 6 and Eq. 15
@@ -119,8 +144,8 @@ BLOCKS_BEFORE_REST = 2
 class GeneratorState(NamedTuple):
     """decoder: of the LSTM decoder; unguided: the same without the style control; style: of the style interpreter."""
 
-    decoder: tuple[Tensor, Tensor]
-    unguided: tuple[Tensor, Tensor]
+    decoder: tuple[Floats, Floats]
+    unguided: tuple[Floats, Floats]
     style: Any
 
 
@@ -128,7 +153,7 @@ def begin(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
     """The state before the first block: the resting pose and the silent lexeme nearest to it (a_0 and s_0)."""
     state = at_rest(bundle, setup, text, keys)
     rest = bundle.rest_feature(setup.speaker)
-    decoder = cast("Generator", bundle.generator).first_state(rest[None], bundle.vectors[[state.lexeme]])
+    decoder = bundle.runners["generator"].start(rest, bundle.vectors[state.lexeme])
     interpreter = style_interpreter(bundle, text)
     style_state = None if interpreter is None else interpreter.start(setup.speaker)
     return replace(state, generator=GeneratorState(decoder, decoder, style_state))
@@ -137,7 +162,7 @@ def begin(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
 def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
     """The next block, and the state after it (RG Eq. 15)."""
     settings, speech = bundle.config.silence, request.speech
-    features = features_of(bundle, request, state.past[0])
+    features = features_of(bundle, request, state.past)
 
     # The lexeme s_i from speech, speaker and the lexemes before (Eq. 16 to 18).
     rested = resting(bundle, setup, state, request, features, request.still)  # addition
@@ -154,7 +179,7 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     # In a long silence the body comes to rest.
     in_a_row = state.quiet + 1 if quiet else 0
     if rested.rest is None and in_a_row > BLOCKS_BEFORE_REST and settings.rest_decay > 0:
-        block = approach_rest(state.past[:, -1:], block, settings.rest_decay)
+        block = approach_rest(state.past[-1], block, settings.rest_decay)
     past, motion = shown(bundle, rested.rest, block)
 
     record = decided(speech, lexeme, scores, request.keys or state.keys,
@@ -162,33 +187,33 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     after = replace(state, lexeme=lexeme, past=past, generated=past, interpreter=interpreter, unguided=unguided,
                     generator=generator._replace(style=style_state), gate=rested.gate, rest=rested.rest,
                     quiet=in_a_row, until=speech.end)
-    return BlockMotion(record, lexeme, motion, code[0].cpu().numpy()), after
+    return BlockMotion(record, lexeme, motion, code), after
 
 
-def style_interpreter(bundle: Bundle, text: bool) -> StyleInterpreter | None:
+def style_interpreter(bundle: Bundle, text: bool) -> StyleRunner | None:
     """The one that reads the words, if there are any, or the audio-only one; None without style codes."""
-    return (bundle.style_text if text else None) or cast("StyleInterpreter | None", bundle.style)
+    part = "style_text" if text and "style_text" in bundle.parts else "style"
+    return bundle.runners.get(part)
 
 
-def style_code(bundle: Bundle, state: State, features: BlockFeatures, lexeme: int) -> tuple[Tensor, Any]:
-    """z_i [1, d_z] of a block (Eq. 19), and the state after it; zeros without a style interpreter."""
+def style_code(bundle: Bundle, state: State, features: BlockFeatures, lexeme: int) -> tuple[Floats, Any]:
+    """z_i [d_z] of a block (Eq. 19), and the state after it; zeros without a style interpreter."""
     interpreter = style_interpreter(bundle, state.text)
     if interpreter is None:
-        return state.past.new_zeros(1, bundle.config.generator.style_width), None
+        return np.zeros(bundle.config.generator.style_width, np.float32), None
     return interpreter.step(state.generator.style, features, lexeme)
 
 
-def generate(bundle: Bundle, state: State, features: BlockFeatures, lexeme: int, code: Tensor
-             ) -> tuple[Tensor, GeneratorState]:
-    """M_i [1, K, D_m] = G(M_{i-1}, A_i, s_i, z_i) (Eq. 15), and the decoder's state."""
-    model, before = cast("Generator", bundle.generator), state.generator
-    audio, vector = model.encode_audio(features.low[None]), bundle.vectors[[lexeme]]
-    control = None if features.control is None else features.control[None]
-    block, decoder, _ = model.step(state.past, audio, vector, code, before.decoder, control=control)
+def generate(bundle: Bundle, state: State, features: BlockFeatures, lexeme: int, code: Floats
+             ) -> tuple[Floats, GeneratorState]:
+    """M_i [K, D_m] = G(M_{i-1}, A_i, s_i, z_i) (Eq. 15), and the decoder's state."""
+    model, before = bundle.runners["generator"], state.generator
+    audio, vector, control = model.audio(features.low), bundle.vectors[lexeme], features.control
+    block, decoder = model.step(state.past, audio, vector, code, before.decoder, control)
     unguided = before.unguided
     if control is not None:
         # Style editing (RG 7.2.1), with classifier-free guidance: extrapolate from the block without control.
-        free, unguided, _ = model.step(state.past, audio, vector, code, unguided)
+        free, unguided = model.step(state.past, audio, vector, code, unguided)
         block = free + bundle.config.selection.guidance * (block - free)
     return block, GeneratorState(decoder, unguided, before.style)
 
@@ -196,15 +221,14 @@ def generate(bundle: Bundle, state: State, features: BlockFeatures, lexeme: int,
 def as_silence(bundle: Bundle, features: BlockFeatures) -> BlockFeatures:
     """A block without gesture, for the generator: it gets the sound of silence."""
     quiet = bundle.statistics.quiet_low
-    return features if quiet is None else replace(features, low=tensor(bundle, quiet), silent=True)
+    return features if quiet is None else replace(features, low=quiet.astype(np.float32), silent=True)
 
 
-def approach_rest(last: Tensor, block: Tensor, share: float) -> Tensor:
-    """A block of rest [B, K, D_m]: a straight line from the last pose [B, 1, D_m], `share` of the way to the block's
-    mean pose. Each block shortens the distance to rest by `share`, so the body becomes still in a long rest."""
-    frames = block.shape[1]
-    steps = torch.arange(1, frames + 1, dtype=block.dtype, device=block.device)[:, None] / frames
-    return last + share * steps * (block.mean(dim=1, keepdim=True) - last)
+def approach_rest(last: Floats, block: Floats, share: float) -> Floats:
+    """A block of rest [K, D_m]: a straight line from the last pose [D_m], `share` of the way to the block's mean pose.
+    Each block shortens the distance to rest by `share`, so the body becomes still in a long rest."""
+    steps = np.arange(1, len(block) + 1, dtype=np.float32)[:, None] / np.float32(len(block))
+    return last + share * steps * (block.mean(0) - last)
 
 
 def motion_of(bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:

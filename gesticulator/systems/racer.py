@@ -14,13 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NoReturn, cast
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
+from data_module.layers_run import Tensors
 from gesticulator.sampling.loop import (
     BlockMotion,
     Keys,
@@ -32,6 +32,7 @@ from gesticulator.sampling.loop import (
     features_of,
     scores_of,
 )
+from lexicon.racer_run import CodecRunner
 
 if TYPE_CHECKING:
     from gesticulator.bundle.bundle import Bundle
@@ -67,9 +68,15 @@ def codebook_shape(config: Config) -> tuple[int, int]:
 
 def lexicon(sizes: Sizes) -> RacerCodec:
     """The codec: a convolutional VQ-VAE that halves the frame rate three times (RACER 4.1, Eq. 4 and 5)."""
+    import torch
+
     from lexicon.racer import RacerCodec
 
-    return RacerCodec(sizes.config.racer, sizes.motion, sizes.present)
+    return RacerCodec(sizes.config.racer, sizes.motion, torch.as_tensor(sizes.present))
+
+
+def lexicon_runner(sizes: Sizes, tensors: Tensors) -> CodecRunner:
+    return CodecRunner(sizes.config.racer, sizes.present, tensors)
 
 
 def generator(sizes: Sizes) -> NoReturn:
@@ -77,9 +84,17 @@ def generator(sizes: Sizes) -> NoReturn:
     raise InputError("system=racer", "has no generator", "use system=paper or system=movement")
 
 
+def generator_runner(sizes: Sizes, tensors: Tensors) -> NoReturn:
+    generator(sizes)
+
+
 def style(sizes: Sizes, reads: bool) -> NoReturn:
     """InputError: there are no style codes."""
     raise InputError("system=racer", "has no style codes", "use system=paper or system=movement")
+
+
+def style_runner(sizes: Sizes, reads: bool, tensors: Tensors) -> NoReturn:
+    style(sizes, reads)
 
 
 # ---------------------------------------------------------------------------------------------- one code, RACER 4.3
@@ -88,7 +103,7 @@ def begin(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
     """The state before the first code, a_0: the code nearest to standing still in the resting pose."""
     code = bundle.rest_lexeme(setup.speaker)
     interpreter = setup.interpreter.start(setup.speaker, code)
-    past = bundle.rest_feature(setup.speaker).expand(1, bundle.frames, -1)
+    past = np.repeat(bundle.rest_feature(setup.speaker)[None], bundle.frames, axis=0)
     return State(keys, text, code, past, past, interpreter, interpreter)
 
 
@@ -103,10 +118,8 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     return BlockMotion(record, code, np.empty((0, 0), np.float32), np.empty(0, np.float32)), after
 
 
-@torch.inference_mode()
 def motion_of(bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
     """[N, K, D_m] all codes decoded together, after a resting code, so that the motion begins at rest (RACER 5.2)."""
     codes = [bundle.rest_lexeme(setup.speaker), *(block.lexeme for block in blocks)]
-    codec = cast("RacerCodec", bundle.lexicon)
-    decoded = codec.decode_tokens(torch.tensor(codes, device=bundle.vectors.device)[None])
-    return np.asarray(decoded[0, 1:].cpu().numpy())
+    codec: CodecRunner = bundle.runners["lexicon"]
+    return codec.decode(codes)[1:]

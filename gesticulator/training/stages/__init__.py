@@ -47,6 +47,7 @@ def assemble(run: Run, provenance: dict[str, Any] | None = None) -> Bundle:
     if encoder is not None:
         parts["encoder"] = encoder
     frequencies = np.stack([labelled.inventory.frequencies[name] for name in corpus.statistics.speakers])
-    return Bundle(run.config, corpus.statistics, labelled.silent, frequencies, labelled.inventory.transitions,
-                  tokens.vectors, rest_distances(tokens, corpus.statistics), parts, provenance or {}, dict(run.figures),
+    vectors = tokens.vectors.cpu().numpy()
+    return Bundle(run.config, corpus.statistics, labelled.silent, frequencies, labelled.inventory.transitions, vectors,
+                  rest_distances(tokens, corpus.statistics), parts, provenance or {}, dict(run.figures),
                   TextSource.of(run.config, corpus.text_width))

@@ -102,9 +102,12 @@ def _cut_one(store_path: str, name: str, config: Config, target: Path) -> None:
 
 def _encode_one(source: Path, config: Config, encoder: SpeechEncoder | None, target: Path) -> None:
     torch.set_num_threads(1)
+    from data_module.speech.speech_encoder import runner_of
+
     arrays = read_arrays(source, only=("reference", "edges"))
+    front = front_end_for(config, None if encoder is None else runner_of(encoder))
     low, high = encode(np.load(source.with_suffix(".npy")).astype(np.float32), arrays["reference"],
-                       np.diff(arrays["edges"]), config, front_end_for(config, encoder))
+                       np.diff(arrays["edges"]), config, front)
     out = {"low": low.astype(np.float16)}
     # One copy on disk for front ends with a single level.
     if high is not low and not np.array_equal(high, low):

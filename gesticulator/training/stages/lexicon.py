@@ -320,6 +320,6 @@ LABELS: Node[Labelled] = Node(
 
 def model_sizes(run: Run, training: bool = False) -> Sizes:
     """The model dimensions of the corpus and its lexicon; training: include a style code for every training block."""
-    labelled = run.get(LABELS)
-    return sizes(run.config, run.get(CORPUS), vectors=run.get(TOKENS).vectors, silent=tuple(labelled.silent.tolist()),
+    labelled, vectors = run.get(LABELS), run.get(TOKENS).vectors.cpu().numpy()
+    return sizes(run.config, run.get(CORPUS), vectors=vectors, silent=tuple(labelled.silent.tolist()),
                  training_blocks=int(labelled.style_numbers.max()) if training else 0)

@@ -13,6 +13,7 @@ from torch.nn import functional
 
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
+from gesticulator.bundle.features import Features
 from gesticulator.bundle.models import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.presets import LITERAL
@@ -43,8 +44,9 @@ def features_of(corpus: Corpus) -> Callable[[int], BlockFeatures]:
     def features(block: int) -> BlockFeatures:
         # The interpreter may read the pose before the block, which in the data is the performer's.
         past, seconds = corpus.before(np.array([block]))
-        return BlockFeatures(corpus.low[block].float(), corpus.high[block].float(), bool(corpus.silent[block]),
-                             past=past[0], durations=(float(seconds[0, 0]), float(seconds[0, 1])))
+        low, high = (level[block].float().numpy() for level in (corpus.low, corpus.high))
+        return BlockFeatures(low, high, bool(corpus.silent[block]), past=past[0].numpy(),
+                             durations=(float(seconds[0, 0]), float(seconds[0, 1])))
 
     return features
 
@@ -63,7 +65,7 @@ def _make_episodes(run: Run) -> Episodes:
     frequencies = np.stack([labelled.inventory.frequencies[name] for name in corpus.statistics.speakers])
     others: dict[str, Any] = {"statistical": StatisticalInterpreter(frequencies, labelled.inventory.transitions)}
     if INTERPRETER.name in system_of(config).STAGES:
-        others["sampled"] = run.get(INTERPRETER)
+        others["sampled"] = models.runner_of("interpreter", model_sizes(run), run.get(INTERPRETER))
     return build(takes_of(corpus, labelled.hinted, "train"), config.episodes, step_reward(run),
                  silent=SilentLexemes(labelled.silent, labelled.nearest), vectors=run.get(TOKENS).vectors.numpy(),
                  policies=BehaviourPolicies(others, features_of(corpus)), seed=run.seed(EPISODES))
@@ -94,7 +96,8 @@ def q_batch(corpus: Corpus, windows: dict[str, Tensor]) -> dict[str, Tensor]:
             "speaker": functional.one_hot(windows["speaker"], len(corpus.statistics.speakers)).float()}
 
 
-def new_q_network(config: Config, corpus: Corpus, vectors: Tensor, silent: NDArray[np.int64]) -> QNetwork:
+def new_q_network(config: Config, corpus: Corpus, vectors: Features, silent: NDArray[np.int64]
+                  ) -> QNetwork:
     """An untrained Q-network over a codebook [S, D_s]."""
     return cast("QNetwork", models.build("q_network", sizes(config, corpus, vectors=vectors,
                                                             silent=tuple(silent.tolist()))))

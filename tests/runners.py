@@ -1,0 +1,83 @@
+"""The runners of models that a test made, with the sizes that their weights have."""
+
+from __future__ import annotations
+
+from torch import nn
+
+from data_module.layers import BlockLinear
+from data_module.layers_run import Tensors
+from generator.flow import FlowGenerator
+from generator.flow_run import Body, FlowRunner
+from generator.settings import GeneratorWidths
+from interpreters.advantage import Critics
+from interpreters.advantage_run import CriticsRunner
+from interpreters.base import InterpreterSizes
+from interpreters.cql import QNetwork
+from interpreters.cql_run import QRunner
+from interpreters.gate import ActivityGate
+from interpreters.gate_run import GateRunner
+from interpreters.lstm import LstmInterpreter, StyleInterpreter
+from interpreters.lstm_run import LstmRunner
+from interpreters.planner import UnitPlanner, UnitStyleInterpreter
+from interpreters.planner_run import PlannerRunner, UnitStyleRunner
+from interpreters.style_run import StyleRunner, StyleWidths
+
+
+def tensors_of(model: nn.Module) -> Tensors:
+    return Tensors({key: value.detach().numpy() for key, value in model.state_dict().items()})
+
+
+def width_in(layer: BlockLinear | None) -> int:
+    """d of the rows that a layer reads; 0 for none."""
+    if layer is None:
+        return 0
+    return layer.linear.in_features // (layer.blocks * layer.frames) if layer.narrow is None else \
+        layer.narrow.in_features
+
+
+def played_lstm(model: LstmInterpreter) -> LstmRunner:
+    text = width_in(model.encode_text) if model.text_head is None else model.text_head.narrow.in_features
+    motion = 0 if model.encode_pose is None else model.encode_pose.in_features // 3
+    return LstmRunner(model.config, InterpreterSizes(
+        model.frames, 0, width_in(model.encode_audio), model.speakers, text, model.control_width, motion,
+        model.lexemes.numpy()), tensors_of(model))
+
+
+def played_style(model: StyleInterpreter) -> StyleRunner:
+    size, width = model.lexemes.shape
+    return StyleRunner(model.config, StyleWidths(model.frames, width_in(model.encode_audio), (size, width),
+                                                 model.code_width, model.speakers, width_in(model.encode_text)),
+                       tensors_of(model))
+
+
+def played_q(model: QNetwork, kind: type[QRunner] = QRunner) -> QRunner:
+    return kind(model.config, model.frames, width_in(model.encode_audio), model.lexemes, model.speakers,
+                   tensors_of(model))
+
+
+def played_critics(model: Critics) -> CriticsRunner:
+    trunk = model.trunk
+    return CriticsRunner(model.config, trunk.frames, width_in(trunk.encode_audio), model.lexemes, trunk.speakers,
+                         tensors_of(model))
+
+
+def played_gate(model: ActivityGate) -> GateRunner:
+    return GateRunner(model.config, model.frames, width_in(model.encode_audio), model.speakers, tensors_of(model))
+
+
+def played_planner(model: UnitPlanner) -> PlannerRunner:
+    return PlannerRunner(model.config, model.encode_audio.frames, width_in(model.encode_audio), model.speakers,
+                         len(model.fit), tensors_of(model))
+
+
+def played_unit_style(model: UnitStyleInterpreter) -> UnitStyleRunner:
+    return UnitStyleRunner(model.config, model.encode_audio.frames, width_in(model.encode_audio), model.speakers,
+                           model.code_width, tensors_of(model))
+
+
+def played_flow(model: FlowGenerator, speakers: int) -> FlowRunner:
+    basis = model.basis
+    body = Body(basis.parts, dict(zip(basis.parts, basis.widths, strict=True)))
+    return FlowRunner(model.config, GeneratorWidths(
+        model.frames, basis.motion_width, width_in(model.encode_audio), 0, model.control_width, model.lexemes, speakers,
+        model.unit_width), model.present.numpy(), body, tensors_of(model))
