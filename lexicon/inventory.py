@@ -53,12 +53,9 @@ def silent_lexemes(speeds: Array, labels: Labels, silent: NDArray[np.bool_], *, 
         limit = np.quantile(speeds, slow_share)
     if not np.isfinite(limit):  # most lexemes have no block: the slowest of those that have
         limit = np.quantile(speeds[np.isfinite(speeds)], slow_share)
-    slow = speeds <= limit
-    chosen = np.flatnonzero(slow & (ratio >= over))
-    if len(chosen) == 0:
-        candidates = np.flatnonzero(slow)
-        chosen = candidates[[int(np.argmax(ratio[candidates]))]]
-    return chosen.astype(np.int64)
+    slow = np.flatnonzero(speeds <= limit)
+    chosen = slow[ratio[slow] >= over]
+    return chosen if len(chosen) else slow[[int(ratio[slow].argmax())]]
 
 
 def nearest_silent(vectors: Array, silent: Labels) -> Labels:

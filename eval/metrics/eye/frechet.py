@@ -19,6 +19,7 @@ in a window is not seen; and so has a mirrored copy (12.7), as the space keeps n
 beside it in every table, with the figures of `hands`, which see the mirror. It does not hear the speech. Jitter (131),
 bobbing (299) and a frozen pose (687) are far. The reference is two people: who gestures as well but otherwise is "far".
 
+    >>> from eval.metrics.fgd import frechet_distance
     >>> standard = Gaussian(np.zeros(2), np.eye(2))
     >>> round(frechet_distance(standard, Gaussian(np.array([3.0, 0.0]), 4.0 * np.eye(2))), 6)
     11.0
