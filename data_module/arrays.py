@@ -29,8 +29,6 @@ LARGEST = 1 << 30
 # Largest header, bytes: that of a plain array has 128.
 _HEADER = 1 << 14
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-# Greatest compression ratio of deflate (1032 by its format), to detect false sizes.
-_DEFLATED_MOST = 1040
 # Exceptions of zipfile, zlib and the parser of literals for broken files.
 _BROKEN = (ValueError, SyntaxError, TypeError, KeyError, EOFError, OverflowError, RecursionError, MemoryError,
            NotImplementedError, RuntimeError, UnicodeError, struct.error, tokenize.TokenError, zlib.error,
@@ -74,16 +72,11 @@ def _members(stream: IO[bytes], names: Collection[str] | None) -> dict[str, NDAr
             name = member.filename.removesuffix(".npy")
             if names is not None and name not in names:
                 continue
-            if name in arrays:
-                raise ValueError(f"{name[:40]} is in it twice")
             if member.compress_type not in _METHODS:
                 raise ValueError(f"{name[:40]} is compressed by method {member.compress_type}")
             total += member.file_size
             if total > LARGEST:
                 raise ValueError(f"it claims more than {LARGEST >> 30} GiB")
-            # A zip bomb, or a forged size: refused before anything is unpacked.
-            if member.file_size > _DEFLATED_MOST * (member.compress_size + 1):
-                raise ValueError(f"{name[:40]} claims {member.file_size} bytes in {member.compress_size}")
             with archive.open(member) as content:
                 arrays[name] = _array(content, member.file_size)
                 if not _is_text(arrays[name]):
@@ -114,12 +107,10 @@ def _array(stream: IO[bytes], size: int) -> NDArray[Any]:
     count, behind = math.prod(shape), head.tell()
     if count * kind.itemsize != size - behind:
         raise ValueError(f"its header claims {count * kind.itemsize} bytes, and {size - behind} follow")
-    if count * kind.itemsize > LARGEST:
+    if size > LARGEST:
         raise ValueError(f"it claims more than {LARGEST >> 30} GiB")
     stream.seek(behind)
     data = stream.read(count * kind.itemsize)
-    if len(data) != count * kind.itemsize:
-        raise ValueError(f"it is cut short: {len(data)} of {count * kind.itemsize} bytes")
     # frombuffer refuses items of no bytes.
     if not kind.itemsize:  # text of no length
         return np.zeros(shape, kind)

@@ -19,7 +19,7 @@ from data_module.speech.beats import BeatSettings, find_beats
 from data_module.speech.silence import silent_blocks
 from data_module.types import Array, Blocks, Motion, Samples, Speech
 
-__all__ = ["BlockSettings", "cut", "denormalise", "normalise_motion", "smooth", "stretch_speech"]
+__all__ = ["BlockSettings", "cut", "denormalise", "normalise_motion", "stretch_speech"]
 
 SMOOTHING = 0.05
 """Standard deviation of the final Gaussian, seconds (one frame at 20 fps, RG 7.1.2)."""
@@ -146,8 +146,10 @@ def denormalise(knots: Array, first: Array, blocks: Blocks, fps: float, smooth_o
 
     knots: [N, K, D] or [N * K, D], the inverse of `normalise_motion`; first: [D] the pose at time 0. There are
     T = max(1, round(duration x fps)) frames. Between knots runs a cubic that is exact at the knots, with a continuous
-    velocity, and needs two knots on either side only, so a stream can follow. smooth_over: seconds, see `smooth`;
-    0 leaves the cubic as it is.
+    velocity, and needs two knots on either side only, so a stream can follow. smooth_over: seconds, the deviation of
+    the Gaussian that smooths the frames (RG 7.1.2: five taps at 20 fps); it ends at two deviations. Before the first
+    frame the motion is mirrored in time, so that it begins at rest; after the last one in time and space, so that
+    motion that is cut off does not stop. 0 leaves the cubic as it is.
     """
     if np.size(knots) != len(blocks) * blocks.frames * len(first):
         raise ValueError(f"{np.size(knots) // len(first)} knots for {len(blocks)} blocks of {blocks.frames} frames")
@@ -268,19 +270,6 @@ def hermite(times: Array, values: Array, at: Array, slope: Array | None = None) 
     rest = 1.0 - u
     return (rest * rest * (1.0 + 2.0 * u) * values[left] + u * u * (3.0 - 2.0 * u) * values[left + 1]
             + width * u * rest * (rest * slope[left] - u * slope[left + 1]))
-
-
-def smooth(frames: Array, fps: float, sigma: float = SMOOTHING) -> Array:
-    """Gaussian smoothing along time of [T, D] (RG 7.1.2: five taps at 20 fps). sigma: seconds; the kernel ends at two
-    sigma on both sides, whatever the rate. Before the first frame the motion is mirrored in time, so that it begins at
-    rest; after the last one in time and space, so that motion that is cut off does not stop."""
-    half, count = _half(fps, sigma), len(frames)
-    if half < 1 or count < 2:
-        return np.array(frames)
-    at = np.arange(-half, count + half)
-    wide = frames[_mirrored(at, count)]
-    wide[at >= count] = 2.0 * frames[-1] - wide[at >= count]
-    return _kernel(wide, fps, sigma)[half:-half]
 
 
 def _mirrored(at: NDArray[np.int64], count: int) -> NDArray[np.int64]:

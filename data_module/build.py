@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError
-from data_module.files import lock, remove_unfinished, write_text
+from data_module.files import lock, write_text
 
 if TYPE_CHECKING:
     from data_module.build_report import Outcome
@@ -122,8 +122,6 @@ def build(workshop: Workshop, workers: int) -> Iterator[str]:
                              "see the formats in --help")
         content = reports.summary(infos, [outcomes[item.info.name] for item in items], reader.notes())
         write_text(writer.partial / reports.FILE, json.dumps(content, indent=1, ensure_ascii=False))
-        # Temporary files of workers that were killed.
-        remove_unfinished(writer.partial)
         return reports.report_lines(writer.finish([info.name for info in infos]), content)
     except BaseException:
         writer.discard()

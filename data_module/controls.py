@@ -185,10 +185,11 @@ def parse(flag: str, text: str, feature: str, levels: Levels) -> float:
     plain = text.strip()
     if plain.lower() in LEVELS:
         return levels.value(feature, plain.lower())
-    number, (low, high) = _number(plain), LIMITS[feature]
-    if number is None:
+    try:
+        number, (low, high) = float(plain), LIMITS[feature]
+    except ValueError:
         raise InputError(f"{flag} {text!r}", f"is neither a level nor a number ({UNITS[feature]})",
-                         f"give {', '.join(LEVELS)} or a number such as {levels.value(feature, 'mid'):.2f}")
+                         f"give {', '.join(LEVELS)} or a number such as {levels.value(feature, 'mid'):.2f}") from None
     if not low <= number <= high:  # also NaN
         raise InputError(f"{flag} {plain}", f"is not a possible {feature} of a hand",
                          f"give {UNITS[feature]} from {low:g} to {high:g}")
@@ -200,11 +201,3 @@ def parse(flag: str, text: str, feature: str, levels: Levels) -> float:
             f"{levels.value(feature, 'low'):.2f}, high {levels.value(feature, 'high'):.2f}); expect less"),
             stacklevel=1)
     return number
-
-
-def _number(text: str) -> float | None:
-    try:
-        # Python would read 0_4 as 4.
-        return None if "_" in text else float(text)
-    except ValueError:
-        return None

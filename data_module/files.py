@@ -63,10 +63,10 @@ def new_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """A file that appears whole at the end, or not at all if an exception is raised: a temporary file beside it is
     synced, then renamed. OSError names `path`."""
     target = Path(path)
+    temporary = target.parent / f".{target.name[:_PREFIX]}.{secrets.token_hex(_TOKEN // 2)}"
     try:
-        temporary, handle = _new_file(target)
         try:
-            with os.fdopen(handle, "wb") as stream:
+            with temporary.open("xb") as stream:
                 yield stream
                 stream.flush()
                 # Without it the name may reach the disk before the content, and a power failure leaves an empty file.
@@ -78,22 +78,6 @@ def new_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     except OSError as error:
         # Name the file of the user, not the temporary one.
         raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(target)) from error
-
-
-def _new_file(target: Path) -> tuple[Path, int]:
-    """A new file beside `target`, open for writing, with the default permissions of the process."""
-    while True:
-        temporary = target.parent / f".{target.name[:_PREFIX]}.{secrets.token_hex(_TOKEN // 2)}"
-        with contextlib.suppress(FileExistsError):
-            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
-            return temporary, os.open(temporary, flags, 0o666)
-
-
-def remove_unfinished(folder: Path) -> None:
-    """Delete the temporary files that killed processes left in a folder or below it."""
-    for file in folder.rglob(".*"):
-        if _UNFINISHED.fullmatch(file.name):
-            file.unlink(missing_ok=True)
 
 
 def remove_unfinished_of(targets: Iterable[Path]) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from data_module.blocks import BlockSettings, cut
-from data_module.errors import InputError
+from data_module.registry import Requirement
 from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Speech
 
@@ -64,11 +64,9 @@ def _counts(seconds: Array) -> tuple[int, ...]:
 
 def drawn(intervals: Intervals, title: str = "") -> Figure:
     """The histogram as a picture like RG Fig. 5, with the default bounds; `InputError` without matplotlib."""
-    try:
-        from matplotlib.figure import Figure as NewFigure
-    except ImportError:
-        raise InputError("the histogram", "needs matplotlib, which is not installed",
-                         "pip install 'gesticulator[figures]'") from None
+    Requirement("matplotlib", "matplotlib", "figures").check("the histogram")
+    from matplotlib.figure import Figure as NewFigure
+
     beats = BlockSettings().beats
     figure = NewFigure(figsize=(8, 4), layout="constrained")
     axes = figure.subplots()

@@ -122,7 +122,7 @@ class Store:
             number = content["format"]
         except (TypeError, KeyError):
             raise InputError(listing, "is not the listing of a store", "build it again") from None
-        if number != FORMAT or isinstance(number, bool):
+        if number != FORMAT:
             raise InputError(folder, f"is a store of format {shown(number)}, and this version reads format {FORMAT}",
                              "build it again")
         try:

@@ -14,7 +14,7 @@ import pytest
 
 from data_module import files
 from data_module.errors import InputError
-from data_module.files import lock, read_text, remove_unfinished, write_bytes
+from data_module.files import lock, read_text, remove_unfinished_of, write_bytes
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="permissions are POSIX's")
@@ -135,5 +135,5 @@ def test_what_a_killed_process_had_begun_is_removed_and_nothing_else(tmp_path: P
     assert not target.exists()
     for name in (".hidden", ".a.json.0123", "b.json"):
         (target.parent / name).write_text("kept")
-    remove_unfinished(tmp_path)
+    remove_unfinished_of([target])
     assert {file.name for file in target.parent.iterdir()} == {".hidden", ".a.json.0123", "b.json"}

@@ -19,7 +19,6 @@ from pathlib import Path
 
 from data_module.corpora.base import DroppedError, Imported, Item, Options, needed, split_of
 from data_module.corpora.takes import TakeReader, find_takes, read_take
-from data_module.errors import InputError
 from data_module.motion.bvh import CENTIMETRES, BvhWarning
 from data_module.store import RecordingInfo, Split
 
@@ -29,6 +28,7 @@ LANGUAGES = ("en", "zh", "es", "ja")
 
 FOUR_HOURS = frozenset({1, 2, 3, 4, 6, 7, 8, 9, 11, 21})
 """Speaker numbers with four hours each; the others have one. The split differs."""
+_ADVICE = "name BEAT's folder beat_english_v0.2.1"
 _EMOTIONS_BEGIN = (65, 73, 81, 87, 95, 103, 111)
 _EMOTIONS_END = (72, 80, 86, 94, 102, 110, 118)
 
@@ -75,11 +75,8 @@ class Beat(TakeReader):
     unit = CENTIMETRES
 
     def __init__(self, source: Path | None, options: Options) -> None:
-        source = needed(source, "name the folder that holds BEAT's folders of speakers")
-        takes, notes = find_takes(source, NAME, texts=(".textgrid",))
-        if not takes:
-            raise InputError(source, "holds no ID_NAME_RECORD_START_END.bvh with a .wav of the same name",
-                             "name BEAT's folder beat_english_v0.2.1")
+        source = needed(source, _ADVICE)
+        takes, notes = find_takes(source, NAME, "ID_NAME_RECORD_START_END", _ADVICE, texts=(".textgrid",))
         notes += [f"left out {file}: is not named ID_NAME_RECORD_START_END"
                   for file in sorted(source.rglob("*.bvh")) if not NAME.fullmatch(file.stem)]
         unknown = sum(published_split(name) is None for name in takes)

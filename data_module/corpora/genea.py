@@ -42,11 +42,10 @@ class Genea(TakeReader):
     unit = CENTIMETRES
 
     def __init__(self, source: Path | None, options: Options) -> None:
-        source = needed(source, "name the folder that holds GENEA's trn and val")
-        takes, notes = find_takes(source, _NAME, texts=(".tsv",))
-        if not takes:
-            raise InputError(source, "holds no trn_2022_v1_NNN.bvh or trn_2023_v0_NNN_main-agent.bvh with a .wav of "
-                             "the same name", "name the folder that holds GENEA's trn and val")
+        advice = "name the folder that holds GENEA's trn and val"
+        source = needed(source, advice)
+        takes, notes = find_takes(source, _NAME, "trn_2022_v1_NNN.bvh or trn_2023_v0_NNN_main-agent", advice,
+                                  texts=(".tsv",))
         self._people = _people(source)
         unknown = [name for name in takes if name not in self._people]
         if unknown:

@@ -19,7 +19,6 @@ from pathlib import Path
 
 from data_module.corpora.base import Options, needed
 from data_module.corpora.takes import TakeReader, find_takes
-from data_module.errors import InputError
 from data_module.store import RecordingInfo
 
 TEST = frozenset({"speaker01_clip04", "speaker02_clip07", "speaker03_clip07", "speaker03_clip08", "speaker04_clip05",
@@ -35,11 +34,9 @@ class Mocca(TakeReader):
     licence = "that of the MOCCA Gesture Dataset (research, on its licence agreement); weights trained on it likewise"
 
     def __init__(self, source: Path | None, options: Options) -> None:
-        source = needed(source, "name the folder that MOCCA was unpacked into")
-        takes, notes = find_takes(source, _NAME, texts=(".srt", ".textgrid", ".json", ".vtt"))
-        if not takes:
-            raise InputError(source, "holds no speakerNN_clipNN.bvh with a .wav of the same name",
-                             "name the folder that MOCCA was unpacked into")
+        advice = "name the folder that MOCCA was unpacked into"
+        takes, notes = find_takes(needed(source, advice), _NAME, "speakerNN_clipNN", advice,
+                                  texts=(".srt", ".textgrid", ".json", ".vtt"))
         notes.append("the test recordings are not published: here "
                      + ", ".join(sorted(TEST & set(takes)) or ["none that is there"]))
         infos = []

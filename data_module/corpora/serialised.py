@@ -19,12 +19,6 @@ _HEADER, _ALIGNMENT = 16, 64
 """Bytes of the counts with their padding, and the alignment of each tensor in bytes."""
 
 
-def available() -> bool:
-    import importlib.util
-
-    return importlib.util.find_spec("pyarrow") is not None
-
-
 def deserialise(data: bytes | memoryview, *, arrays: bool = True, source: object = "value") -> Any:
     """One value: dict, list (also for tuples), str, bytes, int, float, bool, None and numpy arrays, nested. arrays:
     False for None in place of the arrays, to read the rest quickly. InputError naming `source` for anything else, and

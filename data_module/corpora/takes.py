@@ -17,6 +17,7 @@ from data_module.corpora.base import DroppedError, Imported, Item, Options
 from data_module.errors import InputError
 from data_module.motion import skeletons
 from data_module.motion.bvh import CENTIMETRES, FRAME_RATE_ADVICE, BvhWarning, read_bvh
+from data_module.motion.smplx import read_smplx
 from data_module.speech.audio import load_speech
 from data_module.store import RecordingInfo
 from data_module.types import Motion, Speech
@@ -38,10 +39,11 @@ class Take:
         return [file.stat().st_size for file in (self.motion, self.sound, self.text) if file is not None]
 
 
-def find_takes(source: Path, name: re.Pattern[str], *, texts: Sequence[str] = TEXTS
+def find_takes(source: Path, name: re.Pattern[str], shape: str, advice: str, *, texts: Sequence[str] = TEXTS
                ) -> tuple[dict[str, Take], list[str]]:
     """The takes below `source` whose file names fully match `name`, by name; and notes on missing files. texts:
-    suffixes of transcripts, in lower case, best first. `InputError` for a duplicate file, or if no take is complete."""
+    suffixes of transcripts, in lower case, best first. `InputError` for a duplicate file, or, with `advice`, if no take
+    is complete; shape: how its message writes the names."""
     kinds = (".bvh", ".wav", *texts)
     files_of: dict[str, dict[str, Path]] = {}
     for file in sorted(source.rglob("*")):
@@ -64,8 +66,9 @@ def find_takes(source: Path, name: re.Pattern[str], *, texts: Sequence[str] = TE
         takes[stem] = Take(files[".bvh"], files[".wav"], next((files[kind] for kind in texts if kind in files), None))
         if takes[stem].text is None and texts:
             notes.append(f"{stem}: {stem}{texts[0]} is missing, so its words are unknown")
-    if not takes and notes:
-        raise InputError(source, f"has no recording with motion and sound ({notes[0]})", "add what is missing")
+    if not takes:
+        raise InputError(source, f"holds no {shape}.bvh with a .wav of the same name"
+                         + (f" ({notes[0]})" if notes else ""), advice)
     return takes, notes
 
 
@@ -82,7 +85,7 @@ def read_take(info: RecordingInfo, take: Take, options: Options, unit: float | N
 
 
 class TakeReader:
-    """A reader of takes in BVH and WAV files; a data set derives from it and says which takes there are."""
+    """A reader of takes in BVH (or SMPL-X) and WAV files; a data set derives from it and says which takes there are."""
 
     licence: str
     unit: float | None = None
@@ -113,13 +116,15 @@ class TakeReader:
 
 def read_motion(path: Path, options: Options, published: float | None = None) -> tuple[Motion, str]:
     """A BVH file in metres, and a note on its unit: that of --unit, else the published one, else a guess by the length
-    from hips to head."""
+    from hips to head; or an SMPL-X file, which is in metres."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BvhWarning)  # the user gave the rate, so the warning is answered
         try:
+            if path.suffix == ".npz":
+                return read_smplx(path, fps=options.fps), "1 m, as published"
             raw = read_bvh(path, fps=options.fps, unit=1.0)
         except InputError as error:
-            # The advice of the BVH reader names its argument; here that is an option.
+            # The advice of these readers names their argument; here that is an option.
             if error.advice == FRAME_RATE_ADVICE:
                 raise InputError(error.subject, error.wrong, "give the frame rate with --fps") from None
             raise

@@ -9,7 +9,6 @@ of bones matter. Nothing is unpickled (see `data_module.corpora.serialised`).
 
 from __future__ import annotations
 
-import importlib.util
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,6 +21,7 @@ from data_module.corpora import serialised
 from data_module.corpora.base import DroppedError, Item, Options, needed
 from data_module.errors import InputError
 from data_module.motion.representation import rotations_from_positions
+from data_module.registry import Requirement
 from data_module.store import SPLITS, Recording, RecordingInfo, Split
 from data_module.types import Array, Motion, Speech, Word
 
@@ -40,9 +40,8 @@ class Ted:
     def __init__(self, source: Path | None, options: Options) -> None:
         source = needed(source, "name the folder that holds lmdb_train, lmdb_val and lmdb_test")
         # Checked before the folder is listed, so that the first error is the one that must be repaired first.
-        if importlib.util.find_spec("lmdb") is None or not serialised.available():
-            raise InputError("the TED databases", "need lmdb and pyarrow, which are not installed",
-                             "pip install 'gesticulator[ted]'")
+        for library in ("lmdb", "pyarrow"):
+            Requirement(library, library, "ted").check("reading the TED databases")
         self._places: dict[Split, Path] = {split: source / f"lmdb_{split}" for split in SPLITS
                                            if (source / f"lmdb_{split}" / "data.mdb").is_file()}
         self._notes = [f"{source / f'lmdb_{split}' / 'data.mdb'} is missing, so nothing is in {split}"

@@ -17,7 +17,6 @@ from pathlib import Path
 
 from data_module.corpora.base import Options, needed
 from data_module.corpora.takes import TakeReader, find_takes
-from data_module.errors import InputError
 from data_module.motion.bvh import CENTIMETRES
 from data_module.store import RecordingInfo, Split
 
@@ -37,13 +36,11 @@ class Trinity(TakeReader):
     unit = CENTIMETRES
 
     def __init__(self, source: Path | None, options: Options) -> None:
-        source = needed(source, "name the folder GENEA_Challenge_2020_data_release")
-        takes, notes = find_takes(source, _NAME, texts=(".json",))
+        advice = "name the folder GENEA_Challenge_2020_data_release"
+        takes, notes = find_takes(needed(source, advice), _NAME, "Recording_NNN.bvh or TestSeqNNN", advice,
+                                  texts=(".json",))
         notes += [f"left out {takes[name].motion}: it is not a recording of the published split"
                   for name in takes if name not in SPLIT]
         infos = [RecordingInfo(name, split, "trinity", "trinity", "en", group=name) for name, split in SPLIT.items()
                  if name in takes]
-        if not infos:
-            raise InputError(source, "holds no Recording_NNN.bvh or TestSeqNNN.bvh with a .wav of the same name",
-                             "name the folder GENEA_Challenge_2020_data_release")
         super().__init__(options, takes, infos, notes)

@@ -17,7 +17,6 @@ from pathlib import Path
 
 from data_module.corpora.base import Options, needed
 from data_module.corpora.takes import TakeReader, find_takes
-from data_module.errors import InputError
 from data_module.motion.bvh import CENTIMETRES
 from data_module.store import RecordingInfo, Split
 
@@ -34,12 +33,10 @@ class ZeroEggs(TakeReader):
     unit = CENTIMETRES
 
     def __init__(self, source: Path | None, options: Options) -> None:
-        source = needed(source, "name ZeroEGGS's folder data, which holds clean/")
+        advice = "name ZeroEGGS's folder data, which holds clean/"
+        source = needed(source, advice)
         clean = source / "clean" if (source / "clean").is_dir() else source
-        takes, notes = find_takes(clean, _NAME)
-        if not takes:
-            raise InputError(clean, "holds no NUMBER_STYLE_TAKE_x_1_0.bvh with a .wav of the same name",
-                             "name ZeroEGGS's folder data, which holds clean/")
+        takes, notes = find_takes(clean, _NAME, "NUMBER_STYLE_TAKE_x_1_0", advice)
         # The release has no text, so its absence is not reported.
         notes = [note for note in notes if not note.endswith("its words are unknown")]
         if not any(take.text for take in takes.values()):

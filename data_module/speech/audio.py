@@ -275,10 +275,8 @@ def _spool(source: BinaryIO, copy: BinaryIO, any_length: bool) -> None:
 
 def _check_sound(sound: Sound, name: object, any_length: bool) -> None:
     rate = sound.rate
-    if rate < _LOWEST_RATE:
-        raise InputError(name, f"has {rate} samples per second, too few for speech", "record at 8 kHz or more")
-    if rate > _HIGHEST_RATE:
-        raise InputError(name, f"claims {rate} samples per second", "export it again")
+    if not _LOWEST_RATE <= rate <= _HIGHEST_RATE:
+        raise InputError(name, f"has {rate} samples per second", "record at 8 kHz or more, or export it again")
     if not any_length and sound.frames > LONGEST * rate:
         raise _too_long(name, f"its header indicates {_hours(sound.frames / rate)}")
 
@@ -319,11 +317,9 @@ def _mono(sound: Sound, name: object, any_length: bool) -> Iterator[Samples]:
 
 
 def _averaged(piece: np.ndarray, name: object) -> Samples:
-    if not np.isfinite(piece).all():
-        raise InputError(name, "holds samples that are not numbers (NaN or infinite)", "export it again")
-    if np.abs(piece).max() > _FULL_SCALE:
-        raise InputError(name, f"holds samples up to {np.abs(piece).max():.3g}, where full scale is 1",
-                         "export it again, scaled to [-1, 1]")
+    if not np.abs(piece).max() <= _FULL_SCALE:  # also NaN
+        raise InputError(name, f"holds samples that are not numbers, or up to {np.abs(piece).max():.3g}, where full "
+                         "scale is 1", "export it again, scaled to [-1, 1]")
     return np.ascontiguousarray(piece.mean(axis=1, dtype=np.float32))
 
 

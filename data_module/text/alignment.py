@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
+from data_module.registry import Requirement
 from data_module.types import Speech, Word
 
 if TYPE_CHECKING:
@@ -47,10 +48,9 @@ _UNSPACED, _LONGEST_UNSPACED = re.compile(r"[\u3040-\u30ff\u3400-\u9fff\uf900-\u
 
 @dataclass(frozen=True)
 class Alignment:
-    """Words with their times; aligned: they are from the aligner, else they are estimates for the reason in `doubt`."""
+    """Words with their times, from the aligner; estimates where there is a reason in `doubt`."""
 
     words: tuple[Word, ...]
-    aligned: bool
     doubt: str = ""
 
 
@@ -127,7 +127,7 @@ def alignment(speech: Speech, transcript: str) -> Alignment:
         # A text that is too short for its sound is squeezed in somewhere, with times that mean nothing.
         covered = _covered(samples, spans)
         doubt = "" if covered >= LEAST_COVERED else f"the transcript covers only {covered:.0%} of the speech"
-    return Alignment(timed, not doubt, doubt)
+    return Alignment(timed, doubt)
 
 
 def shared_out(speech: Speech, words: Sequence[str]) -> tuple[Word, ...]:
@@ -193,11 +193,9 @@ def _decoder(wide: bool) -> Any:
 # One with the narrow and one with the wide beam.
 @functools.lru_cache(maxsize=2)
 def _loaded_decoder(wide: bool) -> Any:
-    try:
-        import pocketsphinx
-    except ImportError:
-        raise InputError("alignment of a transcript", "needs pocketsphinx, which is not installed",
-                         "pip install 'gesticulator[align]'") from None
+    Requirement("pocketsphinx", "pocketsphinx", "align").check("alignment of a transcript")
+    import pocketsphinx
+
     return pocketsphinx.Decoder(lm=None, loglevel="FATAL", **(_WIDE_BEAM if wide else {}))
 
 

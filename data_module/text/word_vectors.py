@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from data_module.errors import InputError
 from data_module.files import read_object, read_text
 from data_module.layers_run import Tensors
+from data_module.registry import Requirement
 from data_module.text.bert import BertEncoder
 from data_module.types import Blocks, Word
 
@@ -66,10 +67,9 @@ class WordEncoder:
         """The encoder `name`: `PACKAGED`, or a folder with a BERT in the format of transformers (`config.json`,
         `tokenizer.json` and `model.safetensors`). `InputError` if the model is missing or not a BERT."""
         folder = _folder(name)
-        try:
-            from tokenizers import Tokenizer
-        except ImportError:
-            raise InputError("text features", "need tokenizers, which is not installed", _INSTALL) from None
+        Requirement("tokenizers", "tokenizers", "text").check("a model of words")
+        from tokenizers import Tokenizer
+
         try:
             model, fingerprint = _bert(folder), _fingerprint(folder)
             tokenizer = Tokenizer.from_str(read_text(folder / "tokenizer.json", _ADVICE))
@@ -219,9 +219,5 @@ def _renamed(key: str) -> str:
 
 def _fingerprint(folder: Path) -> str:
     """Of the weights alone: notes and licences beside them may change."""
-    digest = hashlib.sha256()
     with (folder / _WEIGHTS).open("rb") as stream:
-        # In pieces: the weights need not be in memory twice.
-        while piece := stream.read(1 << 20):
-            digest.update(piece)
-    return digest.hexdigest()[:16]
+        return hashlib.file_digest(stream, "sha256").hexdigest()[:16]
