@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.store import Recording, Store
-from eval.metrics.eye import ReferenceSpace
 from eval.metrics.gesture_features import Features
 from eval.table import Provenance
 from gesticulator.bundle import bundle as bundles
@@ -129,11 +128,6 @@ class EvalContext:
     def system(self) -> Gesticulator:
         """The pipeline that plays the bundle."""
         return Gesticulator(self.bundle)
-
-    @cached_property
-    def space(self) -> ReferenceSpace | None:
-        """The space of Frechet distances to real people; None where it is not at hand."""
-        return ReferenceSpace.found()
 
     def numbers(self, split: str = "test", with_text: bool = False) -> list[int]:
         """Recordings of a split by their number in the corpus, `limit` at most; with_text: those that have words."""

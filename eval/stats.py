@@ -183,13 +183,6 @@ def mean(values: Array) -> float:
     return float(finite.mean()) if finite.size else math.nan
 
 
-def runs(mask: ArrayLike) -> NDArray[np.int64]:
-    """[n, 2] the first index of each run of True in a mask [T], and the one after its last."""
-    # False on either side, so that a run at an end has two ends like any other.
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], np.atleast_1d(mask), [False]]).astype(np.int8)))
-    return ends.reshape(-1, 2)
-
-
 def jackknife(of: Callable[[Indices], float], count: int) -> Array:
     """[n] pseudo-values n f(all) - (n - 1) f(all but k): what clip k adds to a figure of a set (Tukey 1958).
 

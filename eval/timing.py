@@ -16,7 +16,7 @@ from data_module.types import Array, Motion
 from eval.clip.excerpts import excerpt
 from eval.metrics.encode import normalised_blocks
 from eval.metrics.eye import VoiceActivity, common_body, hear, voice
-from eval.metrics.mismatch import wrapped
+from eval.metrics.pmb import wrapped
 from eval.renderings import SECONDS, SHORTEST
 from eval.stats import mean_interval
 from eval.table import Column, Table

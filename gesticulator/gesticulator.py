@@ -10,8 +10,6 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from data_module.controls import FEATURES, Controls, Curve, parse
 from data_module.errors import InputError, shown
 from data_module.speech.audio import SAMPLE_RATE, SpeechInput, amplified, as_speech, resample
@@ -40,9 +38,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Gesticulator"]
 
-_WARM_SECONDS = 2
-"""Sound for warming up, seconds: several blocks."""
-
 
 class Gesticulator:
     """A loaded bundle that turns speech into gesture, block by block (RG 6, Eq. 15)."""
@@ -55,7 +50,6 @@ class Gesticulator:
         """Whether performances keep the state before each block (`Performance.generation`), from which edits start."""
         self._front_end = front_end_for(bundle.config, bundle.runners.get("encoder"))
         self._names: tuple[LexemeName, ...] | None = None
-        self._warm: set[bool] = set()
 
     @classmethod
     def from_pretrained(cls, path: str | os.PathLike[str] | None = None) -> Gesticulator:
@@ -295,34 +289,14 @@ class Gesticulator:
         """Gesture for speech as it arrives, see `gesticulator.stream.Stream`.
 
         sample_rate: hertz of the sound that will be fed; latency: "full" or "low" (`BlockCutter`); text: words will be
-        added; options: the fields of `InferenceOptions`. Several streams may share a `Gesticulator`. The first one
-        takes seconds to open, see `warm`.
+        added; options: the fields of `InferenceOptions`. Several streams may share a `Gesticulator`. Models load when
+        they are first used, in a tenth of a second; the one that reads words takes a third.
         """
+        from gesticulator.stream import Stream
+
         checked = InferenceOptions(**options)
         if checked.transcribe is not None:
             raise InputError("transcribe", "is not for streams", "give the words by add_words")
-        # After the options: what is wrong with them is said at once.
-        self.warm(text)
-        return self._stream(sample_rate, latency, text, checked)
-
-    def warm(self, text: bool = False) -> None:
-        """Load, compile and try everything that is needed on first use by a stream, so that no block waits for it:
-        one to three seconds, the first time. text: also what reads words. `stream` does it, if it has not been done."""
-        if text in self._warm:
-            return
-        self._warm.add(text)
-        # Noise with the level of speech: silence would never reach the generator.
-        noise = np.random.default_rng(0).normal(0, 0.05, _WARM_SECONDS * SAMPLE_RATE).astype(np.float32)
-        # Each latency takes another way through the cutter, and a stream may change between them.
-        for latency in ("full", "low"):
-            stream = self._stream(SAMPLE_RATE, latency, text, InferenceOptions())
-            stream.feed(noise)
-            stream.idle(0.5)
-            stream.finish()
-
-    def _stream(self, sample_rate: float, latency: str, text: bool, checked: InferenceOptions) -> Stream:
-        from gesticulator.stream import Stream
-
         cutter = partial(BlockCutter, self.bundle.config, self._front_end, self.word_encoder if text else None)
         stream = Stream(self.bundle, self.resolver.setup(checked, text), checked, cutter, sample_rate)
         stream.latency = latency

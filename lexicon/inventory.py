@@ -33,11 +33,6 @@ def count(sequences: Iterable[tuple[str, Labels]], size: int, smoothing: float =
     return Inventory(frequencies, moves / moves.sum(axis=1, keepdims=True))
 
 
-def usage(labels: Labels, size: int) -> float:
-    """Share of the `size` lexemes that occur in the labels [N]."""
-    return float((np.bincount(labels, minlength=size) > 0).mean())
-
-
 def silent_lexemes(speeds: Array, labels: Labels, silent: NDArray[np.bool_], *, slow_share: float = 0.3,
                    over: float = 2.0) -> Labels:
     """The silent lexemes, detected automatically (RG 6.4.1).
@@ -58,12 +53,9 @@ def silent_lexemes(speeds: Array, labels: Labels, silent: NDArray[np.bool_], *, 
         limit = np.quantile(speeds, slow_share)
     if not np.isfinite(limit):  # most lexemes have no block: the slowest of those that have
         limit = np.quantile(speeds[np.isfinite(speeds)], slow_share)
-    slow = speeds <= limit
-    chosen = np.flatnonzero(slow & (ratio >= over))
-    if len(chosen) == 0:
-        candidates = np.flatnonzero(slow)
-        chosen = candidates[[int(np.argmax(ratio[candidates]))]]
-    return chosen.astype(np.int64)
+    slow = np.flatnonzero(speeds <= limit)
+    chosen = slow[ratio[slow] >= over]
+    return chosen if len(chosen) else slow[[int(ratio[slow].argmax())]]
 
 
 def nearest_silent(vectors: Array, silent: Labels) -> Labels:

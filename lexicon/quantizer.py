@@ -46,17 +46,13 @@ class Quantizer(nn.Module):
         self.register_buffer("counts", torch.ones(size))
         self.register_buffer("sums", start.clone())
 
-    @property
-    def size(self) -> int:
-        return len(self.vectors)
-
     @torch.no_grad()
     def fit(self, latents: Tensor, seed: int, restarts: int) -> None:
         """Place the vectors by k-means on latents [B, D]."""
         from sklearn.cluster import KMeans  # takes a second to import; only training needs it
 
         points = latents.cpu().double().numpy()
-        means = KMeans(min(self.size, len(points)), n_init=restarts, random_state=seed % 2**31).fit(points)
+        means = KMeans(min(len(self.vectors), len(points)), n_init=restarts, random_state=seed % 2**31).fit(points)
         vectors = self.vectors.clone()
         vectors[:len(means.cluster_centers_)] = torch.as_tensor(means.cluster_centers_).to(vectors)
         self.set_vectors(vectors)
@@ -92,7 +88,7 @@ class Quantizer(nn.Module):
 
     @torch.no_grad()
     def _follow(self, latents: Tensor, labels: Tensor) -> None:
-        one_hot = nn.functional.one_hot(labels, self.size).to(latents.dtype)
+        one_hot = nn.functional.one_hot(labels, len(self.vectors)).to(latents.dtype)
         counts, sums = one_hot.sum(0), one_hot.t() @ latents
         if torch.distributed.is_available() and torch.distributed.is_initialized():
             # The codebook is not moved by gradients, so DistributedDataParallel does not add up the processes' rows.
@@ -102,7 +98,7 @@ class Quantizer(nn.Module):
         self.sums.mul_(DECAY).add_(sums, alpha=1 - DECAY)
         # Laplace smoothing keeps a rarely used vector from dividing by nearly zero.
         total = self.counts.sum()
-        smoothed = (self.counts + _SMOOTHING) / (total + self.size * _SMOOTHING) * total
+        smoothed = (self.counts + _SMOOTHING) / (total + len(self.vectors) * _SMOOTHING) * total
         self.vectors.copy_(self.sums / smoothed[:, None])
         dead = torch.nonzero(self.counts < self.revive_below).flatten()
         if len(dead):

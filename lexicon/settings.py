@@ -16,7 +16,6 @@ FRAMES = 2**HALVINGS
 DILATIONS = (1, 3, 9)
 """Of the residual blocks of a stage, in the encoder's order."""
 
-
 @dataclass(frozen=True)
 class LexiconConfig:
     """Sizes and weights of the lexicon; the defaults are the paper's if it gives them."""

@@ -67,6 +67,16 @@ class Case:
 
 # ---------------------------------------------------------------------------------------------------- samples
 
+def _genea(folder: Path) -> Path:
+    for name in ("trn_2023_v0_000_main-agent", "trn_2023_v0_000_interloctr"):
+        for suffix in (".bvh", ".wav", ".tsv"):
+            (folder / f"{name}{suffix}").touch()  # only listed here
+    table = folder / "metadata.csv"
+    table.write_text("prefix,main-agent_id,main-agent_has_fingers,interloctr_id,interloctr_has_fingers\n"
+                     "trn_2023_v0_000,3,finger_incl,17,finger_excl\n")
+    return table
+
+
 def _written(name: str, data: bytes | str) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         file = folder / name
@@ -579,6 +589,7 @@ READERS: dict[str, Case] = {
     "folder, its splits": Case(_folder_splits, lambda file: open_corpus("folder", file.parent,
                                                                         FolderOptions(split=str(file))).items()),
     "beat2, its list": Case(published.listed_beat2, lambda file: open_corpus("beat2", file.parent, Options()).items()),
+    "genea, its metadata": Case(_genea, lambda file: open_corpus("genea", file.parent, Options()).items()),
     "ted, a value": Case(_ted, lambda file: deserialise(file.read_bytes(), source=file)),
     "bundle, index": Case(_bundle("bundle.json"), _read_bundle),
     "bundle, weights": Case(_bundle("generator.safetensors"), _read_bundle),

@@ -80,11 +80,11 @@ def moved(seconds: float, size: Array, seed: int = 0) -> Motion:
 
 # ------------------------------------------------------------------------------------------------------------- voices
 
-def sampled(motions: list[Motion], space: ReferenceSpace) -> EyeSample:
+def sampled(motions: list[Motion]) -> EyeSample:
     out = EyeSample()
     for seed, motion in enumerate(motions):
         speech = recording("one", seed).speech
-        out.add(motion, hear(speech), cut(speech).edges, space, group=str(seed))
+        out.add(motion, hear(speech), cut(speech).edges, group=str(seed))
     return out
 
 
@@ -95,9 +95,9 @@ def free(count: int = 3) -> list[Motion]:
 
 def judged(motions: list[Motion], space: ReferenceSpace, corpus: list[Motion] | None = None) -> dict[str, Verdict]:
     """Figure -> its verdict on the voice of the real take, beside a corpus."""
-    beside = sampled(corpus or free(), space)
+    beside = sampled(corpus or free())
     results = {(name, voices.ON_TAKE): Measured(value)
-               for name, value in sampled(motions, space).figures(space, beside).items()}
+               for name, value in sampled(motions).figures(space).items()}
     results |= {(name, "corpus"): Measured(value) for name, value in beside.figures(space).items()}
     return {figure: verdict for (figure, on), verdict in verdicts_of("motion", results).items()
             if on == voices.ON_TAKE}
@@ -118,8 +118,6 @@ def test_mirrored_arms_break_the_clauses_of_two_hands_and_free_arms_keep_them(sp
 def test_the_corpus_itself_is_as_the_corpus(space: ReferenceSpace) -> None:
     real = judged(free(), space)
     assert real["eye_repetition"].holds is True and real["eye_repetition"].value.mean == pytest.approx(1.0)
-    assert real["eye_frechet_corpus"].holds is None
-    assert real["eye_frechet_corpus"].value.mean == pytest.approx(0.0, abs=1e-6)
     assert real["eye_frechet_pooled"].holds is False, "far from the noise of that space"
     assert real["eye_fingers"].holds is None
 
@@ -139,9 +137,8 @@ def test_slow_and_frozen_motion_is_refused(space: ReferenceSpace) -> None:
 
 def test_without_a_store_what_is_relative_to_it_is_not_judged(space: ReferenceSpace) -> None:
     results = {(name, voices.ON_TAKE): Measured(value)
-               for name, value in sampled(free(), space).figures(space, None).items()}
-    results["eye_frechet_corpus", voices.ON_TAKE] = Measured()
-    for figure in ("eye_repetition", "eye_frechet_corpus", "eye_drift"):
+               for name, value in sampled(free()).figures(space).items()}
+    for figure in ("eye_repetition", "eye_drift"):
         assert holds("motion", results, figure) == [None]
     assert holds("motion", results, "eye_hand_height_correlation") != [None]
 

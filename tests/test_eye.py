@@ -23,6 +23,7 @@ from eval.baselines import controls as baselines
 from eval.metrics import EYE_METRICS, eye
 from eval.metrics.eye import frechet, hands, strokes, trunk, voice
 from eval.metrics.eye.body import HZ, common_body
+from eval.metrics.eye.sample import EyeSample
 
 RATE = 16000
 SIGNS = {"Left": -1.0, "Right": 1.0}
@@ -109,12 +110,14 @@ def test_the_program_that_defines_them_agrees_on_files_of_ours(judge: ModuleType
         for point, places in theirs.points.items():
             if point in own.points:
                 np.testing.assert_allclose(own.points[point], places, atol=1e-9)
-        found = eye.of_body(own, None, edges, space)
+        found = eye.of_body(own, None, edges)
         for name, theirs_name in JUDGE.items():
             value = math.nan if told[theirs_name] is None else told[theirs_name]
             assert found[name] == pytest.approx(value, rel=1e-6, abs=1e-9, nan_ok=True), name
         reference = judge.Judge.read(str(outside_data / frechet.REFERENCE))
-        assert found["eye_frechet"] == pytest.approx(reference.distance(theirs), rel=1e-6)
+        together = EyeSample()
+        together.add(bvh.read_bvh(file))
+        assert together.pooled(space).mean == pytest.approx(reference.distance(theirs), rel=1e-6)
 
 
 def test_the_program_that_defines_them_agrees_on_sound(judge: ModuleType, take: tuple[Motion, Speech],
@@ -136,13 +139,12 @@ def test_one_hand_alone_is_one_handed_and_the_other_hangs() -> None:
     assert math.isnan(found["eye_hand_speed_correlation"])
 
 
-def test_a_frozen_pose_is_dead_by_every_figure_of_life(space: frechet.ReferenceSpace) -> None:
-    found = eye.figures(posed(20.0, lambda time: {}), space=space)
+def test_a_frozen_pose_is_dead_by_every_figure_of_life() -> None:
+    found = eye.figures(posed(20.0, lambda time: {}))
     assert found["eye_head"] == pytest.approx(0.0, abs=1e-6) and found["eye_chest"] == pytest.approx(0.0, abs=1e-6)
     assert found["eye_speed_95"] == pytest.approx(0.0, abs=1e-9)
     for name in ("eye_stroke_amplitude", "eye_repetition", "eye_one_handed"):
         assert math.isnan(found[name])
-    assert found["eye_frechet"] > 200.0
 
 
 @pytest.mark.parametrize(("degrees", "period"), [(40.0, 1.0), (60.0, 1.6)])
@@ -168,7 +170,6 @@ def test_turns_of_head_and_chest_are_told_in_degrees() -> None:
     found = eye.figures(posed(40.0, move))
     assert found["eye_chest"] == pytest.approx(10 / math.sqrt(2), rel=0.01)
     assert found["eye_head"] == pytest.approx(30 / math.sqrt(2), rel=0.01)
-    assert found["eye_head_yaw"] == pytest.approx(30 * math.sin(math.radians(85.5)), rel=0.02)
 
 
 def test_a_kick_at_each_edge_is_a_seam_and_elsewhere_is_none() -> None:
@@ -188,13 +189,11 @@ def test_a_kick_at_each_edge_is_a_seam_and_elsewhere_is_none() -> None:
 
 def test_hands_through_the_belly_are_seen() -> None:
     straight = eye.figures(posed(5.0, lambda time: {}))
-    assert straight["eye_hand_in_torso"] == straight["eye_elbow_in_torso"] == 0.0
+    assert straight["eye_hand_in_torso"] == 0.0
     sunk = common_body(posed(5.0, lambda time: {}))
     sunk.points["RightHand"][:150] = sunk.points["Waist"][:150] + np.array([0.0, 0.0, 0.11])
-    sunk.points["LeftForeArm"][:30] = sunk.points["Waist"][:30] + np.array([0.12, 0.0, 0.0])
     found = eye.of_body(sunk)
     assert found["eye_hand_in_torso"] == pytest.approx(50.0)
-    assert found["eye_elbow_in_torso"] == pytest.approx(10.0)
     above, line = np.array([[0.0, 0.6, 0.0]]), np.array([[0.0, 0.4, 0.0]])
     assert trunk.off_line(above, 0.0 * line, line) == pytest.approx(0.2), "above the chest it is outside"
 

@@ -77,20 +77,6 @@ def test_singular_covariances_give_a_finite_distance() -> None:
         assert 0.0 <= distance(same, same) == pytest.approx(0.0, abs=1e-10 * max(1.0, float(same.var())))
 
 
-def test_the_bias_of_the_sample_is_what_sampling_gives() -> None:
-    of = Gaussian(np.zeros(6), np.diag([0.1, 0.5, 1.0, 2.0, 4.0, 8.0]))
-    rng = np.random.default_rng(0)
-
-    def drawn(count: int) -> Array:
-        return rng.normal(size=(count, 6)) * np.sqrt(np.diag(of.covariance))
-
-    seen = np.mean([distance(drawn(150), drawn(100)) for _ in range(400)])
-    assert fgd.sampling_bias(of, 150, 100) == pytest.approx(float(seen), rel=0.05)
-    # the figure in the chapter's head
-    assert fgd.sampling_bias(Gaussian(np.zeros(32), np.eye(32)), 100, 100) == pytest.approx(5.92)
-    assert fgd.sampling_bias(Gaussian(np.zeros(2), np.zeros((2, 2))), 5, 5) == 0.0
-
-
 def test_invalid_input_is_refused() -> None:
     for features in (np.zeros((1, 4)), np.zeros(4), np.full((5, 4), np.nan), np.zeros((5, 0))):
         with pytest.raises(ValueError):
@@ -110,10 +96,9 @@ def test_a_figure_tells_all_that_it_depends_on() -> None:
     rng = np.random.default_rng(0)
     real, far = clips_of(rng, 12), clips_of(rng, 12, 5.0)
     got = fgd.measure(far, real)
-    assert got.distance == pytest.approx(distance(np.concatenate(far), np.concatenate(real)))
-    assert got.interval.low < got.distance < got.interval.high and got.interval.n == 12
+    assert got.interval.mean == pytest.approx(distance(np.concatenate(far), np.concatenate(real)))
+    assert got.interval.low < got.interval.mean < got.interval.high and got.interval.n == 12
     assert got.windows == (240, 240) and got.needed == 15
-    assert got.bias == pytest.approx(fgd.sampling_bias(gaussian(np.concatenate(real)), 240, 240))
     assert fgd.measure(far, real) == got
 
 
@@ -132,7 +117,7 @@ def test_pairs_are_drawn_together() -> None:
     real = clips_of(rng, 15)
     near = [clip + 0.5 for clip in real]
     together, apart = fgd.measure(near, real, paired=True), fgd.measure(near, real)
-    assert together.distance == pytest.approx(3 * 0.25)
+    assert together.interval.mean == pytest.approx(3 * 0.25)
     assert together.interval.high - together.interval.low == pytest.approx(0.0, abs=1e-6)
     assert apart.interval.high - apart.interval.low > 0.5
     with pytest.raises(ValueError):
@@ -142,13 +127,13 @@ def test_pairs_are_drawn_together() -> None:
 def test_too_few_windows_are_told_and_two_are_needed() -> None:
     rng = np.random.default_rng(3)
     few = fgd.measure([rng.normal(size=(4, 9))], [rng.normal(size=(50, 9))])
-    assert math.isfinite(few.distance) and "45 are needed" in few.doubt
+    assert math.isfinite(few.interval.mean) and "45 are needed" in few.doubt
     assert math.isnan(few.interval.low)  # one clip says nothing of other clips
     none = fgd.measure([np.zeros((0, 9))], [rng.normal(size=(50, 9))])
-    assert math.isnan(none.distance) and math.isnan(none.bias) and none.doubt == "0 windows, and 45 are needed"
+    assert math.isnan(none.interval.mean) and none.doubt == "0 windows, and 45 are needed"
     # clips too short for a window are left out, and are no error
     mixed = fgd.measure([np.zeros((0, 9)), rng.normal(size=(60, 9))], [rng.normal(size=(50, 9))] * 2)
-    assert mixed.windows == (60, 100) and math.isfinite(mixed.distance)
+    assert mixed.windows == (60, 100) and math.isfinite(mixed.interval.mean)
 
 
 # --- windows

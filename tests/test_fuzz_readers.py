@@ -39,8 +39,9 @@ NO_CASE = {
     "a training's own work folder": "gesticulator/training/*",
     "an evaluation's own work folder": "eval/acceptance/*:* eval/ablate/*:* eval/context.py:*",
     "calls a reader that has a case": """
-        data_module/corpora/base.py:load data_module/corpora/ted.py:Ted.read gesticulator/live/*:*
-        gesticulator/bundle/models.py:_opened interpreters/base.py:opened""",
+        data_module/corpora/base.py:load data_module/corpora/ted.py:Ted.read data_module/corpora/genea.py:Genea.read
+        gesticulator/live/*:* gesticulator/bundle/models.py:StoredPart.read gesticulator/bundle/command.py:_run
+        interpreters/base.py:opened""",
     "the bytes are hashed, copied or thrown away, not parsed": """
         data_module/text/word_vectors.py:_fingerprint gesticulator/bundle/files.py:replace_folder
         gesticulator/jobs.py:file_hash gesticulator/export/html.py:character_data""",

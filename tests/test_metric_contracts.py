@@ -17,9 +17,7 @@ from eval.metrics import CLIP_METRICS, EYE_METRICS, METRICS, Metric, eye
 from eval.metrics.diversity import diversity, motion_variance
 from eval.metrics.encode import EncodedMotion
 from eval.metrics.evaluate import MotionBeats, OnsetTrack, Values, clip_values, eye_values, lexeme_values
-from eval.metrics.eye.body import common_body
-from eval.metrics.eye.frechet import ReferenceSpace, windows
-from eval.metrics.fgd import gaussian, measure
+from eval.metrics.fgd import measure
 from eval.metrics.gesture_features import RawFeatures, pooled
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
 from eval.score import tables
@@ -105,18 +103,10 @@ def blocks(motion: Motion) -> Array:
     return places[:len(places) // 30 * 30:].reshape(-1, 30, 12)[:, ::8].reshape(-1, 48)
 
 
-def space() -> ReferenceSpace:
-    """A space whose real people are the truth."""
-    descriptors = windows(common_body(TRUTH))
-    mean, sd = descriptors.mean(0), descriptors.std(0) + 0.1
-    axes = np.linalg.qr(np.random.default_rng(4).normal(size=(40, 10)))[0].T
-    return ReferenceSpace(mean, sd, axes, gaussian((descriptors - mean) / sd @ axes.T))
-
-
 def measured(motion: Motion, sound: Speech = SPEECH) -> Values:
     """Every metric of a motion beside the truth: all that needs no model, and lexemes by place."""
     values = clip_values(motion, TRUTH, MotionBeats.of(motion), OnsetTrack.of(sound), seed=0)
-    seen = eye_values(motion, eye.hear(sound), EDGES, space())
+    seen = eye_values(motion, eye.hear(sound), EDGES)
     lexicon = blocks(TRUTH)[::4]
     latents = blocks(motion)
     own, real = (EncodedMotion(part, cdist(part, lexicon).argmin(axis=1))  # type: ignore[arg-type]
@@ -129,7 +119,7 @@ def measured(motion: Motion, sound: Speech = SPEECH) -> Values:
     out.put("diversity", diversity(own.labels, len(lexicon)), "")
     out.put("motion_variance", motion_variance(latents, own.labels, lexicon), "")
     raw = RawFeatures(12)
-    out.put("fgd", measure(*(pooled([to_character(one)], raw) for one in (motion, TRUTH))).distance, "")
+    out.put("fgd", measure(*(pooled([to_character(one)], raw) for one in (motion, TRUTH))).interval.mean, "")
     return out
 
 
@@ -170,7 +160,7 @@ def test_what_is_not_defined_is_nan_with_a_reason_and_nothing_is_raised(seconds:
     motion = posed().crop(0, round(seconds * FPS))
     speech = Speech(np.zeros(round(seconds * RATE), np.float32), RATE) if sound else None
     values = clip_values(motion, motion, MotionBeats.of(motion), OnsetTrack.of(speech) if speech else None, seed=0)
-    seen = eye_values(motion, eye.hear(speech) if speech else None, None, None)
+    seen = eye_values(motion, eye.hear(speech) if speech else None, None)
     lexemes = lexeme_values(None, None)
     numbers = {**values.numbers, **seen.numbers, **lexemes.numbers}
     reasons = {**values.reasons, **seen.reasons, **lexemes.reasons}

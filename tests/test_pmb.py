@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 from data_module.motion import rotation, skeletons
 from data_module.motion.motion_beats import motion_beats
 from data_module.types import Array, Motion
-from eval.metrics.pmb import DELTAS, above_chance, chance, delta_curve, matched, pmb
+from eval.metrics.pmb import DELTAS, above_chance, chance, delta_curve, matched, pmb, wrapped
 
 TIMES = st.lists(st.floats(0, 8), min_size=1, max_size=25).map(lambda values: np.sort(np.array(values)))
 
@@ -119,3 +119,12 @@ def test_nonsense_is_refused() -> None:
     for duration, shifts in ((0.0, 9), (float("nan"), 9), (5.0, 0)):
         with pytest.raises(ValueError):
             chance(good, good, duration, shifts=shifts)
+
+
+def test_speech_goes_round() -> None:
+    onsets = np.array([0.5, 1.5])
+    np.testing.assert_allclose(wrapped(onsets, 2.0, 5.0), [0.5, 1.5, 2.5, 3.5, 4.5])
+    np.testing.assert_allclose(wrapped(onsets, 2.0, 1.0), [0.5])
+    assert len(wrapped(np.zeros(0), 2.0, 5.0)) == 0
+    with pytest.raises(ValueError):
+        wrapped(onsets, 0.0, 5.0)

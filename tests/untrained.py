@@ -110,8 +110,10 @@ def with_policies(store: Store, work: Path) -> Bundle:
                        corpus.high.shape[-1], len(bundle.vectors), len(names), bundle.silent.tolist())
     for module in (reward, judge, network):
         freeze(module)
-    return dataclasses.replace(bundle, statistics=corpus.statistics, frequencies=table).with_parts(
-        q_network=network, reward=reward, reward_judge=judge)
+    bundle = dataclasses.replace(bundle, statistics=corpus.statistics, frequencies=table)
+    # Of as many performers as the store has.
+    others = {name: half(models.build(name, bundle.sizes)) for name in bundle.parts if name != "lexicon"}
+    return bundle.with_parts(**others | {"q_network": network, "reward": reward, "reward_judge": judge})
 
 
 def sampled_blocks(bundle: Bundle, setup: Setup, requests: Sequence[Request], text: bool = False

@@ -94,7 +94,7 @@ def phases_of(places: Array, fps: float) -> HandPhases:
         return HandPhases(labels, (), ())
     smooth = gaussian_filter1d(places, _SMOOTHING * fps, axis=0, mode="nearest")
     speed = np.linalg.norm(np.gradient(smooth, 1.0 / fps, axis=0), axis=-1)
-    units = _units(smooth[:, 1], speed, fps)
+    units = gesture_units(smooth[:, 1], speed, fps)
     movements: list[Movement] = []
     for first, last in units:
         of_unit = _movements(smooth, speed, first, last, fps)
@@ -119,7 +119,8 @@ def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
-def _units(height: Array, speed: Array, fps: float) -> tuple[tuple[int, int], ...]:
+def gesture_units(height: Array, speed: Array, fps: float) -> tuple[tuple[int, int], ...]:
+    """(first, last) frames of the units of a hand with height [T] metres and speed [T] m/s, last excluded."""
     slow = speed < SLOW
     at_home = slow & (height < np.percentile(height, 10) + _HOME)
     # Away from home a pause may be a hold, so it must last longer to end a unit.

@@ -24,6 +24,7 @@ import numpy as np
 
 from data_module.controls import FEATURES, LEVELS, per_frame
 from data_module.errors import InputError
+from data_module.motion.phases import gesture_units, runs
 from data_module.types import Array, Speech
 from eval import stats
 from eval.acceptance.bounds import Measured, Results
@@ -44,7 +45,6 @@ from eval.metrics import eye
 from eval.metrics.eye import common_body, hear, stability
 from eval.metrics.eye.body import HZ, CommonBody
 from eval.metrics.eye.together import hand_speeds
-from eval.metrics.eye.units import gesture_units
 from eval.renderings import AcceptanceVoice, BundleSystem, Rendering
 from eval.stats import Interval
 
@@ -207,9 +207,9 @@ def units_of(body: CommonBody) -> list[tuple[float, float]]:
     """Seconds from and to of the gesture units of a motion; those of both hands that overlap are joined."""
     speed, active = hand_speeds(body), np.zeros(len(body), bool)
     for hand in (0, 1):
-        for begin, stop in gesture_units(body.hands[:, hand, 1], speed[:, hand]):
+        for begin, stop in gesture_units(body.hands[:, hand, 1], speed[:, hand], HZ):
             active[begin:stop] = True
-    return [(begin / HZ, stop / HZ) for begin, stop in stats.runs(active).tolist()]
+    return [(begin / HZ, stop / HZ) for begin, stop in runs(active)]
 
 
 def moved_by_word(first: Rendering, again: Rendering, time: float) -> tuple[float, float]:

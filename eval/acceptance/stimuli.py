@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from scipy.signal import resample_poly
 
 from data_module.corpora.folder import SOUNDS
+from data_module.motion.phases import runs
 from data_module.speech.audio import SAMPLE_RATE, amplified, load_speech, resample
 from data_module.speech.silence import FRAME, frame_levels, pauses, silent_frames
 from data_module.types import Array, Speech, Word
-from eval import stats
 from eval.clip.excerpts import excerpt_of_speech
 from eval.metrics.eye import hear
 from eval.metrics.eye.voice import TRACK_HZ
@@ -66,7 +66,7 @@ def noise(seconds: float, level: float, rate: int, seed: int = 0) -> Array:
 def pauses_in(speech: Speech) -> Array:
     """[n, 2] seconds of pauses of `REAL_PAUSE` or longer, as the system finds them."""
     quiet = pauses(silent_frames(speech.samples, speech.sample_rate))
-    spans = (stats.runs(quiet) * FRAME).astype(np.float64)
+    spans = np.array(runs(quiet)).reshape(-1, 2) * FRAME
     return spans[spans[:, 1] - spans[:, 0] >= REAL_PAUSE]
 
 
@@ -99,7 +99,7 @@ def unbroken(speech: Speech) -> Speech:
     silence stays as it is."""
     rate, pieces, begun = speech.sample_rate, [], 0
     # By the judge's silences, not by the system's: speech without pauses must have none to either.
-    quiet = stats.runs(hear(speech).silent) / TRACK_HZ
+    quiet = np.array(runs(hear(speech).silent)).reshape(-1, 2) / TRACK_HZ
     for start, stop in quiet[quiet[:, 1] - quiet[:, 0] >= GAP].tolist():
         pieces.append(speech.samples[begun:round((start + _BREATH / 2) * rate)])
         begun = round((stop - _BREATH / 2) * rate)

@@ -79,7 +79,7 @@ def timing_figures(timed: Sequence[Timed]) -> dict[str, Measured]:
     if coupled is not None:
         # Of few voices most exchanges are the identity for some, and the test cannot reject.
         p = coupled.p if voices >= FEWEST and len(coupled.chance) else math.nan
-        out[PITCH_P] = Measured(Interval.exact(p, len(timed)), f"r {coupled.best:.3f} at {coupled.lag:.2f} s")
+        out[PITCH_P] = Measured(Interval.exact(p, len(timed)), f"r {coupled.best:.3f}")
     return out
 
 
@@ -89,26 +89,26 @@ def coupling(timed: Sequence[Timed]) -> Coupling | None:
     return pitch.coupling([clip.pitch for clip in voiced], [clip.speed for clip in voiced], SHIFTS) if voiced else None
 
 
-def own_motion(voices: Sequence[AcceptanceVoice], space: ReferenceSpace | None) -> EyeSample:
+def own_motion(voices: Sequence[AcceptanceVoice]) -> EyeSample:
     """The motion of the speakers themselves, with seams where a system would cut; a real take has no seams."""
     sample = EyeSample()
     for voice in voices:
         if voice.own is not None:
             # Nothing was joined in a real take; a corpus is judged at the seams that a system would have made.
             edges = cut(voice.speech).edges if voice.place == TEST else None
-            sample.add(voice.own, voice.heard, edges, space, group=voice.group or voice.name)
+            sample.add(voice.own, voice.heard, edges, group=voice.group or voice.name)
     return sample
 
 
-def rendered(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings: int, space: ReferenceSpace | None,
-             **options: Any) -> tuple[EyeSample, list[Timed]]:
+def rendered(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings: int, **options: Any
+             ) -> tuple[EyeSample, list[Timed]]:
     """The bundle on the real take's voice with every seed, or on each voice of the test split with one of its own."""
     sample, timed = EyeSample(), []
     for number, voice in enumerate(voices):
         for seed in [number % renderings] if voice.place == TEST else range(renderings):
             rendering = system.render(voice, seed, **options)
             # The interval draws the renderings of one group of voices together.
-            sample.add(rendering.motion, voice.heard, rendering.edges, space, group=voice.group or voice.name)
+            sample.add(rendering.motion, voice.heard, rendering.edges, group=voice.group or voice.name)
             timed.append(Timed.of(rendering.motion, voice))
     return sample, timed
 
@@ -117,20 +117,19 @@ def measure(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings:
             ) -> dict[str, Results]:
     """The figures of the bundle, of the bundle without the sound and with it rolled, and of the speakers themselves."""
     takes, tests = ([voice for voice in voices if (voice.place == TEST) == test] for test in (False, True))
-    corpus = own_motion(tests, space) if tests else None
-    figures = {} if corpus is None else corpus.figures(space)
+    figures = own_motion(tests).figures(space) if tests else {}
     beside = {(figure, CORPUS): Measured(value) for figure, value in figures.items()}
     known = [name for name in (WITHOUT_SOUND,) if name in system.bundle.interpreters]
     results: dict[str, Results] = {name: dict(beside) for name in (OURS, *known, ROLLED_SOUND, SPEAKERS)}
     for on, chosen in ((ON_TAKE, takes), (ON_TEST, tests)):
         if not chosen:
             continue
-        samples = {OURS: rendered(system, chosen, renderings, space),
-                   **{name: rendered(system, chosen, renderings, space, interpreter=name) for name in known},
-                   ROLLED_SOUND: rendered(system, chosen, renderings, space, rolled=True),
-                   SPEAKERS: (own_motion(chosen, space),
+        samples = {OURS: rendered(system, chosen, renderings),
+                   **{name: rendered(system, chosen, renderings, interpreter=name) for name in known},
+                   ROLLED_SOUND: rendered(system, chosen, renderings, rolled=True),
+                   SPEAKERS: (own_motion(chosen),
                               [Timed.of(voice.own, voice) for voice in chosen if voice.own is not None])}
         for name, (sample, timed) in samples.items():
-            results[name] |= {(figure, on): Measured(value) for figure, value in sample.figures(space, corpus).items()}
+            results[name] |= {(figure, on): Measured(value) for figure, value in sample.figures(space).items()}
             results[name] |= {(figure, on): measured for figure, measured in timing_figures(timed).items()}
     return results

@@ -66,9 +66,7 @@ EYE_METRICS: dict[str, Metric] = {
     "eye_drift": Metric("mean wrist of the last 15 s from the first", "cm", 0, "low", "eye hands"),
     "eye_head": Metric("head on chest, spread", "deg", 1, "near", "eye trunk"),
     "eye_chest": Metric("chest, spread", "deg", 1, "near", "eye trunk"),
-    "eye_head_yaw": Metric("head yaw, 95 %", "deg", 0, "low", "eye trunk"),
     "eye_hand_in_torso": Metric("hand in the torso", "%", 1, "low", "eye trunk"),
-    "eye_elbow_in_torso": Metric("elbow in the torso", "%", 1, "low", "eye trunk"),
     "eye_fingers": Metric("fingers moving", "%", 0, "near", "eye trunk"),
     "eye_stroke_amplitude": Metric("stroke amplitude, median", "cm", 0, "near", "eye strokes"),
     "eye_stroke_amplitude_90": Metric("stroke amplitude, 90 %", "cm", 0, "near", "eye strokes"),
@@ -99,7 +97,6 @@ EYE_METRICS: dict[str, Metric] = {
     "eye_pause_speed": Metric("speed in pauses over around them", "", 2, "near", "eye phrases"),
     "eye_loud": Metric("log hand speed with loudness, correlation", "", 2, "near", "eye phrases"),
     "eye_variation_speech": Metric("variation over 4 s, in speech", "", 2, "near", "eye phrases"),
-    "eye_frechet": Metric("window Frechet distance to real, mean of clips", "", 1, "low", "eye frechet"),
 }
 """The figures for the eye (`eval.metrics.eye`), of one clip each, in the order of a table. Which controls pass depends
 on the speaker: each chapter tells it, and `gesticulator score` marks it on the clips at hand."""

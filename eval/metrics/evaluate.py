@@ -27,16 +27,12 @@ from eval.metrics import CLIP_METRICS, EYE_METRICS, eye, pmb
 from eval.metrics.accuracy import lexeme_accuracy
 from eval.metrics.encode import EncodedMotion
 from eval.metrics.joint_error import motion_error
-from eval.metrics.mismatch import wrapped
 from eval.metrics.smoothness import hand_figures
 
 WIDE = 0.2
 """Seconds: the delta that the papers print."""
-SYNCHRONY = ("pmb_A", "pmb_B")
-"""Metrics that the mismatch test tries."""
 NO_SPEECH = "its speech is not known"
 NO_EDGES = "the edges of its blocks are not known (--bundle)"
-NO_SPACE = f"{eye.frechet.REFERENCE} is not in GESTICULATOR_DATA"
 ACCURACY = "lexeme_accuracy"
 MOTION_METRICS = tuple(name for name in CLIP_METRICS if name != ACCURACY)
 """Those that take no bundle."""
@@ -56,7 +52,7 @@ class OnsetTrack:
 
     def lasting(self, duration: float) -> OnsetTrack:
         """As if it lasted this long: cut, or repeated."""
-        return OnsetTrack(wrapped(self.onsets, self.duration, duration), duration)
+        return OnsetTrack(pmb.wrapped(self.onsets, self.duration, duration), duration)
 
 
 @dataclass(frozen=True)
@@ -103,14 +99,13 @@ def clip_values(motion: Motion, truth: Motion, beats: MotionBeats, track: OnsetT
     return out
 
 
-def eye_values(motion: Motion, voice: eye.VoiceActivity | None, edges: Array | None, space: eye.ReferenceSpace | None
-               ) -> Values:
+def eye_values(motion: Motion, voice: eye.VoiceActivity | None, edges: Array | None) -> Values:
     """Every one of `EYE_METRICS` of a motion, as `eval.metrics.eye.figures` takes it."""
     out = Values()
     # The reason follows from what the metric takes: the figures themselves only know that they are undefined.
     unheard = "" if voice else NO_SPEECH
-    lacking = {"eye voice": unheard, "eye phrases": unheard, "eye frechet": "" if space else NO_SPACE}
-    for name, number in eye.figures(motion, voice, edges, space).items():
+    lacking = {"eye voice": unheard, "eye phrases": unheard}
+    for name, number in eye.figures(motion, voice, edges).items():
         why = NO_EDGES if name == "eye_seam" and edges is None else lacking.get(EYE_METRICS[name].part, "")
         out.put(name, number, why or "the clip is too short for it, or holds none of what it counts")
     return out
@@ -126,12 +121,6 @@ def _synchrony_values(out: Values, beats: MotionBeats, track: OnsetTrack, seed: 
                 "chance leaves no room" if len(times) else pmb.NO_BEAT)
     # The papers print this one: nearly all beats are matched at 0.2 s, so it stands beside its chance level.
     out.put("pmb_A_wide", pmb.pmb(beats.modes["A"], track.onsets, WIDE), pmb.NO_BEAT)
-
-
-def synchrony(name: str, beats: MotionBeats, track: OnsetTrack) -> float:
-    """One of `SYNCHRONY` of a motion with any speech, which is cut or repeated to last as long."""
-    # Another's speech may be shorter than the motion that it is tried on.
-    return pmb.pmb(beats.modes[name.removeprefix("pmb_")], track.lasting(beats.duration).onsets)
 
 
 def lexeme_values(encoded: EncodedMotion | None, truth: EncodedMotion | None) -> Values:

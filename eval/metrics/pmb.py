@@ -25,6 +25,8 @@ One of two motion beats lies within 0.1 s of an onset:
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -93,6 +95,20 @@ def circular_shifts(duration: float, count: int, seed: int) -> Array:
     # A shift near 0 is hardly a shift, and would count as chance what is synchrony.
     least = min(1.0, 0.1 * duration)
     return np.random.default_rng(seed).uniform(least, duration - least, count)
+
+
+def wrapped(onsets: Array, duration: float, wanted: float) -> Array:
+    """Onsets [n] of a speech of `duration` seconds as if it went round and round, up to `wanted` seconds.
+
+    So that another's speech is as long as the motion that it is tried on.
+    """
+    if not (duration > 0 and wanted > 0):
+        raise ValueError(f"durations must be positive, not {duration} and {wanted}")
+    times = np.asarray(onsets, dtype=np.float64)
+    rounds = np.arange(math.ceil(wanted / duration)) * duration
+    # Onsets beyond the sound's own end would come twice where it begins anew.
+    every = (rounds[:, None] + times[times < duration]).ravel()
+    return every[every < wanted]
 
 
 def rising(seconds: Array) -> Array:

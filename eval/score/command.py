@@ -47,17 +47,14 @@ from eval.metrics.encode import EncodedMotion, encode_motion
 from eval.metrics.evaluate import (
     ACCURACY,
     MOTION_METRICS,
-    SYNCHRONY,
     MotionBeats,
     OnsetTrack,
     Values,
     clip_values,
     eye_values,
     lexeme_values,
-    synchrony,
 )
 from eval.metrics.gesture_features import pooled, spaces
-from eval.metrics.mismatch import Mismatch, mismatch
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
 from eval.score.played_rows import PlayedBundle
 from eval.score.ratings import FEWEST, ratings_table, read_ratings
@@ -67,8 +64,6 @@ from eval.table import Marked, publish
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.files import bundle_folder
 
-MOST = 60
-"""Clips of a mismatch test at most, evenly chosen: it tries all pairs."""
 SAME = (1e-9, 1e-4)
 """Figures that differ by less, absolutely or relatively, are equal: rounding of files and of sums leaves as much."""
 
@@ -141,7 +136,7 @@ class ScoredClips:
             clip_values(motion, second, beats, track, self.context.seed + k) for k, (motion, second, beats, track)
             in enumerate(zip(motions, truth, row.beats, self.tracks, strict=True))])
         _put(row, tuple(EYE_METRICS), [
-            eye_values(motion, voice, None if blocks is None else blocks.edges, self.context.space)
+            eye_values(motion, voice, None if blocks is None else blocks.edges)
             for motion, voice, blocks in zip(motions, self.voices, self.blocks, strict=True)])
         row.features = {key: pooled(motions, network) for key, network in self.context.networks.items()}
         row.sets |= {key: fgd.of_chosen(row.features[key], real) for key, real in self.features.items()}
@@ -256,17 +251,6 @@ def differences(first: ScoreRow, second: ScoreRow, context: EvalContext) -> dict
     return {name: Marked(value) for name, value in out.items()}
 
 
-def mismatches(rows: Sequence[ScoreRow], shared: ScoredClips) -> dict[str, dict[str, Mismatch]]:
-    """The mismatch test of each row by each metric of synchrony."""
-    known = [k for k, track in enumerate(shared.tracks) if track is not None]
-    # All pairs of n clips are n squared tests, so a large set is thinned evenly.
-    few = [known[k] for k in np.unique(np.linspace(0, len(known) - 1, min(MOST, len(known))).round().astype(int))]
-    tracks = [track for k in few if (track := shared.tracks[k]) is not None]
-    return {row.name: {name: mismatch(np.array([[synchrony(name, row.beats[k], track) for track in tracks]
-                                                for k in few]).reshape(len(few), len(few)), seed=shared.context.seed)
-                       for name in SYNCHRONY} for row in rows}
-
-
 # ----------------------------------------------------------------------------------------------------------- flags
 
 def flags(kinds: Mapping[str, str], figures: Figures, metrics: Mapping[str, Metric]) -> list[Flag]:
@@ -324,7 +308,6 @@ def score(context: EvalContext, clips: ClipSet, ratings: Mapping[str, float] | N
         kinds, figures,
         {f"{a.name} - {b.name}": differences(a, b, context)
          for a, b in itertools.combinations(systems, 2)},
-        mismatches(list(rows.values()), shared),
         found, [*clips.notes, *notes], ratings_table(systems, rows[TRUTH], ratings, metrics, found, seed) if ratings
         else None)
 

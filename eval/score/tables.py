@@ -1,16 +1,13 @@
-"""The results of `eval.score` and their tables: figures by part, the mismatch test, the flags, and how to read them."""
+"""The results of `eval.score` and their tables: figures by part, the flags, and how to read them."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from eval.clip.clip_set import TRUTH
 from eval.metrics import Metric
-from eval.metrics.mismatch import Mismatch
-from eval.table import Cell, Column, Marked, Table, shown_cell
+from eval.table import Column, Marked, Table
 
 FEW = 10
 """Clips below which intervals are too narrow."""
@@ -46,7 +43,6 @@ class Scores:
     kinds: Mapping[str, str]
     figures: Figures
     differences: Figures
-    mismatch: Mapping[str, Mapping[str, Mismatch]]
     flags: Sequence[Flag]
     notes: Sequence[str]
     worth: Table | None = None
@@ -58,7 +54,7 @@ _PARTS = {"joints": "Joint errors against the speaker", "beats": "Motion beats a
           "eye hands": "Perceptual figures: two hands", "eye trunk": "Perceptual figures: trunk and idle motion",
           "eye strokes": "Perceptual figures: strokes", "eye voice": "Perceptual figures: synchrony",
           "eye posture": "Perceptual figures: posture", "eye together": "Perceptual figures: parts together",
-          "eye phrases": "Perceptual figures: holds and pauses", "eye frechet": "Perceptual figures: Frechet distance",
+          "eye phrases": "Perceptual figures: holds and pauses",
           "sets": "Sets of motion", "fgd": "Sets of motion, by a network's features"}
 _ROWS = {TRUTH: "the speakers' own motion", STILL: "the truth's mean pose, clip by clip, without movement",
          "shuffled": "the truth of another clip with this speech", "reversed": "the truth played backwards",
@@ -87,7 +83,7 @@ def tables(scores: Scores) -> list[Table]:
                                     metric.good) for name, metric in metrics.items()}
             out.append(Table(title, columns, {name: {key: row[key] for key in columns if key in row}
                                               for name, row in {**rows, **scores.differences}.items()}, "row"))
-    return [*out, _mismatch_table(scores), _flag_table(scores), *([] if scores.worth is None else [scores.worth])]
+    return [*out, _flag_table(scores), *([] if scores.worth is None else [scores.worth])]
 
 
 def _about(scores: Scores) -> Table:
@@ -106,24 +102,6 @@ def _about(scores: Scores) -> Table:
     return Table(f"{clips} clip{'' if clips == 1 else 's'}, {scores.seconds:.0f} s, at {scores.fps:g} fps.{few}",
                  {"what": Column("what it is")}, {name: {"what": text} for name, text in rows.items()}, "row",
                  [*_LEGEND, *(f"Note: {note}." for note in scores.notes)], facts)
-
-
-def _mismatch_table(scores: Scores) -> Table:
-    """Right speech against others'; a row for each row and metric."""
-    rows: dict[str, dict[str, Any]] = {}
-    for name, tests in scores.mismatch.items():
-        for metric, test in tests.items():
-            # One digit more than the metric's own: differences are smaller than values.
-            digits = scores.metrics[metric].digits + 1
-            cells: dict[str, Cell] = {"right": test.right, "wrong": test.wrong, "difference": test.difference}
-            rows[f"{name}, {scores.metrics[metric].title}"] = {
-                **{key: shown_cell(cell, digits) for key, cell in cells.items()},
-                "p": test.reason or f"{test.p_value:.3g}"}
-    clips = len(scores.clips)
-    notes = [f"With {clips} clips p cannot be below {1 / math.factorial(clips):.3g}: look at the differences, or take "
-             "more clips."] if 1 < clips < 5 else []
-    return Table("Mismatch test", {"right": Column("right speech"), "wrong": Column("others'"),
-                                   "difference": Column("difference"), "p": Column("p")}, rows, "row, metric", notes)
 
 
 def _flag_table(scores: Scores) -> Table:

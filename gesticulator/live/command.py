@@ -126,6 +126,9 @@ def serve(args: argparse.Namespace, address: ServerAddress, limits: ServerLimits
 
     page: serve the page of `gesticulator live`, too, and open it.
     """
+    import numpy as np
+
+    from data_module.speech.audio import SAMPLE_RATE
     from gesticulator.bundle.files import bundle_folder
     from gesticulator.gesticulator import Gesticulator
     from gesticulator.live.server import LiveServer, live_pages
@@ -145,10 +148,9 @@ def serve(args: argparse.Namespace, address: ServerAddress, limits: ServerLimits
         LOG.info("listening on ws://%s:%d/stream, /healthz, /readyz and /metrics", f"[{host}]" if ":" in host else host,
                  port)
         gesticulator = Gesticulator.from_pretrained(args.bundle)
-        gesticulator.warm()
-        # The first words of a stream would otherwise wait for the language model to be loaded.
-        if gesticulator.reads_text:
-            gesticulator.warm(text=True)
+        # The first stream would otherwise wait for the models to be loaded. Silence would not reach the generator.
+        noise = np.random.default_rng(0).normal(0.0, 0.05, 2 * SAMPLE_RATE)
+        gesticulator.stream(text=gesticulator.reads_text).feed(noise.astype(np.float32))
         # An ended stream is a circle of tasks, exceptions and frames, which the collector looks for when there are many
         # new objects for the known ones. So the models must not count as known: the second collection notes that.
         gc.collect()

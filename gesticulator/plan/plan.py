@@ -445,7 +445,7 @@ def place_of(path: Place) -> str:
 def sound_hash(speech: Speech) -> str:
     """SHA-256 of the samples, little-endian float32."""
     # The samples as they are heard, not the file: the same sound in another container is the same recording.
-    return hashlib.sha256(speech.samples.astype("<f4", order="C", copy=False)).hexdigest()
+    return hashlib.sha256(speech.samples.astype("<f4", order="C", copy=False).data).hexdigest()
 
 
 def edited_blocks(plan: GesturePlan) -> tuple[bool, ...]:

@@ -128,7 +128,6 @@ def paper_quick() -> Config:
         return dataclasses.replace(of, steps=steps, batch=batch)
 
     s = base.schedules
-    narrow = {"audio_features": 24, "audio_bottleneck": 32}
     return dataclasses.replace(
         base, name="paper-quick",
         schedules=dataclasses.replace(
@@ -137,10 +136,11 @@ def paper_quick() -> Config:
             interpreter=short(400, 32, s.interpreter), reward=short(0, 64, s.reward), cql=short(0, 32, s.cql),
             cql_literal=short(0, 32, s.cql_literal)),
         encoder=EncoderConfig(width=16),
-        generator=dataclasses.replace(base.generator, motion_features=32, hidden=128, groups=8, lstm_width=128,
-                                      **narrow),
-        interpreter=dataclasses.replace(base.interpreter, width=96, text_features=16, text_bottleneck=32, **narrow),
-        style=dataclasses.replace(base.style, width=64, **narrow),
+        generator=dataclasses.replace(base.generator, motion_features=32, audio_features=24, audio_bottleneck=32,
+                                      hidden=128, groups=8, lstm_width=128),
+        interpreter=dataclasses.replace(base.interpreter, audio_features=24, audio_bottleneck=32, width=96,
+                                        text_features=16, text_bottleneck=32),
+        style=dataclasses.replace(base.style, audio_features=24, audio_bottleneck=32, width=64),
         cql=dataclasses.replace(base.cql, width=64))
 
 

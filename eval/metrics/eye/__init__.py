@@ -19,7 +19,7 @@ import math
 
 from data_module.types import Array, Motion
 from eval.metrics import EYE_METRICS
-from eval.metrics.eye import frechet, hands, posture, strokes, together, trunk, units, voice
+from eval.metrics.eye import hands, posture, strokes, together, trunk, units, voice
 from eval.metrics.eye.body import CommonBody, common_body
 from eval.metrics.eye.frechet import ReferenceSpace
 from eval.metrics.eye.voice import VoiceActivity, hear
@@ -30,18 +30,18 @@ SHORTEST = 2.0
 """Seconds: shorter motion has no figure, as a window of the Frechet distance lasts so long."""
 
 
-def figures(motion: Motion, voice_activity: VoiceActivity | None = None, edges: Array | None = None,
-            space: ReferenceSpace | None = None) -> dict[str, float]:
+def figures(motion: Motion, voice_activity: VoiceActivity | None = None, edges: Array | None = None
+            ) -> dict[str, float]:
     """Every one of `EYE_METRICS` of a motion of any upper body; NaN where one is not defined.
 
     voice_activity: of its speech (`hear`), without which the figures of the voice are undefined; edges: [N + 1] seconds
-    of its own blocks, for the seams; space: for the Frechet distance. InputError where the joints are not known.
+    of its own blocks, for the seams. InputError where the joints are not known.
     """
-    return of_body(common_body(motion), voice_activity, edges, space)
+    return of_body(common_body(motion), voice_activity, edges)
 
 
-def of_body(body: CommonBody, voice_activity: VoiceActivity | None = None, edges: Array | None = None,
-            space: ReferenceSpace | None = None) -> dict[str, float]:
+def of_body(body: CommonBody, voice_activity: VoiceActivity | None = None, edges: Array | None = None
+            ) -> dict[str, float]:
     """The same of a body that is at hand."""
     # A chapter leaves out what it cannot define, so NaN stands here once for all of them.
     out = dict.fromkeys(EYE_METRICS, math.nan)
@@ -52,6 +52,4 @@ def of_body(body: CommonBody, voice_activity: VoiceActivity | None = None, edges
     out |= strokes.figures(body, edges)
     if voice_activity is not None:
         out |= voice.figures(body, voice_activity) | units.figures(body, voice_activity)
-    if space is not None:
-        out["eye_frechet"] = space.distance(frechet.windows(body))
     return out

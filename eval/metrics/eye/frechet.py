@@ -7,19 +7,19 @@ Frechet distance of the two sets taken for Gaussians,
 
     |m_1 - m_2|^2 + tr(C_1 + C_2 - 2 (C_1 C_2)^(1/2)).
 
-The space is frozen in a file: mean, sd, axes and the moments of two real takes, no motion. The same space serves for
-the distance to any other set, such as the corpus that a system learnt from.
+The space is frozen in a file: mean, sd, axes and the moments of two real takes, no motion.
 
 Unit: squared deviations of the reference. Good: low. Anchors: the halves of one real take against both takes together
 8 and 13; a peer's system 26 to 28; unit selection over a tenth of a corpus 22; frozen motion 240. A take of one minute
-has some 150 windows, far fewer of them independent: a difference of 2 is noise. Pooled windows of many clips are nearer
-than the mean of the clips' own distances, which is why a table says which of both it shows.
+has some 150 windows, far fewer of them independent: a difference of 2 is noise. The windows of all clips
+are pooled: single clips are farther off on average.
 
 What fools it: a motion played backwards has the same value (13.0 for one real take both ways), as the order of speeds
 in a window is not seen; and so has a mirrored copy (12.7), as the space keeps no tie between the hands. Both belong
 beside it in every table, with the figures of `hands`, which see the mirror. It does not hear the speech. Jitter (131),
 bobbing (299) and a frozen pose (687) are far. The reference is two people: who gestures as well but otherwise is "far".
 
+    >>> from eval.metrics.fgd import frechet_distance
     >>> standard = Gaussian(np.zeros(2), np.eye(2))
     >>> round(frechet_distance(standard, Gaussian(np.array([3.0, 0.0]), 4.0 * np.eye(2))), 6)
     11.0
@@ -27,7 +27,6 @@ bobbing (299) and a frozen pose (687) are far. The reference is two people: who 
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,7 +37,7 @@ from data_module.arrays import as_floats, read_npz
 from data_module.errors import InputError
 from data_module.types import Array
 from eval.metrics.eye.body import CommonBody
-from eval.metrics.fgd import Gaussian, frechet_distance, gaussian
+from eval.metrics.fgd import Gaussian, gaussian
 
 POINTS = ("RightHand", "LeftHand", "RightForeArm", "LeftForeArm", "Head")
 WIDTH = 40
@@ -105,8 +104,3 @@ class ReferenceSpace:
     def see(self, descriptors: Array) -> Array:
         """Windows [n, 40] in the space, [n, 10]."""
         return ((descriptors - self.mean) / self.sd) @ self.axes.T
-
-    def distance(self, descriptors: Array) -> float:
-        """Of windows [n, 40] from the real takes; NaN for fewer than three."""
-        moments = moments_of(self.see(descriptors))
-        return math.nan if moments is None else frechet_distance(moments, self.real)

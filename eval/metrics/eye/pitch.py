@@ -3,17 +3,16 @@
 Theory: of all links between sound and motion in three real speakers, one survives the exchange of their sounds: pitch
 goes with the speed of the trunk and head, at once. F0 by pYIN at 100 Hz, its logarithm less the mean of the recording,
 unvoiced frames left out; trunk speed is the turning speed of the chest; both are smoothed by 0.1 s and taken at 20 Hz.
-The figure is Pearson's r over voiced frames at each lag of -1 to +1 s (positive: the trunk is late), averaged over
-recordings; `Coupling.best` is the largest within 0.1 s of no lag, and `chance` its distribution when sounds are
-exchanged among recordings.
+The figure is Pearson's r over voiced frames, averaged over recordings, the largest at lags of -0.1 to +0.1 s
+(`Coupling.best`); `chance` is its distribution when sounds are exchanged among recordings.
 
 Good: .13 at no lag for a real speaker. What fools it: a trunk that moves in speech and rests in pauses gains nothing,
 as pauses are unvoiced and left out; but a trunk that follows loudness gains, because loud syllables are often high.
 
     >>> pitch = np.sin(np.arange(400) / 9.0)
-    >>> speed = np.roll(pitch, 4)
+    >>> speed = np.roll(pitch, 2)
     >>> int(LAGS[np.argmax(lagged(pitch, speed))])
-    4
+    2
 """
 
 from __future__ import annotations
@@ -32,10 +31,8 @@ from eval.metrics.eye.hands import correlation
 
 RATE = 20
 """Frames a second of both tracks."""
-LAGS = np.arange(-RATE, RATE + 1)
-"""Frames: -1 to +1 s."""
-NEAR = 0.1
-"""Seconds about no lag that count as at once."""
+LAGS = np.arange(-2, 3)
+"""Frames that count as at once: -0.1 to +0.1 s; positive where the trunk is late."""
 _PITCH_HZ, _SMOOTHING, _SEED = 100, 0.1, 1
 _LOWEST, _HIGHEST = 60.0, 500.0
 """Hertz of voices."""
@@ -82,20 +79,10 @@ def lagged(pitch: Array, speed: Array) -> Array:
 
 @dataclass(frozen=True)
 class Coupling:
-    """Over recordings. by_lag: [lags] mean r; chance: [draws] the best r at once when sounds are exchanged."""
+    """Over recordings. best: the largest mean r of `LAGS`; chance: [draws] that when sounds are exchanged."""
 
-    by_lag: Array
+    best: float
     chance: Array
-
-    @property
-    def best(self) -> float:
-        """The largest mean r within 0.1 s of no lag."""
-        return _best(self.by_lag)
-
-    @property
-    def lag(self) -> float:
-        """Seconds of the lag with the largest r; positive where the trunk is late."""
-        return float(LAGS[int(np.nanargmax(self.by_lag))]) / RATE if np.isfinite(self.by_lag).any() else float("nan")
 
     @property
     def p(self) -> float:
@@ -103,18 +90,16 @@ class Coupling:
         return float((1 + (self.chance >= self.best - 1e-12).sum()) / (1 + len(self.chance)))
 
 
-def _best(by_lag: Array) -> float:
-    near = by_lag[np.abs(LAGS) <= NEAR * RATE]
-    return float(np.nanmax(near)) if np.isfinite(near).any() else float("nan")
+def _best(pairs: Array) -> float:
+    """Of recordings [n, lags]."""
+    by_lag = np.nanmean(pairs, axis=0)
+    return float(np.nanmax(by_lag)) if np.isfinite(by_lag).any() else float("nan")
 
 
 def coupling(pitches: Sequence[Array], speeds: Sequence[Array], draws: int = 200) -> Coupling:
     """Of recordings with their pitch and trunk speed. With one recording there is no exchange, and no chance."""
     # All pairs once: exchanges only pick among them.
     pairs = np.array([[lagged(pitch, speed) for speed in speeds] for pitch in pitches])
-    matched = np.nanmean(pairs[np.arange(len(speeds)), np.arange(len(speeds))], axis=0)
-    rng, chance = np.random.default_rng(_SEED), []
-    for _ in range(draws if len(speeds) > 1 else 0):
-        order = rng.permutation(len(speeds))
-        chance.append(_best(np.nanmean(pairs[order, np.arange(len(speeds))], axis=0)))
-    return Coupling(matched, np.array(chance))
+    rng, every = np.random.default_rng(_SEED), np.arange(len(speeds))
+    chance = [_best(pairs[rng.permutation(len(speeds)), every]) for _ in range(draws if len(speeds) > 1 else 0)]
+    return Coupling(_best(pairs[every, every]), np.array(chance))

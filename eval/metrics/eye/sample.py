@@ -1,4 +1,4 @@
-"""The figures for the eye of several clips together: means with intervals, and distances of all windows at once."""
+"""The figures for the eye of several clips together: means with intervals, and the distance of all windows at once."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from eval.metrics.eye import ReferenceSpace, VoiceActivity, frechet
 from eval.metrics.fgd import frechet_distance
 from eval.stats import Interval
 
-POOLED, TO_CORPUS = "eye_frechet_pooled", "eye_frechet_corpus"
+POOLED = "eye_frechet_pooled"
 CORPUS = "corpus"
 
 
@@ -23,45 +23,39 @@ class EyeSample:
     """The measured clips of one system. values: figure -> one of each clip; windows: of each clip, [n, 40]; groups: of
     each clip, those of one group are alike."""
 
-    values: dict[str, list[float]] = field(
-        default_factory=lambda: {name: [] for name in (*EYE_METRICS, POOLED, TO_CORPUS)})
+    values: dict[str, list[float]] = field(default_factory=lambda: {name: [] for name in (*EYE_METRICS, POOLED)})
     windows: list[Array] = field(default_factory=list)
     groups: list[str] = field(default_factory=list)
 
-    def add(self, motion: Motion, voice: VoiceActivity | None = None, edges: Array | None = None,
-            space: ReferenceSpace | None = None, *, group: str = "") -> None:
+    def add(self, motion: Motion, voice: VoiceActivity | None = None, edges: Array | None = None, *,
+            group: str = "") -> None:
         """Measure a clip. voice: of its own speech; edges: of its own blocks."""
         body = eye.common_body(motion)
-        figures = eye.of_body(body, voice, edges, space)
+        figures = eye.of_body(body, voice, edges)
         for name, values in self.values.items():
             values.append(figures.get(name, math.nan))
         self.windows.append(frechet.windows(body))
         self.groups.append(group or str(len(self.groups)))
 
-    def figures(self, space: ReferenceSpace | None = None, corpus: EyeSample | None = None) -> dict[str, Interval]:
-        """Every row: the mean of the clips with its interval (groups are drawn together), and the distances of all
+    def figures(self, space: ReferenceSpace | None = None) -> dict[str, Interval]:
+        """Every row: the mean of the clips with its interval (groups are drawn together), and the distance of all
         windows together."""
         # Renderings of one recording alone are the unit; of several recordings, the recordings are.
         groups = self.groups if len(set(self.groups)) > 1 else None
         out = {name: stats.mean_interval(values, groups=groups) if len(values) > 1 else Interval.exact(values[0], 1)
                for name, values in self.values.items()}
         if space is not None:
-            out[POOLED] = self.pooled(space, None)
-            if corpus is not None:
-                out[TO_CORPUS] = self.pooled(space, corpus)
+            out[POOLED] = self.pooled(space)
         return out
 
-    def pooled(self, space: ReferenceSpace, other: EyeSample | None) -> Interval:
-        """Frechet distance of all windows together from real people's, or from another sample's, with the basic
-        bootstrap's interval over clips."""
+    def pooled(self, space: ReferenceSpace) -> Interval:
+        """Frechet distance of all windows together from real people's, with the basic bootstrap's interval over
+        clips."""
         # Projected once: the bootstrap draws the same windows two hundred times.
         projected = [space.see(windows) for windows in self.windows]
-        target = space.real if other is None else frechet.moments_of(space.see(np.concatenate(other.windows)))
-        if target is None:
-            return Interval.undefined(len(projected))
 
         def distance(chosen: Array) -> float:
             moments = frechet.moments_of(np.concatenate([projected[k] for k in chosen]))
-            return math.nan if moments is None else frechet_distance(moments, target)
+            return math.nan if moments is None else frechet_distance(moments, space.real)
 
         return stats.of_set(distance, len(projected), least=0.0)

@@ -25,9 +25,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.motion.phases import runs
 from data_module.types import Array
 from eval.metrics.eye.body import HZ, CommonBody
-from eval.stats import runs
 
 ALIKE = 0.02
 """Metres: hands that are nearer than this are together."""
@@ -52,11 +52,11 @@ def healed(apart: NDArray[np.bool_], within: float, hz: float = HZ) -> float:
     seconds or to the end. A parting that the end cuts off sooner than that does not count. NaN without any."""
     together = np.zeros(len(apart), bool)
     least = round(TOGETHER * hz)
-    for begin, stop in runs(~apart).tolist():
+    for begin, stop in runs(~apart):
         together[begin:stop] = stop - begin >= least or stop == len(apart)
     # A short touch in passing is no coming together, so runs are taken of what lasted.
     counted = good = 0
-    for begin, stop in runs(~together).tolist():
+    for begin, stop in runs(~together):
         if stop == len(apart) and stop - begin < within * hz:
             continue
         counted, good = counted + 1, good + int(stop - begin <= within * hz)

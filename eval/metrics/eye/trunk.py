@@ -4,13 +4,11 @@ Theory: a speaker nods, turns, leans and breathes. The spread of a rotation q_t 
 of sum q q^T) is the root mean square of the rotation vectors from the mean, degrees:
 
 - head on chest: of the head's rotation relative to the chest; chest: of the chest's, relative to the facing hips.
-- head yaw: the 95th percentile of how far the face is turned from where the hips face, degrees.
-- hand, elbow in the torso: percentage of frames of the worse side in which a wrist lies within 11.5 cm, an elbow within
-  13 cm, of the line from hips to chest.
+- hand in the torso: percentage of frames of the worse side in which a wrist lies within 11.5 cm of the line from hips
+  to chest.
 - fingers: percentage of time that some finger joint turns faster than 5 degrees a second; undefined without fingers.
 
-Good: near a speaker's own (16 and 9 degrees for the head, 9 and 4 for the chest, yaw under 25 degrees, 1 % or less in
-the torso).
+Good: near a speaker's own (16 and 9 degrees for the head, 9 and 4 for the chest, 1 % or less in the torso).
 
 What fools them: a trunk that sways at random has a spread, so it says nothing of nods that go with the voice. A motion
 played backwards has all of them to the digit, and arms that mirror each other have the same trunk. A body that stands
@@ -27,15 +25,15 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from data_module.motion import rotation
+from data_module.motion.phases import runs
 from data_module.types import Array
 from eval.metrics.eye.body import HZ, SIDES, CommonBody
-from eval.stats import runs
 
 STILL = 0.02
 """m/s: what is slower stands still."""
 SMOOTHING = 3.0
 """Frames at 60 Hz: the standard deviation of the Gaussian before speeds are taken (50 ms)."""
-_HAND_RADIUS, _ELBOW_RADIUS = 0.115, 0.13
+_HAND_RADIUS = 0.115
 """Metres from the trunk's line: half a chest's depth."""
 _FINGER_MOVES = 5.0
 """Degrees a second."""
@@ -56,9 +54,9 @@ def smoothed_speed(places: Array, smoothing: float = SMOOTHING) -> Array:
     return np.asarray(np.linalg.norm(velocity, axis=-1))
 
 
-def longest(mask: NDArray[np.bool_] | np.bool_) -> float:
+def longest(mask: NDArray[np.bool_]) -> float:
     """Seconds of the longest run of True, [T] at 60 Hz."""
-    return float(np.diff(runs(mask)).max(initial=0)) / HZ
+    return max((stop - begin for begin, stop in runs(mask)), default=0) / HZ
 
 
 def off_line(points: Array, start: Array, way: Array) -> Array:
@@ -68,25 +66,14 @@ def off_line(points: Array, start: Array, way: Array) -> Array:
     return np.asarray(np.linalg.norm(points - start - share[:, None] * way, axis=-1))
 
 
-def inside(body: CommonBody, joint: str, radius: float) -> float:
-    """Percentage of frames in which a joint of the worse side lies nearer than so many metres to the line from the hips
-    to the chest."""
-    chest = body.points["Chest"]
-    return max(100.0 * float((off_line(body.points[side + joint], 0.0 * chest, chest) < radius).mean())
-               for side in SIDES)
-
-
 def figures(body: CommonBody) -> dict[str, float]:
     """Every figure of this chapter."""
-    # Where the face points, as a heading: a nod is no turn.
-    face = rotation.rotate(body.head, np.array([0.0, 0.0, 1.0]))
-    yaw = np.degrees(np.abs(np.arctan2(face[:, 0], face[:, 2])))
+    chest = body.points["Chest"]
+    inside = [off_line(body.points[side + "Hand"], 0.0 * chest, chest) < _HAND_RADIUS for side in SIDES]
     out = {
         "eye_head": spread(rotation.multiply(rotation.conjugate(body.chest), body.head)),
         "eye_chest": spread(body.chest),
-        "eye_head_yaw": float(np.percentile(yaw, 95)),
-        "eye_hand_in_torso": inside(body, "Hand", _HAND_RADIUS),
-        "eye_elbow_in_torso": inside(body, "ForeArm", _ELBOW_RADIUS),
+        "eye_hand_in_torso": max(100.0 * float(frames.mean()) for frames in inside),
     }
     if body.finger_speed is not None:
         out["eye_fingers"] = 100.0 * float((body.finger_speed > _FINGER_MOVES).mean())

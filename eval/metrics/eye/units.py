@@ -1,8 +1,7 @@
 """Gesture units and phrases: do the hands hold, prepare before the word, and keep moving through short pauses?
 
-Theory: a gesture unit goes from rest to rest: preparation, strokes, holds, retraction (Kendon). A hand rests where it
-is under 0.15 m/s for 0.4 s within 10 cm of its home (its own 10 % height), or for 0.8 s anywhere; it moves over
-0.3 m/s. v is the speed of `eval.metrics.eye.together.hand_speeds`; a pause is a silence of 0.3 s or more.
+Theory: a gesture unit goes from rest to rest (`data_module.motion.phases`). v is the speed of
+`eval.metrics.eye.together.hand_speeds`; a pause is a silence of 0.3 s or more.
 
 - held: percentage of speech and hands in which a hand 6 cm over the hips or higher is under 0.15 m/s for 0.25 s or
   more.
@@ -22,7 +21,7 @@ What fools them: hands that never stop have moving pauses, and "begin" before th
 read that share beside its chance. A motion that is frozen in pauses has none of them. Played backwards a motion keeps
 holds and pauses and loses the lead.
 
-    >>> int(lasting(np.array([True] * 5 + [False] + [True] * 30), 0.3).sum())
+    >>> int(lasting(np.array([True] * 5 + [False] + [True] * 30), 0.3 * HZ).sum())
     30
 """
 
@@ -35,19 +34,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from data_module.motion.phases import lasting, runs
 from data_module.types import Array
 from eval.metrics.eye.body import HZ, CommonBody
 from eval.metrics.eye.hands import HANGS, MOVES, correlation
 from eval.metrics.eye.together import hand_speeds, variation
 from eval.metrics.eye.voice import TRACK_HZ, VoiceActivity
-from eval.stats import runs
 
 HELD = 0.15
 """m/s: a hand that is slower is held, or rests."""
 PAUSE, HOLD = 0.3, 0.25
 """Seconds of a pause, and of a hold, at least."""
-_REST_AT_HOME, _REST_ANYWHERE, _HOME = 0.4, 0.8, 0.10
-"""Seconds of rest near home and anywhere; metres over the 10 % height that are near."""
 _AROUND = 0.6
 """Seconds before and after a pause that its speed is compared with."""
 _EASE = 0.02
@@ -57,22 +54,6 @@ _SILENCE, _BEFORE, _AFTER = 0.4, 1.0, 1.5
 _SEED = 1
 _DEPTH = 50.0
 """dB under the loud half seconds under which silence is not told apart."""
-
-
-def lasting(mask: NDArray[np.bool_], seconds: float) -> NDArray[np.bool_]:
-    """[T] the runs of a mask [T] that last so many seconds at least."""
-    out = np.zeros(len(mask), bool)
-    for begin, stop in runs(mask).tolist():
-        out[begin:stop] = stop - begin >= round(seconds * HZ)
-    return out
-
-
-def gesture_units(height: Array, speed: Array) -> list[tuple[int, int]]:
-    """Frames from and to of the units of a hand with height [T] metres and speed [T] m/s."""
-    # At home a short rest ends a unit; in the air only a long one, as a hold belongs to its gesture.
-    slow = speed < HELD
-    rests = lasting(slow & (height < np.percentile(height, 10) + _HOME), _REST_AT_HOME) | lasting(slow, _REST_ANYWHERE)
-    return [(begin, stop) for begin, stop in runs(~rests).tolist() if speed[begin:stop].max() > MOVES]
 
 
 def silent_frames(voice: VoiceActivity, frames: int) -> NDArray[np.bool_]:
@@ -86,7 +67,7 @@ def _held(body: CommonBody, speed: Array, speech: NDArray[np.bool_]) -> dict[str
     # Less than a second of speech has no hold to speak of.
     if speech.sum() <= HZ:
         return {}
-    shares = [(lasting(speed[:, hand] < HELD, HOLD) & (body.hands[:len(speed), hand, 1] > HANGS))[speech].mean()
+    shares = [(lasting(speed[:, hand] < HELD, HOLD * HZ) & (body.hands[:len(speed), hand, 1] > HANGS))[speech].mean()
               for hand in (0, 1)]
     return {"eye_held": 100.0 * float(np.mean(shares))}
 
@@ -96,7 +77,7 @@ def _pauses(speed: Array, pauses: NDArray[np.bool_]) -> dict[str, float]:
     if pauses.sum() > HZ / 2:
         out["eye_pause_moving"] = 100.0 * float((speed.max(axis=1)[pauses] > HELD).mean())
     around, ratios = round(_AROUND * HZ), []
-    for begin, stop in runs(pauses).tolist():
+    for begin, stop in runs(pauses):
         # A pause at either end of the recording has no speed around it on one side.
         if begin > around and stop < len(mean) - around:
             beside = np.concatenate([mean[begin - around:begin], mean[stop:stop + around]]).mean()
@@ -166,7 +147,7 @@ def leads(body: CommonBody, voice: VoiceActivity, shifts: int) -> Leads:
     fast = hand_speeds(body)[:frames].max(axis=1)
     rate = HZ / TRACK_HZ
     silences = [(round(begin * rate), round(stop * rate))
-                for begin, stop in runs(voice.silent[:round(frames / rate)]).tolist()]
+                for begin, stop in runs(voice.silent[:round(frames / rate)])]
     # The voice must come back within the recording, half a second before its end at the latest.
     silences = [(begin, stop) for begin, stop in silences
                 if stop - begin >= _SILENCE * HZ and stop < frames - HZ / 2]
@@ -202,6 +183,6 @@ def figures(body: CommonBody, voice: VoiceActivity) -> dict[str, float]:
     if frames < 2 * HZ:
         return {}
     speed = hand_speeds(body)[:frames]
-    pauses, mean = lasting(silent_frames(voice, frames), PAUSE), speed.mean(axis=1)
+    pauses, mean = lasting(silent_frames(voice, frames), PAUSE * HZ), speed.mean(axis=1)
     return {**_held(body, speed, ~pauses), **_pauses(speed, pauses), **_loudness(mean, voice),
             "eye_variation_speech": variation(mean, ~pauses)}

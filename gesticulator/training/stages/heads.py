@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from data_module.motion.phases import HandPhases, Phase, hand_places, phases_of
+from data_module.motion.phases import HandPhases, Phase, hand_places, phases_of, runs
 from data_module.types import Array
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
@@ -26,7 +26,7 @@ from gesticulator.training.stages.speech import CORPUS
 from gesticulator.training.stages.windows import Windows, sequences, task_of, validation
 from interpreters.gate import ActivityGate
 from interpreters.planner import UnitPlanner, UnitStyleInterpreter
-from interpreters.units import APEXES, CODE, HANDS, PHASES, SIZES
+from interpreters.planner_run import APEXES, CODE, HANDS, PHASES, SIZES
 
 RATE = 30.0
 """Frames per second at which phases are measured."""
@@ -160,9 +160,8 @@ _FEWEST_UNITS = 20
 
 def spans(acting: NDArray[np.bool_], longest: int = _LONGEST_UNIT) -> list[tuple[int, int]]:
     """(first, last) blocks of the units in acting [M], last excluded; long runs are cut into equal parts."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], acting, [False]]).astype(int)))
     out = []
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
+    for first, last in runs(acting):
         # Ceiling division: the fewest parts of at most `longest` blocks.
         parts = -(-(last - first) // longest)
         cuts = np.linspace(first, last, parts + 1).round().astype(int)

@@ -86,13 +86,11 @@ INTERPRETER_TEXT: Stage[LstmInterpreter] = Stage(
 
 
 @torch.inference_mode()
-def teacher_logits(model: LstmInterpreter, corpus: Corpus, blocks: NDArray[np.int64], lexemes: NDArray[np.int64],
-                   words: NDArray[np.int64] | None = None) -> Tensor:
-    """[M - 1, S] scores of blocks [M] of a recording except the first, given lexemes [M] and the performer's motion.
-    words: block numbers [M] whose words are read; default: the blocks themselves."""
+def teacher_logits(model: LstmInterpreter, corpus: Corpus, blocks: NDArray[np.int64], lexemes: NDArray[np.int64]
+                   ) -> Tensor:
+    """[M - 1, S] scores of blocks [M] of a recording except the first, given lexemes [M] and the performer's motion."""
     rows, previous = torch.as_tensor(blocks[1:]), torch.as_tensor(lexemes[:-1])[None]
-    # Other words than those of the blocks measure how much the words matter.
-    text = corpus.text((blocks if words is None else words)[1:])[None] if model.config.reads else None
+    text = corpus.text(blocks[1:])[None] if model.config.reads else None
     # The first block is the seed: it is given, and has no score.
     past, durations = corpus.before(blocks[1:])
     pose = torch.cat(pose_of(past, durations.to(past).T[..., None]), -1)[None] if model.config.pose_features else None

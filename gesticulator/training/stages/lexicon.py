@@ -151,7 +151,7 @@ def lexicon_figures(lexicon: Lexicon, motion: Tensor) -> Figures:
     quantised = torch.cat([lexicon.decode(lexicon.vectors[part]) for part in labels.split(_TOGETHER)])
     plain = torch.cat([lexicon.decode(part) for part in latents.split(_TOGETHER)])
     return {"quantised": _error(quantised, motion), "unquantised": _error(plain, motion),
-            **_use(labels, lexicon.quantizer.size)}
+            **_use(labels, len(lexicon.vectors))}
 
 
 def _starts(corpus: Corpus, split: str, length: int) -> NDArray[np.int64]:
@@ -192,7 +192,7 @@ def codec_figures(model: RacerCodec, true: Tensor) -> Figures:
     labels = model.quantizer.labels(latents.flatten(0, 1))
     decoded = model.decode(model.vectors[labels].unflatten(0, latents.shape[:2]))
     return {"quantised": _error(decoded, true), "unquantised": _error(model.decode(latents), true),
-            **_use(labels, model.quantizer.size)}
+            **_use(labels, len(model.vectors))}
 
 
 CODEC: Stage[RacerCodec] = Stage(
