@@ -35,17 +35,12 @@ class Intervals:
         return Intervals(tuple(a + b for a, b in zip(self.onsets, other.onsets, strict=True)),
                          tuple(a + b for a, b in zip(self.beats, other.beats, strict=True)))
 
-    def share(self, low: float, high: float) -> float:
-        """Share of the intervals between onsets that is at least `low` and less than `high` seconds, to whole bins; 0
-        without any."""
-        # Bounds are rounded to whole bins, in which the counts are.
-        first, last = round(low / STEP), round(high / STEP)
-        return sum(self.onsets[first:last]) / max(1, sum(self.onsets))
-
     def line(self) -> str:
         """One line: the share of the onsets within the default bounds of a block."""
         bounds = BlockSettings().beats
-        share = self.share(bounds.d_min, bounds.d_max)
+        # The bounds are rounded to whole bins, in which the counts are.
+        within = self.onsets[round(bounds.d_min / STEP):round(bounds.d_max / STEP)]
+        share = sum(within) / max(1, sum(self.onsets))
         return f"{share:.0%} of the intervals between onsets lie between {bounds.d_min:g} and {bounds.d_max:g} s"
 
 

@@ -408,7 +408,7 @@ def units_of_blocks(blocks: Sequence[BlockMotion]) -> tuple[GestureUnit, ...]:
 
 
 def _unit(blocks: Sequence[BlockMotion]) -> GestureUnit:
-    from interpreters.units import HANDS, PHASES
+    from interpreters.planner_run import HANDS, PHASES
 
     decisions = [block.unit for block in blocks if block.unit is not None]
     phases: list[GesturePhase] = []

@@ -29,8 +29,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from data_module.layers import BlockLinear, masked_mean
+from interpreters.planner_run import CLASSES, HANDS, PHASES
 from interpreters.settings import PlannerConfig, StyleConfig
-from interpreters.units import CLASSES, HANDS, PHASES
 
 __all__ = ["UnitPlanner", "UnitStyleInterpreter", "one_hot"]
 

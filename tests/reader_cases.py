@@ -37,7 +37,6 @@ from data_module.motion.representation import TED_JOINTS
 from data_module.motion.smplx import read_smplx
 from data_module.speech.audio import header_seconds, load_speech
 from data_module.speech.fingerprint import fingerprint_frames, fingerprint_text
-from data_module.speech.speech_encoder import load_fairseq
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter, _fingerprint, _sha256
 from data_module.text.transcript import read_transcript
 from data_module.types import Speech, Word
@@ -274,19 +273,6 @@ def _read_pairs(file: Path) -> object:
 def _ted(folder: Path) -> Path:
     pytest.importorskip("pyarrow", reason="pyarrow is in the extra 'ted'")
     return _written("value", published.ted_value("VIDEO", "100"))(folder)
-
-
-def _checkpoint(folder: Path) -> Path:
-    import torch
-
-    weights, before = {}, 1
-    for layer, kernel in enumerate((10, 8, 4, 4, 4, 1, 1, 1)):
-        name = f"feature_extractor.conv_layers.{layer}"
-        weights |= {f"{name}.0.weight": torch.zeros(4, before, kernel), f"{name}.2.weight": torch.ones(4),
-                    f"{name}.2.bias": torch.zeros(4)}
-        before = 4
-    torch.save({"model": weights, "args": {"activation": "gelu"}}, folder / "a.pt")
-    return folder / "a.pt"
 
 
 def _bundle(mutated: str) -> Callable[[Path], Path]:
@@ -605,7 +591,6 @@ READERS: dict[str, Case] = {
     "beat2, its list": Case(published.listed_beat2, lambda file: open_corpus("beat2", file.parent, Options()).items()),
     "genea, its metadata": Case(_genea, lambda file: open_corpus("genea", file.parent, Options()).items()),
     "ted, a value": Case(_ted, lambda file: deserialise(file.read_bytes(), source=file)),
-    "fairseq checkpoint": Case(_checkpoint, load_fairseq),
     "bundle, index": Case(_bundle("bundle.json"), _read_bundle),
     "bundle, weights": Case(_bundle("generator.safetensors"), _read_bundle),
     "bundle, weights and their hash": Case(_bundle("generator.safetensors"), _read_bundle, packed=_with_index),

@@ -24,7 +24,7 @@ from gesticulator.infer import main as infer
 from gesticulator.performance import Performance
 from gesticulator.training.stages.lexicon import token_labels
 from interpreters.planner import UnitStyleInterpreter
-from interpreters.units import CODE
+from interpreters.planner_run import CODE
 from lexicon.movement import MovementLexicon
 
 

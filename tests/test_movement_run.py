@@ -25,9 +25,8 @@ from interpreters.gate_run import GateRunner
 from interpreters.lstm import InterpreterWidths, LstmInterpreter
 from interpreters.lstm_run import LstmRunner
 from interpreters.planner import UnitPlanner, UnitStyleInterpreter
-from interpreters.planner_run import PlannerRunner, UnitStyleRunner
+from interpreters.planner_run import CLASSES, PlannerRunner, UnitStyleRunner
 from interpreters.settings import GateConfig, LstmConfig, PlannerConfig, StyleConfig
-from interpreters.units import CLASSES
 from lexicon.movement import MovementLexicon, MovementVqVae, basis_for
 from lexicon.movement_run import MovementLexiconRunner
 from lexicon.settings import LexiconConfig

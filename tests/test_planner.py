@@ -16,8 +16,8 @@ from gesticulator.systems.movement import GOES_ON_PAUSING, HOLD, VOICE_RETURNS, 
 from gesticulator.training.stages.heads import units_of
 from interpreters.base import BlockFeatures
 from interpreters.planner import UnitPlanner
+from interpreters.planner_run import APEXES, CLASSES, HANDS, PHASES, SIZES, UnitDecision
 from interpreters.settings import PlannerConfig
-from interpreters.units import APEXES, CLASSES, HANDS, PHASES, SIZES, UnitDecision
 
 FRAMES, WIDTH, SPEAKERS, LEXEMES = 4, 6, 2, 5
 

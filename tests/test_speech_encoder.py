@@ -1,11 +1,6 @@
-"""The speech encoder against plain arithmetic, its two training losses by hand, and published weights."""
+"""The speech encoder against plain arithmetic, and its two training losses by hand."""
 
 from __future__ import annotations
-
-import argparse
-import pickle
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,14 +11,12 @@ from learning import learn
 from scipy.special import erf, logsumexp
 from torch import Tensor, nn
 
-from data_module.errors import InputError
 from data_module.speech.speech_encoder import (
     NEGATIVES,
     PREDICTION_STEPS,
     PredictiveCoding,
     SpeechEncoder,
     TextContrast,
-    load_fairseq,
 )
 from data_module.speech.speech_encoder_run import LEVELS, hop_and_reach
 from data_module.types import Array
@@ -33,26 +26,12 @@ PUBLISHED = [(10, 5), (8, 4), (4, 2), (4, 2), (4, 2), (1, 1), (1, 1), (1, 1)]
 FRAMES, PER_FRAME = 4, 400
 
 
-def fairseq_model(width: int, seed: int, place: int = 2) -> dict[str, Tensor]:
-    """The weights of a published extractor, by fairseq's names; place: of the normalisation in its layer."""
-    generator = torch.Generator().manual_seed(seed)
-    out, before = {}, 1
-    for layer, (kernel, _) in enumerate(PUBLISHED):
-        name = f"feature_extractor.conv_layers.{layer}"
-        out[f"{name}.0.weight"] = torch.randn(width, before, kernel, generator=generator) / (before * kernel) ** 0.5
-        out[f"{name}.{place}.weight"] = 1 + 0.3 * torch.randn(width, generator=generator)
-        out[f"{name}.{place}.bias"] = 0.3 * torch.randn(width, generator=generator)
-        before = width
-    out["vector_quantizer.vars"] = torch.zeros(1, 4, 2)
-    return out
-
-
-def by_hand(weights: dict[str, Tensor], samples: Array, place: int = 2) -> list[Array]:
-    """The eight levels [C, T_l] of samples [T] in double precision, from fairseq's weights."""
+def by_hand(encoder: SpeechEncoder, samples: Array) -> list[Array]:
+    """The eight levels [C, T_l] of samples [T] in double precision, from the encoder's weights."""
     x, out = samples[None].astype(np.float64), []
     for layer, (kernel, stride) in enumerate(PUBLISHED):
-        w, scale, shift = (weights[f"feature_extractor.conv_layers.{layer}.{name}"].double().numpy()
-                           for name in ("0.weight", f"{place}.weight", f"{place}.bias"))
+        w, scale, shift = (encoder.state_dict()[name].double().numpy() for name in (
+            f"convolutions.{layer}.weight", f"norms.{layer}.weight", f"norms.{layer}.bias"))
         pieces = np.lib.stride_tricks.sliding_window_view(x, kernel, axis=1)[:, ::stride]
         x = np.einsum("oik,itk->ot", w, pieces)
         x = (x - x.mean()) / np.sqrt(x.var() + 1e-5) * scale[:, None] + shift[:, None]
@@ -62,43 +41,18 @@ def by_hand(weights: dict[str, Tensor], samples: Array, place: int = 2) -> list[
     return out
 
 
-@pytest.mark.parametrize(("place", "settings"), [
-    (2, {"args": argparse.Namespace(arch="wav2vec", activation="gelu", log_compression=True)}),
-    (1, {"args": None, "cfg": {"model": {"activation": "gelu"}, "task": {}}}), (2, {})])
-def test_published_weights_give_what_plain_arithmetic_gives(tmp_path: Path, place: int, settings: dict[str, Any]
-                                                            ) -> None:
-    weights = fairseq_model(7, 3, place)
-    torch.save({"model": weights, **settings}, tmp_path / "vq-wav2vec.pt")
-    encoder = load_fairseq(tmp_path / "vq-wav2vec.pt")
-    assert encoder.width == 7
+def test_the_eight_levels_are_what_plain_arithmetic_gives() -> None:
+    torch.manual_seed(3)
+    encoder = SpeechEncoder(7)
+    for norm in encoder.norms:
+        nn.init.normal_(norm.weight, 1.0, 0.3)
+        nn.init.normal_(norm.bias, 0.0, 0.3)
     samples = 0.1 * np.random.default_rng(0).standard_normal((2, 3000)).astype(np.float32)
-    found = encoder(torch.from_numpy(samples))
+    with torch.no_grad():
+        found = encoder(torch.from_numpy(samples))
     for row in range(2):
-        for level, wanted in enumerate(by_hand(weights, samples[row], place)):
+        for level, wanted in enumerate(by_hand(encoder, samples[row])):
             assert np.allclose(found[level][row].numpy(), wanted, atol=1e-4), level + 1
-    assert not any(parameter.requires_grad for parameter in encoder.parameters())
-    assert not encoder.training
-
-
-class Foreign:
-    """What unpickling would run."""
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Path.touch, (Path(self.mark),)
-
-    def __init__(self, mark: Path) -> None:
-        self.mark = str(mark)
-
-
-def test_a_checkpoint_that_would_run_code_is_refused_unrun(tmp_path: Path) -> None:
-    mark = tmp_path / "ran"
-    torch.save({"model": fairseq_model(4, 0), "cfg": Foreign(mark)}, tmp_path / "foreign.pt")
-    with pytest.raises(InputError, match=r"foreign\.pt: cannot be loaded as tensors.*save \{'model'"):
-        load_fairseq(tmp_path / "foreign.pt")
-    (tmp_path / "bare.pt").write_bytes(pickle.dumps(Foreign(mark), protocol=2))
-    with pytest.raises(InputError):
-        load_fairseq(tmp_path / "bare.pt")
-    assert not mark.exists()
 
 
 def test_a_row_hears_its_own_samples_and_no_others() -> None:

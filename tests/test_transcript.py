@@ -243,7 +243,7 @@ def test_only_plain_english_needs_the_aligner(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setitem(sys.modules, "pocketsphinx", None)
     text._loaded_decoder.cache_clear()
     plain = _read(tmp_path, "a.txt", "hello there")
-    with pytest.raises(InputError, match=r"pip install 'gesticulator\[align\]'"):
+    with pytest.raises(InputError, match=r'pip install "gesticulator\[align\]"'):
         with_transcript(_noise(1.0), plain)
     cues = _read(tmp_path, "a.srt", "1\n00:00:00,000 --> 00:00:01,000\nhello there\n")
     speech, timing = with_transcript(_noise(1.0), cues)

@@ -11,8 +11,8 @@ from runners import played_unit_style
 from gesticulator.training.stages.heads import RATE, spans, style_of
 from interpreters.base import BlockFeatures
 from interpreters.planner import UnitStyleInterpreter
+from interpreters.planner_run import CODE
 from interpreters.settings import StyleConfig
-from interpreters.units import CODE
 
 FRAMES, WIDTH, SPEAKERS = 4, 6, 2
 

@@ -55,7 +55,7 @@ def untrained(*settings: str, text_width: int = 385, seed: int = 0) -> Bundle:
     learned = config.front_end.name == "vqwav2vec"
     encoder = half(SpeechEncoder(config.encoder.width)) if learned else None
     front = front_end_for(config, runner_of(encoder) if isinstance(encoder, SpeechEncoder) else None)
-    low, high = front.width_low + 1, front.width_high + 1
+    low = high = front.width + 1
     width, frames, size = representation_of(config).width, config.rhythm.frames, config.lexicon.size
     words = text_width if config.text.encoder else 0
     pose = 0.1 * rng.normal(size=(len(SPEAKERS), width))

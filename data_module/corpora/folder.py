@@ -25,7 +25,7 @@ from data_module.files import read_json, read_text, write_text
 from data_module.motion.bvh import write_bvh
 from data_module.speech.audio import SOUNDS, load_speech
 from data_module.store import SPLITS, Recording, RecordingInfo, Split
-from data_module.types import Speech, Word
+from data_module.types import Speech
 
 DEFAULT_SPLIT = "80/10/10"
 """Percent for train, val and test."""
@@ -100,7 +100,6 @@ class Folder:
 
     def _listed(self) -> list[RecordingInfo]:
         beside = {name: self._fields(name) for name in self._pairs}
-        self._guessed = not self._options.speaker and any(not fields.get("performer") for fields in beside.values())
         # Only recordings without a split of their own are spread, so that a written split is never changed.
         open_ = [name for name in self._pairs if not beside[name].get("split")]
         splits = dict(zip(open_, spread_by(self._options.split, open_), strict=True))
@@ -127,31 +126,16 @@ class Folder:
             speech, timing = self._with_words(name, replace(load_speech(sound), speaker=item.info.speaker), fields)
         except InputError as error:
             raise DroppedError(str(error)) from None
-        except (KeyError, TypeError, ValueError) as error:
-            raise DroppedError(f"{self._source / name}.json: has invalid content ({error!r})") from None
         filled = fields.get("filled")
         if isinstance(filled, list):
             motion = replace(motion, filled=tuple(joint for joint in motion.skeleton.names if joint in filled))
         return Imported(item.info, speech, motion, fields.get("stands") is True, unit=unit, words=timing)
 
     def notes(self) -> Sequence[str]:
-        lines = [f"{name}: has no sound of the same name" for name in self._alone]
-        there = {info.split for info in self._infos}
-        lines += [f"no recording is in {split}: {what}; --split {DEFAULT_SPLIT} shares them out, or name them in a file"
-                  for split, what in (("train", "nothing can be trained"), ("test", "nothing can be scored"))
-                  if split not in there]
-        speakers = {info.speaker for info in self._infos}
-        # Both extremes are usually a wrong guess: everyone the same speaker, or everyone another.
-        if self._guessed and len(self._infos) > 1 and len(speakers) in (1, len(self._infos)):
-            lines.append(f"every recording has {'the same' if len(speakers) == 1 else 'another'} speaker; "
-                         "if that is wrong, --speaker '^([^_]+)' takes the part of the name before '_'")
-        return lines
+        return [f"{name}: has no sound of the same name" for name in self._alone]
 
     def _with_words(self, name: str, speech: Speech, fields: Mapping[str, Any]) -> tuple[Speech, str]:
-        """The speech with its words and the source of their times: NAME.json, or any transcript."""
-        words = fields.get("words")
-        if words and all(isinstance(word, Mapping) and "text" in word for word in words):
-            return replace(speech, words=tuple(Word(w["text"], w["start"], w["end"]) for w in words)), "given"
+        """The speech with its words and the source of their times."""
         for text in self._texts[name]:
             # An object without words may be there only for the split.
             if text.suffix.lower() != ".json" or not fields or any(fields.get(key) for key in _SAID):

@@ -6,6 +6,7 @@ everything is radians and metres.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import warnings
@@ -73,13 +74,10 @@ class _Tokens:
 
     def number(self) -> float:
         word = self.take()
-        try:
-            value = float(word)
-        except ValueError:
-            raise InputError(self.path, f"has '{shown(word)}' where a number belongs", "export it again") from None
-        if not abs(value) <= _LARGEST:
-            raise InputError(self.path, f"has '{shown(word)}' where a finite number belongs", "export it again")
-        return value
+        with contextlib.suppress(ValueError):
+            if abs(value := float(word)) <= _LARGEST:
+                return value
+        raise InputError(self.path, f"has '{shown(word)}' where a finite number belongs", "export it again")
 
     def offset(self) -> list[float]:
         self.take("OFFSET")

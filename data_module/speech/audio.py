@@ -79,22 +79,11 @@ def load_speech(source: str | os.PathLike[str] | BinaryIO, any_length: bool = Fa
     try:
         with _opened(source, any_length) as raw, decoder(raw, name) as sound:
             _check_sound(sound, name, any_length)
-            return Speech(_joined(list(_mono(sound, name, any_length))), SAMPLE_RATE)
+            return Speech(np.concatenate(list(_mono(sound, name, any_length))), SAMPLE_RATE)
     except NoSoundError as error:
         raise InputError(name, "is not sound that can be decoded", "give a WAV, FLAC, OGG or MP3 file") from error
     except OSError as error:
         raise InputError(name, f"cannot be read ({error.strerror or error})", "check the path and its rights") from None
-
-
-def _joined(pieces: list[Samples]) -> Samples:
-    """All pieces as one; each is freed once it is copied, so that an hour is not held twice (230 MB)."""
-    out, begin = np.empty(sum(map(len, pieces)), np.float32), 0
-    pieces.reverse()
-    while pieces:
-        piece = pieces.pop()
-        out[begin:begin + len(piece)] = piece
-        begin += len(piece)
-    return out
 
 
 def as_speech(given: SpeechInput, sample_rate: float | None = None) -> Speech:
@@ -146,12 +135,12 @@ class SampleFeed:
         self._taken += len(mono)
         if self._gain:
             mono = np.clip(mono * 10.0 ** (self._gain / 20), -1.0, 1.0).astype(np.float32)
-        return self._resampled(mono)
+        return self.resampled(mono)
 
     def finish(self) -> Samples:
-        return self._resampled(np.zeros(0, np.float32), last=True)
+        return self.resampled(np.zeros(0, np.float32), last=True)
 
-    def _resampled(self, mono: Samples, last: bool = False) -> Samples:
+    def resampled(self, mono: Samples, last: bool = False) -> Samples:
         if self._resampler is None:
             return mono
         return np.clip(self._resampler.resample_chunk(mono, last=last), -1.0, 1.0).astype(np.float32)
@@ -283,19 +272,15 @@ def _check_sound(sound: Sound, name: object, any_length: bool) -> None:
 
 def _mono(sound: Sound, name: object, any_length: bool) -> Iterator[Samples]:
     """All samples as mono at `SAMPLE_RATE`, piece by piece; `InputError` for too few or too many."""
-    import soxr
-
-    rate = sound.rate
+    rate, feed = sound.rate, SampleFeed(sound.rate)
     most = math.inf if any_length else LONGEST * rate
-    resampler = soxr.ResampleStream(rate, SAMPLE_RATE, 1, dtype="float32") if rate != SAMPLE_RATE else None
     frames = given = 0
     try:
         for piece in sound.pieces:
             frames += len(piece)
             if frames > most:
                 raise _too_long(name, "it continues beyond that")
-            mono = _averaged(piece, name)
-            mono = mono if resampler is None else resampler.resample_chunk(mono)
+            mono = feed.resampled(_averaged(piece, name))
             given += len(mono)
             yield np.clip(mono, -1.0, 1.0)  # resampling overshoots a little at full scale
     except BrokenSoundError as error:
@@ -303,11 +288,10 @@ def _mono(sound: Sound, name: object, any_length: bool) -> Iterator[Samples]:
                          "copy it again from its source") from None
     if frames == 0:
         raise InputError(name, "holds no samples", "record or copy it again")
-    if resampler is not None:
-        # The resampler holds back as much as its filter is long.
-        rest = resampler.resample_chunk(np.zeros(0, np.float32), last=True)
-        given += len(rest)
-        yield np.clip(rest, -1.0, 1.0)
+    # The resampler holds back as much as its filter is long.
+    rest = feed.finish()
+    given += len(rest)
+    yield rest
     if frames < sound.frames - _CUT * rate:
         raise InputError(name, f"is cut short: {frames / rate:.2f} s of the {sound.frames / rate:.2f} s that its "
                          "header promises", "copy it again from its source")

@@ -46,12 +46,8 @@ class FrontEnd(Protocol):
         """Name in bundles and commands."""
 
     @property
-    def width_low(self) -> int:
-        """d_low."""
-
-    @property
-    def width_high(self) -> int:
-        """d_high."""
+    def width(self) -> int:
+        """d_low, which is d_high, too."""
 
     def encode(self, windows: Samples, reference: Array | None = None) -> AudioFeatures:
         """Windows [N, 3 * K * samples_per_frame] to levels; reference: [N] dBFS from `reference_level`, or None."""
@@ -85,12 +81,8 @@ class MelFrontEnd:
         return "mel"
 
     @property
-    def width_low(self) -> int:
+    def width(self) -> int:
         return self.bands + 2
-
-    @property
-    def width_high(self) -> int:
-        return self.width_low
 
     @cached_property
     def _filters(self) -> Features:
@@ -110,7 +102,7 @@ class MelFrontEnd:
 
     def encode(self, windows: Samples, reference: Array | None = None) -> AudioFeatures:
         """See `FrontEnd.encode`. Without a reference the recording is not scaled."""
-        out = np.empty((len(windows), self.frames, self.width_low), np.float32)
+        out = np.empty((len(windows), self.frames, self.width), np.float32)
         for part, scaled in scaled_windows(windows, reference, self.frames * self.samples_per_frame, _BATCH):
             out[part] = self.rows(scaled)
         return AudioFeatures(out, out)

@@ -1,4 +1,4 @@
-"""Learned front ends: two levels of the speech encoder, trained here or published.
+"""Learned front ends: two levels of the speech encoder.
 
 Networks normalise their input, so learned features do not contain loudness; both levels therefore get two columns of
 the mel front end, onset strength and loudness. `front_end` builds every front end by name.
@@ -34,16 +34,12 @@ class LearnedFrontEnd:
     layers: tuple[int, int]
 
     @property
-    def width_low(self) -> int:
+    def width(self) -> int:
         return self.encoder.width + _LEVEL_COLUMNS
-
-    @property
-    def width_high(self) -> int:
-        return self.width_low
 
     def encode(self, windows: Samples, reference: Array | None = None) -> AudioFeatures:
         mel = self.mel
-        low, high = (np.empty((len(windows), mel.frames, self.width_low), np.float32) for _ in range(2))
+        low, high = (np.empty((len(windows), mel.frames, self.width), np.float32) for _ in range(2))
         for part, scaled in scaled_windows(windows, reference, mel.frames * mel.samples_per_frame, _BATCH):
             levels = self.encoder.levels(scaled, mel.frames, self.layers)
             columns = mel.rows(scaled)[..., -_LEVEL_COLUMNS:]
@@ -58,7 +54,7 @@ FRONT_ENDS = ("mel", "vqwav2vec")
 
 def front_end(name: str, mel: MelFrontEnd, *, encoder: SpeechEncoderRunner | None = None,
               layers: Sequence[int] | None = None) -> FrontEnd:
-    """A front end by name: one of `FRONT_ENDS`, or "fairseq:PATH".
+    """A front end by name, one of `FRONT_ENDS`.
 
     mel: the mel front end, of which a learned one uses the sizes, the onsets and the loudness. encoder: for
     "vqwav2vec". layers: those of the low and the high level; None for the paper's. InputError for an unknown name or a
@@ -66,14 +62,8 @@ def front_end(name: str, mel: MelFrontEnd, *, encoder: SpeechEncoderRunner | Non
     """
     if name == "mel":
         return mel
-    kind, _, where = name.partition(":")
-    if name not in FRONT_ENDS and (kind != "fairseq" or not where):
-        raise InputError("front end", f"there is no {name!r}", f"choose from {', '.join(FRONT_ENDS)}, fairseq:PATH")
-    if where:
-        # Read by torch, which has written it.
-        from data_module.speech.speech_encoder import load_fairseq, runner_of
-
-        encoder = runner_of(load_fairseq(where))
+    if name not in FRONT_ENDS:
+        raise InputError("front end", f"there is no {name!r}", f"choose from {', '.join(FRONT_ENDS)}")
     if encoder is None:
         raise InputError("front end 'vqwav2vec'", "needs a trained speech encoder", "use a bundle that has one")
     low, high = _two(layers or (LOW, HIGH))

@@ -1,22 +1,17 @@
 """The speech encoder: eight convolutions over samples, whose outputs are levels from sound to content (RG 4.1.3).
 
 Two stages train it on speech: `PredictiveCoding` predicts the next rows, and `TextContrast` pulls the last level
-towards the words and pushes the others away (Eq. 1). Published vq-wav2vec weights can be loaded too.
+towards the words and pushes the others away (Eq. 1).
 """
 
 from __future__ import annotations
 
-import argparse
-import os
-import pickle
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from data_module.errors import InputError
 from data_module.layers import masked_mean
 from data_module.layers_run import Tensors
 from data_module.speech.speech_encoder_run import (
@@ -166,63 +161,6 @@ class TextContrast(nn.Module):
         anchors = (word >= 0) & (word[:, :, None] != word[:, None]).any(dim=-1)
         retrieved = torch.gather(word[:, :, None].expand(-1, -1, LEVELS), 1, best)
         return (retrieved == word[..., None])[anchors].float().mean(dim=0)
-
-
-def load_fairseq(path: str | os.PathLike[str]) -> SpeechEncoder:
-    """The feature extractor of a vq-wav2vec (or wav2vec) checkpoint as fairseq writes it, ready to use (frozen). Only
-    tensors and plain settings are read from the file, nothing in it is run. Width comes from the shapes. InputError
-    where the file is not such a checkpoint."""
-    advice = "give fairseq's vq-wav2vec.pt; where you trust it, load it there and save {'model': checkpoint['model']}"
-    try:
-        # Older files keep their settings as a Namespace, which holds plain values alone.
-        with torch.serialization.safe_globals([argparse.Namespace]):
-            stored = torch.load(path, weights_only=True, map_location="cpu")
-    except (pickle.UnpicklingError, OSError, RuntimeError, EOFError, ValueError, KeyError, IndexError,
-            AttributeError) as error:
-        raise InputError(path, f"cannot be loaded as tensors and plain settings ({type(error).__name__})",
-                         advice) from None
-    if not isinstance(stored, dict) or not isinstance(stored.get("model"), Mapping):
-        raise InputError(path, "is not a checkpoint of fairseq: it holds no 'model'", advice)
-    settings = _settings_of(stored)
-    if settings.get("skip_connections_feat") or not settings.get("log_compression", True) \
-            or settings.get("activation", "gelu") != "gelu":
-        raise InputError(path, "was trained with other settings than vq-wav2vec (skip connections in the feature "
-                         "extractor, no log compression, or another activation)", advice)
-    try:
-        weights = _renamed(stored["model"])
-        encoder = SpeechEncoder(len(weights["convolutions.0.weight"]))
-        encoder.load_state_dict(weights)
-    except (KeyError, TypeError, RuntimeError, AttributeError) as error:
-        raise InputError(path, f"has not vq-wav2vec's eight convolutions ({str(error).splitlines()[-1].strip()})",
-                         advice) from None
-    if not all(bool(torch.isfinite(value).all()) for value in encoder.state_dict().values()):
-        raise InputError(path, "holds weights that are not numbers", "fetch it again")
-    return encoder.eval().requires_grad_(False)
-
-
-def _settings_of(stored: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The model's settings, from "args" (a Namespace) or from "cfg" (plain values) with or without its "model"."""
-    group = stored.get("args") or stored.get("cfg")
-    for _ in range(2):
-        plain = vars(group) if isinstance(group, argparse.Namespace) else group
-        group = plain.get("model", plain) if isinstance(plain, Mapping) else {}
-    return group if isinstance(group, Mapping) else {}
-
-
-def _renamed(stored: Mapping[str, Any]) -> dict[str, Tensor]:
-    """fairseq's names to ours; KeyError where a convolution lacks. A normalisation without weights scales by 1."""
-    prefix = "feature_extractor.conv_layers"
-    layers = {key.split(".")[2] for key in map(str, stored) if key.startswith(prefix + ".")}
-    if layers != {str(layer) for layer in range(LEVELS)}:
-        raise KeyError(f"{len(layers)} layers for {LEVELS}")
-    out: dict[str, Tensor] = {}
-    for layer in range(LEVELS):
-        out[f"convolutions.{layer}.weight"] = kernel = stored[f"{prefix}.{layer}.0.weight"].float()
-        for name, default in (("weight", torch.ones(len(kernel))), ("bias", torch.zeros(len(kernel)))):
-            # Dropout stands between convolution and normalisation, in some versions not.
-            values = (stored.get(f"{prefix}.{layer}.{place}.{name}") for place in (2, 1))
-            out[f"norms.{layer}.{name}"] = next((value.float() for value in values if value is not None), default)
-    return out
 
 
 def runner_of(encoder: SpeechEncoder) -> SpeechEncoderRunner:

@@ -75,7 +75,7 @@ class FrontEndConfig:
     """The audio front end and its size."""
 
     name: str = "mel"
-    """"mel"; "vqwav2vec", the model trained by the speech stages; "fairseq:PATH", a published checkpoint of it."""
+    """"mel"; or "vqwav2vec", the model trained by the speech stages."""
     bands: Width = 80
     """Number of mel bands, for "mel" only."""
     robust: bool = False

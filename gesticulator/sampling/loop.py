@@ -33,7 +33,7 @@ from interpreters.base import BlockFeatures, Interpreter, select
 
 if TYPE_CHECKING:
     from gesticulator.sampling.cutter import BlockCutter
-    from interpreters.units import UnitDecision
+    from interpreters.planner_run import UnitDecision
 
 OnBlock = Callable[[int, int], None]
 """Called after each block with the number of finished blocks and the total."""

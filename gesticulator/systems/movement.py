@@ -50,8 +50,7 @@ from gesticulator.sampling.loop import (
     shown,
 )
 from interpreters.base import BlockFeatures
-from interpreters.planner_run import PlannerRunner, UnitStyleRunner
-from interpreters.units import CLASSES, PHASES, UnitDecision
+from interpreters.planner_run import CLASSES, PHASES, PlannerRunner, UnitDecision, UnitStyleRunner
 from lexicon.movement_run import MovementLexiconRunner
 
 if TYPE_CHECKING:
@@ -345,7 +344,7 @@ LIVELY_NOISE = 0.08
 WAXING = 0.8
 """Deviation of the style codes' own rise and fall over seconds."""
 LIVELINESS = (1.0, 0.5, 0.5, 0.0)
-"""The direction of a style code (`interpreters.units.CODE`) in which gestures become livelier."""
+"""The direction of a style code (`interpreters.planner_run.CODE`) in which gestures become livelier."""
 _OUTWARDS = (0.0, 0.0, 0.0, 1.0)
 """The direction of a style code in which hands are farther from the body."""
 FAST_STEPS = 2

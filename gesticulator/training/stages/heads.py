@@ -26,7 +26,7 @@ from gesticulator.training.stages.speech import CORPUS
 from gesticulator.training.stages.windows import Windows, sequences, task_of, validation
 from interpreters.gate import ActivityGate
 from interpreters.planner import UnitPlanner, UnitStyleInterpreter
-from interpreters.units import APEXES, CODE, HANDS, PHASES, SIZES
+from interpreters.planner_run import APEXES, CODE, HANDS, PHASES, SIZES
 
 RATE = 30.0
 """Frames per second at which phases are measured."""
