@@ -5,23 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from data_module.blocks import BlockSettings, cut
-from data_module.registry import Requirement
 from data_module.speech.onsets import detect_onsets
 from data_module.types import Array, Speech
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 STEP = 0.05
 LONGEST = 2.0
 """Width of a bin, and start of the last bin, which contains everything longer, seconds."""
 _BINS = round(LONGEST / STEP) + 1
-KINDS = ("onsets", "beats")
 
 
 @dataclass(frozen=True)
@@ -55,24 +49,3 @@ def _counts(seconds: Array) -> tuple[int, ...]:
     # Beats lie on a grid of 10 ms, so many intervals fall on the edge of a bin, up to rounding errors.
     places = np.minimum(np.floor(seconds / STEP + 1e-6).astype(int), _BINS - 1)
     return tuple(np.bincount(places, minlength=_BINS).tolist())
-
-
-def drawn(intervals: Intervals, title: str = "") -> Figure:
-    """The histogram as a picture like RG Fig. 5, with the default bounds; `InputError` without matplotlib."""
-    Requirement("matplotlib", "matplotlib", "figures").check("the histogram")
-    from matplotlib.figure import Figure as NewFigure
-
-    beats = BlockSettings().beats
-    figure = NewFigure(figsize=(8, 4), layout="constrained")
-    axes = figure.subplots()
-    edges = np.arange(_BINS) * STEP
-    for kind, colour in zip(KINDS, ("tab:blue", "tab:orange"), strict=True):
-        counts = np.array(getattr(intervals, kind), dtype=np.float64)
-        # Shares, because onsets and beats differ in number.
-        axes.bar(edges, counts / max(1.0, counts.sum()), STEP, align="edge", alpha=0.5, color=colour,
-                 label=f"between {kind} ({int(counts.sum())})")
-    for bound, name in ((beats.d_min, "d_min"), (beats.d_max, "d_max")):
-        axes.axvline(bound, color="black", linestyle=":", label=f"{name} {bound:g} s")
-    axes.set(title=title, xlabel=f"seconds (the last bar: {LONGEST:g} and longer)", ylabel="share of the intervals")
-    axes.legend()
-    return figure

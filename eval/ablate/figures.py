@@ -31,7 +31,7 @@ from eval.metrics.evaluate import WIDE
 from eval.pictures import plots
 from eval.pictures.canvas import STYLE
 from eval.pictures.embedding import embed, embedding_panels, joint_embedding, neighbours_agree
-from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curves, overview, size_sweep
+from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curves, interval_bars, overview, size_sweep
 from eval.pictures.strips import PAGE, Source, draw_page, save_strip
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages import LABELS
@@ -74,9 +74,7 @@ def onset_intervals(rg: RgRows, rows: Summaries) -> Picture:
     store = rg.context.store
     infos = evenly(store, "train", COUNTED)
     counted = sum((intervals.measure(store.load(info.name).speech)[1] for info in infos), intervals.Intervals())
-    bounds = rg.first.config.rhythm.beats
-    return intervals.drawn(counted, f"{store.corpus}, {len(infos)} recordings, "
-                           f"{counted.share(bounds.d_min, bounds.d_max):.0%} within the bounds")
+    return interval_bars(counted, f"{store.corpus}, {len(infos)} recordings: {counted.line()}")
 
 
 def lexicon(rg: RgRows, rows: Summaries) -> Picture:

@@ -1,5 +1,6 @@
 """The papers' figures, drawn from plain arrays: what a report shows beside its tables.
 
+    interval_bars      intervals between onsets and between beats      RG Fig. 5, 8a
     delta_curves       PMB against its tolerance                        RG Fig. 11
     cluster_bars       entropy of lexemes within clusters of sound      RG Fig. 14
     beat_strips        motion beats beside onsets                       RG Fig. 16
@@ -9,8 +10,7 @@
 
 Each takes numbers and gives a figure. Colours are of the palette of Okabe and Ito (2008), which people with any colour
 vision tell apart, and no meaning hangs on colour alone: lines have markers, lexemes, of which there are too many for
-any palette, have numbers. The other figures of the papers are drawn by `data_module.intervals` (5, 8a), `embedding`
-(6, 8b, 15, 17) and `strips` (9).
+any palette, have numbers. The other figures of the papers are drawn by `embedding` (6, 8b, 15, 17) and `strips` (9).
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from data_module.blocks import BlockSettings
 from data_module.controls import FEATURES, LEVELS
+from data_module.intervals import STEP, Intervals
 from data_module.speech.onsets import merged
 from data_module.types import Array, Beats, Speech, Word
 from eval.metrics import pmb
@@ -238,6 +240,23 @@ def _draw_hands(axis: Axes, speed: Array, fps: float, beat_times: Array, start: 
     axis.vlines(mine, -0.22 * top, np.interp(mine, times, speed), color=BLUE, linewidth=0.9, label="_beats")
     axis.plot(mine, np.full(len(mine), -0.22 * top), color=BLUE, marker="^", linestyle="none", label="motion beat")
     axis.set(ylim=(-0.32 * top, top), ylabel="arms, m/s")
+
+
+# ----------------------------------------------------------------------------------------------------------- Fig. 5
+
+def interval_bars(counted: Intervals, title: str) -> Figure:
+    """Shares of the intervals by length, since onsets and beats differ in number, with the default bounds of a block.
+    """
+    figure, bounds = canvas(4), BlockSettings().beats
+    axes = figure.subplots()
+    for kind, counts, colour in (("onsets", counted.onsets, BLUE), ("beats", counted.beats, ORANGE)):
+        axes.bar(np.arange(len(counts)) * STEP, np.array(counts) / max(1, sum(counts)), STEP, align="edge", alpha=0.5,
+                 color=colour, label=f"between {kind} ({sum(counts)})")
+    for bound, name in ((bounds.d_min, "d_min"), (bounds.d_max, "d_max")):
+        axes.axvline(bound, color=INK, linestyle=":", label=f"{name} {bound:g} s")
+    axes.set(title=title, xlabel="seconds (the last bar: all that are longer)", ylabel="share of the intervals")
+    axes.legend()
+    return figure
 
 
 # ---------------------------------------------------------------------------------------------------------- Fig. 10
