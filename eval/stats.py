@@ -117,11 +117,9 @@ def mean_interval(values: ArrayLike, weights: ArrayLike | None = None, *, groups
     return limits(float(total.sum() / mass.sum()), means, len(mass))
 
 
-def paired(first: ArrayLike, second: ArrayLike, weights: ArrayLike | None = None, *,
-           groups: Groups | None = None, seed: int = 0, draws: int = DRAWS) -> Interval:
+def paired(first: ArrayLike, second: ArrayLike, *, seed: int = 0) -> Interval:
     """The mean of first less second, clip by clip [n] (see `mean_interval`)."""
-    apart = np.asarray(first, dtype=np.float64) - np.asarray(second, dtype=np.float64)
-    return mean_interval(apart, weights, groups=groups, seed=seed, draws=draws)
+    return mean_interval(np.asarray(first, dtype=np.float64) - np.asarray(second, dtype=np.float64), seed=seed)
 
 
 def crossed_means(values: Array, seed: int = 0, draws: int = DRAWS) -> Array:

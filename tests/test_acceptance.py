@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -391,7 +392,7 @@ def test_a_lexicon_of_movements_decodes_from_the_past() -> None:
                                    lexicon.basis.coefficients(one.motion, one.pasts()), 0), one.pasts()))
     assert len(labels) == len(one.motion)
     every, first = (figures_of(recordings, decode)["displacement_r2"].value.mean
-                    for decode in (movements.decoder(lexicon), alone))
+                    for decode in (partial(movements.decoded_by, lexicon), alone))
     assert every > first > 0.0, "more codes tell more, and a lexeme tells something"
     # What was drawn by the codewords themselves, block after block on its own past, is what was asked for.
     asked = np.random.default_rng(0).integers(lexicon.size, size=20)

@@ -36,10 +36,10 @@ from eval.metrics import METRICS, fgd
 from eval.metrics.encode import encode_motion
 from eval.metrics.gesture_features import RawFeatures
 from eval.score import command as score
-from eval.score.command import ScoreRow, flags, mean_of
+from eval.score.command import flags, mean_of
 from eval.score.played_rows import PlayedBundle
 from eval.score.ratings import agreement, ratings_table, tau
-from eval.score.tables import FLOOR, STILL, Flag, Scores, tables
+from eval.score.tables import FLOOR, STILL, Flag, ScoreRow, Scores, tables
 from eval.stats import Interval
 from eval.table import Marked, Provenance, load, save
 from gesticulator.bundle import bundle as bundles

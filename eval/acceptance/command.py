@@ -55,16 +55,12 @@ class Acceptance:
     voices: list[AcceptanceVoice]
     renderings: int
 
-    @property
-    def held_out(self) -> list[AcceptanceVoice]:
-        """The voices of the test split."""
-        return [voice for voice in self.voices if voice.place != TAKE]
-
 
 Group = Callable[[Acceptance], dict[str, Results]]
 GROUPS: dict[str, Group] = {
     "motion": lambda job: voices.measure(job.system, job.voices, job.renderings, ReferenceSpace.found()),
-    "lexicon": lambda job: {OURS: lexicon.measure(job.system, job.store, job.held_out, job.renderings)},
+    "lexicon": lambda job: {OURS: lexicon.measure(
+        job.system, job.store, [voice for voice in job.voices if voice.place != TAKE], job.renderings)},
     "rest": lambda job: {OURS: rest.measure(job.system, job.voices, job.renderings)},
     "effort": lambda job: {OURS: response.effort(job.system, job.renderings)},
     "controls": lambda job: {OURS: response.controls(job.system, job.voices)},

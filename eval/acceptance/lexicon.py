@@ -48,8 +48,6 @@ PLAYED = "as played"
 """With rest and life laid over the sampled motion."""
 OPEN = "all levels, open loop"
 
-Decode = Callable[[Tensor, Pasts], Tensor]
-"""Blocks [B, K, D_m] and what came before each, to the blocks as their codes tell them."""
 
 
 @dataclass(frozen=True)
@@ -67,15 +65,12 @@ class HeldOut:
         return pasts_of(self.motion, self.durations, self.first)
 
 
-def decoder(lexicon: Lexicon | MovementLexicon) -> Decode:
-    """The decoder of a lexicon by all of its codes."""
-    @torch.no_grad()
-    def decode(blocks: Tensor, past: Pasts) -> Tensor:
-        if isinstance(lexicon, MovementLexicon):
-            return lexicon.basis.compose(lexicon.quantised(lexicon.basis.coefficients(blocks, past)), past)
-        return lexicon.decode(lexicon.vectors[lexicon.label(blocks)])
-
-    return decode
+@torch.no_grad()
+def decoded_by(lexicon: Lexicon | MovementLexicon, blocks: Tensor, past: Pasts) -> Tensor:
+    """Blocks [B, K, D_m] with what came before each, as all of their codes tell them."""
+    if isinstance(lexicon, MovementLexicon):
+        return lexicon.basis.compose(lexicon.quantised(lexicon.basis.coefficients(blocks, past)), past)
+    return lexicon.decode(lexicon.vectors[lexicon.label(blocks)])
 
 
 def fit_of(held: HeldOut, decoded: Tensor) -> Array:
@@ -220,8 +215,8 @@ def measure(system: BundleSystem, store: Store | None, voices: Sequence[Acceptan
     if store is None:
         return {("within_r2", OPEN): Measured(missing=LACKING["corpus"])}
     bundle, groups = system.bundle, [voice.group or voice.name for voice in voices]
-    recordings, decode = held_out(bundle, store), decoder(bundle.block_lexicon)
-    decoded = [decode(held.motion, held.pasts()) for held in recordings]
+    recordings = held_out(bundle, store)
+    decoded = [decoded_by(bundle.block_lexicon, held.motion, held.pasts()) for held in recordings]
     played = [system.render(voice, k % renderings) for k, voice in enumerate(voices)]
     speaker = system.gesticulator.resolver.speaker(system.speaker)
     ranks = [encode(bundle, rendering, speaker) for rendering in played]

@@ -25,8 +25,8 @@ from __future__ import annotations
 import argparse
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -58,7 +58,7 @@ from eval.metrics.gesture_features import pooled, spaces
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
 from eval.score.played_rows import PlayedBundle
 from eval.score.ratings import FEWEST, ratings_table, read_ratings
-from eval.score.tables import BOBBING, FLOOR, STILL, Figures, Flag, Scores, tables
+from eval.score.tables import BOBBING, FLOOR, STILL, Figures, Flag, ScoreRow, Scores, tables
 from eval.stats import Indices, Interval
 from eval.table import Marked, publish
 from gesticulator.bundle import bundle as bundles
@@ -69,23 +69,6 @@ SAME = (1e-9, 1e-4)
 
 
 # ------------------------------------------------------------------------------------------------------------ rows
-
-@dataclass
-class ScoreRow:
-    """A set of motions and what was measured. kind: "truth", "system" or "control".
-
-    values: metric -> [clips]; sets: metric -> a figure of the clips with these numbers; features: network -> [n, E] by
-    clip; reasons: metric -> why its figure is undefined.
-    """
-
-    name: str
-    kind: str
-    motions: list[Motion]
-    beats: list[MotionBeats]
-    values: dict[str, Array] = field(default_factory=dict)
-    sets: dict[str, Callable[[Indices], float]] = field(default_factory=dict)
-    features: dict[str, list[Array]] = field(default_factory=dict)
-    reasons: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

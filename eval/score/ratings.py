@@ -39,8 +39,7 @@ from eval.stats import Interval
 from eval.table import Cell, Column, Table
 
 if TYPE_CHECKING:
-    from eval.score.command import ScoreRow
-    from eval.score.tables import Flag
+    from eval.score.tables import Flag, ScoreRow
 
 FEWEST = 3
 """Systems: of two, any metric has a tau of 1 or of -1."""

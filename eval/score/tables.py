@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
+from data_module.types import Array, Motion
 from eval.clip.clip_set import TRUTH
 from eval.metrics import Metric
+from eval.metrics.evaluate import MotionBeats
+from eval.stats import Indices
 from eval.table import Column, Marked, Table
 
 FEW = 10
@@ -15,6 +18,24 @@ FLOOR, STILL, BOBBING = "truth, half against half", "still", "bobbing"
 
 Figures = dict[str, dict[str, Marked]]
 """row -> metric -> a figure, with the reason where it is undefined or not to be trusted."""
+
+
+@dataclass
+class ScoreRow:
+    """A set of motions and what was measured. kind: "truth", "system" or "control".
+
+    values: metric -> [clips]; sets: metric -> a figure of the clips with these numbers; features: network -> [n, E] by
+    clip; reasons: metric -> why its figure is undefined.
+    """
+
+    name: str
+    kind: str
+    motions: list[Motion]
+    beats: list[MotionBeats]
+    values: dict[str, Array] = field(default_factory=dict)
+    sets: dict[str, Callable[[Indices], float]] = field(default_factory=dict)
+    features: dict[str, list[Array]] = field(default_factory=dict)
+    reasons: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
