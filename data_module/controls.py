@@ -160,10 +160,6 @@ class Controls:
             if isinstance(value, int | float) and not math.isfinite(value):
                 raise ValueError(f"{name} must be finite, not {value}")
 
-    @classmethod
-    def free(cls) -> Controls:
-        return cls()
-
     @property
     def _targets(self) -> tuple[float | Curve | None, ...]:
         return self.height, self.speed, self.radius

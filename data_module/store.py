@@ -119,19 +119,14 @@ class Store:
                              "give a folder made by gesticulator build")
         try:
             content = read_json(listing, "build it again", _LARGEST_LISTING)
-            number = content["format"]
-        except (TypeError, KeyError):
-            raise InputError(listing, "is not the listing of a store", "build it again") from None
-        if number != FORMAT:
-            raise InputError(folder, f"is a store of format {shown(number)}, and this version reads format {FORMAT}",
-                             "build it again")
-        try:
+            if content["format"] != FORMAT:
+                raise InputError(folder, f"is a store of format {shown(content['format'])}, and this version reads "
+                                 f"format {FORMAT}", "build it again")
             store = cls(folder, content)
             fingerprint = _fingerprint(content["recordings"])
         except (AttributeError, TypeError, KeyError, ValueError):
-            raise InputError(listing, "has missing or invalid entries", "build it again") from None
-        except InputError as error:
-            raise InputError(listing, f"lists {error.subject}, which {error.wrong}", "build it again") from None
+            raise InputError(listing, "is not the listing of a store, or has invalid entries",
+                             "build it again") from None
         # The fingerprint covers the entries, so that a changed split or speaker is noticed, too.
         if fingerprint != store.fingerprint:
             raise InputError(listing, "does not match its own fingerprint", "it was edited: build it again")

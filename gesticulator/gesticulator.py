@@ -366,8 +366,8 @@ class SetupResolver:
 def hand_controls(bundle: Bundle, options: InferenceOptions) -> Controls:
     """The hand controls of the options as numbers: "low", "mid" and "high" by the bundle's levels, curves as they
     are. `InputError` for an invalid control, or if the bundle was trained without style editing."""
-    controls = options.controls or Controls.free()
-    if controls == Controls.free() and not any(hand is not None for hand in options.hands):
+    controls = options.controls or Controls()
+    if controls == Controls() and not any(hand is not None for hand in options.hands):
         return controls
     levels = bundle.levels
     if levels is None:

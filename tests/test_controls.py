@@ -130,9 +130,9 @@ def test_free_constant_and_curve() -> None:
     assert asked_for.tolist() == [True, False, True]
     assert np.allclose(values[:, 0], 0.3) and (values[:, 1] == 0).all()
     assert np.allclose(values[:, 2], [0.2, 0.2, 0.3, 0.6, 0.6])
-    nothing, none = Controls.free().at(np.arange(4.0))
+    nothing, none = Controls().at(np.arange(4.0))
     assert (nothing == 0).all() and not none.any()
-    assert Controls.free() != asked and Controls.free() == Controls(None, None, None)
+    assert Controls() != asked and Controls() == Controls(None, None, None)
     assert Controls(radius=Curve((1.0, 3.0), (0.2, 0.6)), height=0.3) == asked
     zero, told = Controls(speed=0.0).at(np.zeros(1))
     assert zero[0, 1] == 0 and told.tolist() == [False, True, False], "zero is asked for, not free"

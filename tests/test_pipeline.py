@@ -101,7 +101,7 @@ def test_what_a_plain_bundle_cannot_do_is_refused(options: dict[str, Any], said:
 
 def test_a_plain_bundle_takes_spoken_words_and_free_hands_in_its_stride(plain: Gesticulator) -> None:
     assert same(plain(SPEECH), plain(dataclasses.replace(SPEECH, words=WORDS), meaning="off"))
-    assert same(plain(SPEECH), plain(SPEECH, controls=Controls.free()))
+    assert same(plain(SPEECH), plain(SPEECH, controls=Controls()))
 
 
 def test_another_word_encoder_than_the_one_of_training_is_refused(system: Gesticulator) -> None:
@@ -127,7 +127,7 @@ def test_activity_is_the_gates_threshold_and_the_gate_hears_no_lexemes(system: G
 
 def test_what_is_asked_of_the_hands_is_heard_and_nothing_asked_is_free(system: Gesticulator) -> None:
     free = system(SPEECH)
-    assert same(free, system(SPEECH, controls=Controls.free()))
+    assert same(free, system(SPEECH, controls=Controls()))
     made = [system(SPEECH, controls=Controls(**{name: value}))
             for name, value in (("height", 0.3), ("height", -0.1), ("speed", 0.8), ("radius", 0.4))]
     for i, one in enumerate(made):

@@ -40,7 +40,7 @@ def test_the_words_of_the_example_are_heard_at_their_times(model: str) -> None:
     speech = load_speech(SPEECH)
     transcript = transcribed(speech, model)
     assert transcript is not None and transcript.timing == "words" and transcript.words
-    reference, words = alignment(speech, TEXT.read_text(encoding="utf-8")).words, transcript.words
+    reference, words = alignment(speech, TEXT.read_text(encoding="utf-8"))[0], transcript.words
     times = [(word.start, word.end) for word in words]
     assert times == sorted(times) and times[0][0] >= 0.0 and times[-1][1] <= speech.duration
     spelled, spelled_reference = ([re.sub(r"[^a-z0-9']", "", word.text.lower()) for word in some]

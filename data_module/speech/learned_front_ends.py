@@ -66,13 +66,9 @@ def front_end(name: str, mel: MelFrontEnd, *, encoder: SpeechEncoderRunner | Non
         raise InputError("front end", f"there is no {name!r}", f"choose from {', '.join(FRONT_ENDS)}")
     if encoder is None:
         raise InputError("front end 'vqwav2vec'", "needs a trained speech encoder", "use a bundle that has one")
-    low, high = _two(layers or (LOW, HIGH))
+    chosen = layers or (LOW, HIGH)
+    if len(chosen) != 2 or not all(1 <= layer <= LEVELS for layer in chosen):
+        raise InputError("front_end.layers", f"is {list(chosen)}", f"give two numbers from 1 to {LEVELS}")
     if mel.sample_rate != _RATE:
         raise InputError("front end", f"wants sound at {_RATE} Hz, not {mel.sample_rate}", "choose another")
-    return LearnedFrontEnd(name, encoder, mel, (low, high))
-
-
-def _two(layers: Sequence[int]) -> tuple[int, int]:
-    if len(layers) != 2 or not all(1 <= layer <= LEVELS for layer in layers):
-        raise InputError("front_end.layers", f"is {list(layers)}", f"give two numbers from 1 to {LEVELS}")
-    return layers[0], layers[1]
+    return LearnedFrontEnd(name, encoder, mel, (chosen[0], chosen[1]))

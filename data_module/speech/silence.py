@@ -163,11 +163,10 @@ def _step_mean(levels: Array) -> float:
 
 
 def _joined(steps: Sequence[LoudnessStep]) -> LoudnessStep:
-    if not steps:
-        none = np.zeros(0)
-        return LoudnessStep(none, none, none, none, np.zeros(0, bool), none)
-    return steps[0] if len(steps) == 1 else LoudnessStep(*(
-        np.concatenate([getattr(step, field.name) for step in steps]) for field in fields(LoudnessStep)))
+    none = np.zeros(0)
+    every = LoudnessStep(none, none, none, none, np.zeros(0, bool), none), *steps
+    return LoudnessStep(*(np.concatenate([getattr(step, field.name) for step in every])
+                          for field in fields(LoudnessStep)))
 
 
 def loudness(levels: Array) -> LoudnessStep:

@@ -12,7 +12,6 @@ import functools
 import importlib.util
 import itertools
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -44,14 +43,6 @@ _KNOWN_LETTERS = frozenset("abcdefghijklmnopqrstuvwxyzéèêëïçàâ")
 _STRANGE_WORDS = 0.05
 # Scripts without spaces between words, and the longest stretch of them that counts as one word.
 _UNSPACED, _LONGEST_UNSPACED = re.compile(r"[\u3040-\u30ff\u3400-\u9fff\uf900-\ufaff\U00020000-\U0003ffff]"), 4
-
-
-@dataclass(frozen=True)
-class Alignment:
-    """Words with their times, from the aligner; estimates where there is a reason in `doubt`."""
-
-    words: tuple[Word, ...]
-    doubt: str = ""
 
 
 # Letters to ARPABET sounds, longest match first; accurate enough for words outside the dictionary.
@@ -105,9 +96,10 @@ def spoken_words(transcript: str) -> list[tuple[str, str]]:
     return out
 
 
-def alignment(speech: Speech, transcript: str) -> Alignment:
-    """Align an English transcript with its recording. Words rise in time and lie within the recording. `InputError` if
-    the transcript has no words or the aligner is not installed."""
+def alignment(speech: Speech, transcript: str) -> tuple[tuple[Word, ...], str]:
+    """The words of an English transcript with their times, which rise and lie within the recording; and why the times
+    are estimates, "" where they are aligned. `InputError` if the transcript has no words or the aligner is not
+    installed."""
     words = spoken_words(transcript)
     if not words:
         raise InputError("transcript", "has no words", "give the text that is spoken")
@@ -127,7 +119,7 @@ def alignment(speech: Speech, transcript: str) -> Alignment:
         # A text that is too short for its sound is squeezed in somewhere, with times that mean nothing.
         covered = _covered(samples, spans)
         doubt = "" if covered >= LEAST_COVERED else f"the transcript covers only {covered:.0%} of the speech"
-    return Alignment(timed, doubt)
+    return timed, doubt
 
 
 def shared_out(speech: Speech, words: Sequence[str]) -> tuple[Word, ...]:

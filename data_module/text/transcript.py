@@ -321,8 +321,8 @@ def _placed(speech: Speech, text: str, marks: Sequence[tuple[int, str]], follows
     times are estimates ("" if they are aligned). follows: whether the aligner can read the text."""
     # The aligner spells words otherwise than they are written: marks are counted in the words that get times.
     if follows:
-        result = aligner.alignment(speech, text)
-        return (*with_marks(result.words, text, marks, aligner.spoken_words), result.doubt)
+        words, doubt = aligner.alignment(speech, text)
+        return (*with_marks(words, text, marks, aligner.spoken_words), doubt)
     words = aligner.shared_out(speech, aligner.written_words(text))
     return (*with_marks(words, text, marks, aligner.written_words), _ENGLISH_ONLY)
 

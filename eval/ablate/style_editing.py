@@ -57,7 +57,7 @@ def figures(system: Gesticulator, clips: Sequence[Recording], levels: Levels) ->
     "values" has each row's features clip by clip, "series" the asked feature of the first clip over time (averaged over
     four seconds, as in training). Every clip is played in the habits of its own performer, with one seed.
     """
-    requests = {FREE: Controls.free()} | {f"{feature} {level}": Controls(**{feature: levels.value(feature, level)})
+    requests = {FREE: Controls()} | {f"{feature} {level}": Controls(**{feature: levels.value(feature, level)})
                                           for feature, level in itertools.product(FEATURES, LEVELS)}
     values = {REFERENCE: np.array([realised(clip.motion) for clip in clips])}
     series: dict[str, Any] = {}

@@ -127,7 +127,7 @@ class Setup:
     temperature: float
     seed: int
     activity: float = 1.0
-    controls: Controls = field(default_factory=Controls.free)
+    controls: Controls = field(default_factory=Controls)
     variation: int = 0
     beta: float | None = None
     text: bool = False
@@ -276,7 +276,7 @@ def knots_of(state: State, times: Array) -> RestKnots:
 
 def controls_at(levels: Levels | None, controls: Controls, times: Array) -> ControlRows | None:
     """[K, 2 F] rows of the controls at `times` [K] seconds; None without controls."""
-    if levels is None or controls == Controls.free():
+    if levels is None or controls == Controls():
         return None
     # Controls are read at the frames, so a curve changes within a block.
     values, given = controls.at(times)

@@ -322,7 +322,7 @@ class Performer:
             speech = replace(speech, samples=np.ascontiguousarray(samples))
         if item.info.language == "en":
             transcript = read_text(self._source / "speech" / f"{item.info.voice}.txt", "save it as text in UTF-8")
-            speech = replace(speech, words=alignment(speech, transcript).words)
+            speech = replace(speech, words=alignment(speech, transcript)[0])
         return find_syllables(speech, item.info.language)
 
 
