@@ -65,10 +65,6 @@ def without_after(windows: Tensor, left_out: Tensor) -> Tensor:
     return windows.masked_fill(where, 0.0)
 
 
-def parameter_count(module: nn.Module) -> int:
-    return sum(p.numel() for p in module.parameters())
-
-
 def freeze(module: nn.Module) -> nn.Module:
     """Evaluation mode, and no gradient for the weights (gradients still pass to the inputs)."""
     module.eval()

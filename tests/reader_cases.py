@@ -32,7 +32,6 @@ from data_module.corpora.table import open_corpus
 from data_module.errors import InputError
 from data_module.motion import skeletons
 from data_module.motion.bvh import read_bvh, read_hierarchy, write_bvh
-from data_module.motion.positions import POINTS
 from data_module.motion.representation import TED_JOINTS
 from data_module.motion.smplx import read_smplx
 from data_module.speech.audio import header_seconds, load_speech
@@ -41,6 +40,7 @@ from data_module.store import Recording, RecordingInfo, Store, StoreWriter, _fin
 from data_module.text.transcript import read_transcript
 from data_module.types import Speech, Word
 from eval.clip import foreign
+from eval.clip.positions import POINTS
 from eval.metrics.eye import ReferenceSpace
 from eval.metrics.gesture_features import PUBLISHED, Encoder
 from eval.metrics.gesture_features import published as published_network

@@ -20,7 +20,6 @@ from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.bvh import write_bvh
 from data_module.motion.kinematics import positions_of, resample
-from data_module.motion.positions import POINTS
 from data_module.motion.representation import bone_directions, ted_positions
 from data_module.motion.skeletons import CHARACTER, facing
 from data_module.motion.smplx import SKELETON as SMPLX
@@ -30,6 +29,7 @@ from eval.baselines.controls import jittered, mean_pose
 from eval.clip import foreign
 from eval.clip.clip_set import TRUTH, common_clips
 from eval.clip.foreign import Clip, read_motion
+from eval.clip.positions import POINTS
 from eval.commands import SCORE
 from eval.context import EvalContext
 from eval.metrics import METRICS, fgd

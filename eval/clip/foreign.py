@@ -24,12 +24,12 @@ from typing import cast
 from data_module.errors import InputError, shown
 from data_module.files import read_json
 from data_module.motion.bvh import FRAME_RATE_ADVICE, BvhWarning, read_bvh
-from data_module.motion.positions import read_points, read_positions
 from data_module.motion.skeletons import FINGER_JOINTS, FINGERED, to_character
 from data_module.motion.smplx import read_smplx
 from data_module.speech.audio import SOUNDS, load_speech
 from data_module.store import RecordingInfo, Split, Store
 from data_module.types import Motion, Speech
+from eval.clip.positions import read_points, read_positions
 
 MOTIONS = (".bvh", ".npz", ".npy")
 """Endings of motion files; where a name has several, the first of these is read."""
