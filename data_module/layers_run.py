@@ -54,8 +54,8 @@ class Tensors:
         """The tensor of that name in single precision; InputError if there is none of this shape (any more)."""
         array = self._arrays.pop(self._prefix + name, None)
         if array is None or array.shape != shape:
-            found = "absent" if array is None else array.shape
-            raise self._refused(self._prefix + name, f"{found} instead of {shape}")
+            shape_here = "absent" if array is None else array.shape
+            raise self._refused(self._prefix + name, f"{shape_here} instead of {shape}")
         return np.asarray(array, np.float32, order="C")
 
     def finish(self) -> None:

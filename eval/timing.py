@@ -33,8 +33,9 @@ def timing_table(store: Store, bundle: Bundle, limit: int | None) -> Table:
     pieces = [excerpt(store.load(info.name, bundle.config.motion.joints), SECONDS) for info in infos]
     sounds, each = [hear(piece.speech) for piece in pieces], [_steps(bundle, piece) for piece in pieces]
     rows = {name: [_above(steps[name], sound) for steps, sound in zip(each, sounds, strict=True)] for name in each[0]}
-    rows["played, other sounds"] = [np.nanmean([_above(steps["played"], other) for other in sounds if other is not own],
-                                               axis=0) for steps, own in zip(each, sounds, strict=True)]
+    rows["played, other sounds"] = [
+        np.nanmean([_above(steps["played"], other) for other in sounds if other is not sound], axis=0)
+        for steps, sound in zip(each, sounds, strict=True)]
     detectors = ("first", "second")
     return Table("Timing", {key: Column(f"PMB above chance, {key} detector", "%", 0, "high") for key in detectors},
                  {name: {key: mean_interval(np.array(values)[:, k]) for k, key in enumerate(detectors)}
@@ -70,8 +71,9 @@ def _steps(bundle: Bundle, piece: Recording) -> dict[str, Motion]:
     low = np.stack([statistics.low.apply(speech.block(i).low) for i in range(len(true))]).astype(np.float32)
     codes = vectors.new_zeros(1, len(true), config.generator.style_width)
     given = BlockInputs(torch.as_tensor(low)[None], vectors[None], codes)
-    made, _ = generator.roll_out(past.frames[:1, -1:].expand(-1, true.shape[1], -1), given)
+    generated, _ = generator.roll_out(past.frames[:1, -1:].expand(-1, true.shape[1], -1), given)
     return {"performer": piece.motion, "blocks at 20 fps and back": back(true, 0.0), "the same, five taps": back(true),
             "lexicon, not quantised": back(lexicon.decode(lexicon.latents(true))),
-            "lexemes, decoded": back(lexicon.decode(vectors)), "generator, true lexemes, zero codes": back(made[0]),
+            "lexemes, decoded": back(lexicon.decode(vectors)),
+            "generator, true lexemes, zero codes": back(generated[0]),
             "chosen lexemes and codes": played(0.0), "played": played(config.selection.lead)}

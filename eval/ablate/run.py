@@ -226,10 +226,10 @@ class RgRows:
                           for k, name in enumerate(scored.clips.names)],
                 "sets": {"pmb_curve": {"percent": np.mean(percent, axis=0).tolist()}}}
 
-    def _distances(self, own: Sequence[Array], truth: Sequence[Motion]) -> Array:
+    def _distances(self, features: Sequence[Array], truth: Sequence[Motion]) -> Array:
         """[clips] FGD of features in the first network by the jackknife; NaN for fewer than two windows."""
         real = pooled(list(truth), next(iter(self.context.networks.values())))
-        return stats.jackknife(lambda chosen: fgd.of_clips([own[k] for k in chosen], [real[k] for k in chosen]),
+        return stats.jackknife(lambda chosen: fgd.of_clips([features[k] for k in chosen], [real[k] for k in chosen]),
                                len(truth))
 
     def measured(self, name: str, seed: int) -> dict[str, Any]:
@@ -252,10 +252,10 @@ class RgRows:
         for clip, recording in zip(summary["clips"], recordings[:CODED], strict=False):
             clip["own_code"] = self.own_code(system, run, recording)
         # Accuracy compares lexemes by number, which means the same in one lexicon only.
-        ours = self.run(OURS, seed)
-        if run.key(LEXICON) == ours.key(LEXICON):
+        standard = self.run(OURS, seed)
+        if run.key(LEXICON) == standard.key(LEXICON):
             for clip in summary["clips"]:
-                clip |= self.accuracies(system, ours.get(LABELS), row.play, clip["name"])
+                clip |= self.accuracies(system, standard.get(LABELS), row.play, clip["name"])
         return summary
 
     def own_code(self, system: Gesticulator, run: Run, recording: Recording) -> float:
@@ -264,9 +264,9 @@ class RgRows:
         """
         corpus = run.get(CORPUS)
         lexemes = run.get(LABELS).hinted[corpus.blocks_of(corpus.names.index(recording.info.name))]
-        another, own = (motion_error(fitted(played(system, recording, codes), recording.motion), recording.motion).maje
+        another, true = (motion_error(fitted(played(system, recording, codes), recording.motion), recording.motion).maje
                         for codes in (np.roll(lexemes, len(lexemes) // 2), lexemes))
-        return another - own
+        return another - true
 
     def accuracies(self, system: Gesticulator, labelled: Labelled, interpreter: str, name: str) -> dict[str, float]:
         """Free-running and teacher-forced (RG Table 6), of a recording and a row over the lexicon of `ours`."""

@@ -75,9 +75,9 @@ def paper_table(title: str, rows: Rows, cells: Cells) -> Table:
     lines = _lines(table, rows, suffix)
     papers = {key for line in lines for key in line.paper}
     # A table without references has no controls by which a column could be refuted.
-    ours = OURS if table.split == "test" else next(table.claims).first
-    fooled = {key: [name for name in beaten_by(key, cells, table.split, ours) if not name.endswith(NOT_RUN)]
-              if table.references and ours in rows else [] for key in table.columns}
+    standard = OURS if table.split == "test" else next(table.claims).first
+    fooled = {key: [name for name in beaten_by(key, cells, table.split, standard) if not name.endswith(NOT_RUN)]
+              if table.references and standard in rows else [] for key in table.columns}
     columns: dict[str, Column] = {}
     for key in table.columns:
         # The mark stands in the heading, since it is about the measure and not about a row.

@@ -63,10 +63,10 @@ def tau(figures: Array, ratings: Array) -> NDArray[np.float64]:
     """Kendall's tau-b between figures and ratings, [..., S] each; NaN where all are alike. A system whose figure is
     NaN is left out."""
     first, second = np.triu_indices(figures.shape[-1], 1)
-    ours, people = (np.sign(values[..., first] - values[..., second]) for values in (figures, ratings))
-    people = np.where(np.isnan(ours), 0.0, people)
-    pairs = np.sqrt((np.nan_to_num(ours) != 0).sum(-1) * (people != 0).sum(-1))
-    return np.divide(np.nansum(ours * people, axis=-1), pairs, out=np.full(pairs.shape, math.nan), where=pairs > 0)
+    signs, people = (np.sign(values[..., first] - values[..., second]) for values in (figures, ratings))
+    people = np.where(np.isnan(signs), 0.0, people)
+    pairs = np.sqrt((np.nan_to_num(signs) != 0).sum(-1) * (people != 0).sum(-1))
+    return np.divide(np.nansum(signs * people, axis=-1), pairs, out=np.full(pairs.shape, math.nan), where=pairs > 0)
 
 
 def agreement(badness: Array, drawn: Array, ratings: Array, seed: int = 0) -> Interval:
@@ -77,25 +77,25 @@ def agreement(badness: Array, drawn: Array, ratings: Array, seed: int = 0) -> In
     chosen = np.random.default_rng(seed).integers(len(ratings), size=drawn.shape)
     taus = tau(-np.take_along_axis(drawn, chosen, axis=1), ratings[chosen])
     # A draw whose figures are all alike orders nothing; left out, the others would make the interval too narrow.
-    found = stats.limits(float(tau(-badness, ratings)), np.nan_to_num(taus), len(ratings))
-    return Interval.exact(found.mean, found.n) if found.low == found.high else found
+    interval = stats.limits(float(tau(-badness, ratings)), np.nan_to_num(taus), len(ratings))
+    return Interval.exact(interval.mean, interval.n) if interval.low == interval.high else interval
 
 
 def badness_of(rows: Sequence[ScoreRow], truth: ScoreRow, name: str, metric: Metric, seed: int) -> tuple[Array, Array]:
     """How bad a metric finds each row, by all clips [S] and by redrawn ones [draws, S]; less is better."""
     if name in CLIP_METRICS or name in EYE_METRICS:
         values = np.stack([row.values[name] for row in (truth, *rows)], axis=-1)
-        found = np.concatenate([np.array([[stats.mean(column) for column in values.T]]),
+        badness = np.concatenate([np.array([[stats.mean(column) for column in values.T]]),
                                 stats.crossed_means(values[None], seed)])
     else:
         figures = [row.sets.get(name, lambda chosen: math.nan) for row in (truth, *rows)]
         counts, rng = len(truth.motions), np.random.default_rng(seed)
         draws = [np.arange(counts), *(chosen for chosen, in stats.resamples(rng, [counts], stats.SET_DRAWS))]
-        found = np.array([[figure(chosen) for figure in figures] for chosen in draws])
+        badness = np.array([[figure(chosen) for figure in figures] for chosen in draws])
     if metric.good == "near":
-        found = np.abs(found - found[:, :1])
-    found = -found[:, 1:] if metric.good == "high" else found[:, 1:]
-    return found[0], found[1:]
+        badness = np.abs(badness - badness[:, :1])
+    badness = -badness[:, 1:] if metric.good == "high" else badness[:, 1:]
+    return badness[0], badness[1:]
 
 
 def ratings_table(systems: Sequence[ScoreRow], truth: ScoreRow, ratings: Mapping[str, float],
