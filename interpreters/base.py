@@ -215,19 +215,29 @@ class InterpreterParts:
 
 
 def select(scores: Scores, *, allowed: NDArray[np.int64] | None = None, temperature: float = 0.0,
-           noise: Scores | None = None) -> int:
-    """One lexeme from scores [S]: the best (temperature 0, or no noise), or a sample of softmax(scores / temperature),
-    the arg max of scores / temperature + noise. allowed: indices to choose from (the silent mask); None or empty allows
-    all. noise: [S] standard Gumbel numbers."""
-    if temperature < 0:
-        raise ValueError("temperature must not be negative")
+           top: int | None = None, rng: np.random.Generator | None = None, noise: Scores | None = None) -> int:
+    """One lexeme from scores [S]: the best (temperature 0), or a sample of softmax(scores / temperature). allowed:
+    indices to choose from (the silent mask); None or empty allows all. top: sample from the best `top` only. noise: [S]
+    standard Gumbel numbers, in place of a generator: the sample is the arg max of scores / temperature + noise."""
+    if temperature < 0 or (top is not None and top < 1):
+        raise ValueError("temperature must not be negative and top must be positive")
     masked = np.array(scores, dtype=np.float64)
     if allowed is not None and len(allowed):
         blocked = np.ones(len(masked), dtype=bool)
         blocked[allowed] = False
         masked[blocked] = -np.inf
-    # The Gumbel-max trick: reproducible block by block from the given noise.
-    return int(np.argmax(masked if temperature == 0 or noise is None else masked / temperature + noise))
+    if temperature == 0 or (rng is None and noise is None):
+        return int(np.argmax(masked))
+    if top is not None and top < len(masked):
+        # Scores equal to the last of the best stay in, whatever their number: none of them is better.
+        masked[masked < np.sort(masked)[-top]] = -np.inf
+    if noise is not None:
+        # The Gumbel-max trick: a sample of the softmax, reproducible block by block from the given noise.
+        return int(np.argmax(masked / temperature + noise))
+    assert rng is not None
+    # The largest exponent is 0, so that exp cannot overflow.
+    weights = np.exp((masked - masked.max()) / temperature)
+    return int(rng.choice(len(weights), p=weights / weights.sum()))
 
 
 FRAMES = 3

@@ -86,7 +86,7 @@ def test_the_policy_is_the_tempered_prior_times_exp_beta_advantage(beta: float, 
     weights = np.exp(prior()) ** (1 / temperature) * np.exp(beta * advantage)
     tempered = np.exp(scores / temperature)
     np.testing.assert_allclose(tempered / tempered.sum(), weights / weights.sum(), rtol=1e-9)
-    drawn = np.bincount([select(scores, temperature=temperature, noise=np.random.default_rng(seed).gumbel(size=SIZE))
+    drawn = np.bincount([select(scores, temperature=temperature, rng=np.random.default_rng(seed))
                          for seed in range(2000)], minlength=SIZE) / 2000
     np.testing.assert_allclose(drawn, weights / weights.sum(), atol=0.05)
 

@@ -281,8 +281,7 @@ def test_the_mask_is_never_broken(values: list[float], data: st.DataObject) -> N
     allowed = np.array(data.draw(st.sets(st.integers(0, len(values) - 1), min_size=1)) and
                        sorted(data.draw(st.sets(st.integers(0, len(values) - 1), min_size=1))))
     for temperature in (0.0, 1.0):
-        noise = np.random.default_rng(0).gumbel(size=len(values))
-        chosen = select(np.array(values), allowed=allowed, temperature=temperature, noise=noise)
+        chosen = select(np.array(values), allowed=allowed, temperature=temperature, rng=np.random.default_rng(0))
         assert chosen in allowed
 
 
@@ -290,6 +289,9 @@ def test_select_known_cases() -> None:
     scores = np.log([0.6, 0.3, 0.1])
     assert select(scores) == 0
     assert select(scores, allowed=np.array([], dtype=np.int64)) == 0, "an empty mask masks nothing"
+    rng = np.random.default_rng(2)
+    drawn = [select(scores, temperature=1.0, top=2, rng=rng) for _ in range(200)]
+    assert set(drawn) == {0, 1}
     with pytest.raises(ValueError):
         select(scores, temperature=-1)
 
@@ -297,6 +299,6 @@ def test_select_known_cases() -> None:
 @pytest.mark.parametrize("temperature", [0.5, 1.0, 2.0])
 def test_lexemes_are_drawn_from_the_tempered_softmax(temperature: float) -> None:
     scores, rng = np.log([0.6, 0.3, 0.1]), np.random.default_rng(8)
-    drawn = [select(scores, temperature=temperature, noise=rng.gumbel(size=3)) for _ in range(6000)]
+    drawn = [select(scores, temperature=temperature, rng=rng) for _ in range(6000)]
     wanted = np.array([0.6, 0.3, 0.1]) ** (1 / temperature)
     np.testing.assert_allclose(np.bincount(drawn, minlength=3) / 6000, wanted / wanted.sum(), atol=0.025)
