@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     with PageServer(args.port) as server, our_warnings(), limited_threads(settings.threads):
         _prepare(server, job, settings)
         _serve(server, args.no_browser)
-        server.rendering.acquire()  # a thread that is stopped within torch at the end of the process crashes it
+        server.rendering.acquire()  # a rendering that is under way ends first
     return 0
 
 
