@@ -27,7 +27,7 @@ _HOMES = {"Controls": "data_module.controls", "Curve": "data_module.controls", "
           "Motion": "data_module.types", "Speech": "data_module.types", "Word": "data_module.types",
           "InferenceOptions": "gesticulator.options", "Performance": "gesticulator.performance",
           "Gesticulator": "gesticulator.gesticulator", "load_speech": "data_module.speech.audio"}
-"""Name -> the module that has it, imported when the name is first used: torch takes seconds."""
+"""Name -> the module that has it, imported when the name is first used."""
 
 
 def __getattr__(name: str) -> Any:

@@ -18,7 +18,7 @@ def _plan_arguments(p: argparse.ArgumentParser) -> None:
 
 
 def _run_plan(parsed: argparse.Namespace) -> int:
-    # Imported here: listing the verbs of the program must not load the plan, and names alone need torch.
+    # Imported here: listing the verbs of the program must not load the plan.
     from gesticulator.plan.plan_file import schema
 
     if parsed.what == "schema":
