@@ -45,10 +45,10 @@ class InterpreterEntry(RegistryEntry):
     doubt: str = ""
 
     def load_model(self) -> Any:
-        return _class_at(self.model or self.where)
+        return class_at(self.model or self.where)
 
     def load_runner(self) -> Any:
-        return _class_at(self.runner or self.where)
+        return class_at(self.runner or self.where)
 
     @property
     def settings(self) -> str:
@@ -61,7 +61,8 @@ class InterpreterEntry(RegistryEntry):
         return dict(zip(parts, self.file or parts, strict=True))
 
 
-def _class_at(where: str) -> Any:
+def class_at(where: str) -> Any:
+    """The class of a module:class."""
     module, name = where.split(":")
     return getattr(import_module(module), name)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,23 +59,13 @@ class CriticsRunner:
 
     def step(self, state: QRunState, features: BlockFeatures, previous_lexeme: int, log_prior: Scores
              ) -> tuple[Scores, QRunState]:
-        """See `Advantages.step`."""
+        """[S] the advantage of each lexeme of this block in standard deviations, given log pi_b [S], and the state
+        after it."""
         row, after = self._trunk.step(state, features, previous_lexeme)
         row = self._norm(row)
         q = (self._reward(row) + GAMMA * self._future_scale * self._future(row)).reshape(CRITICS, -1)
         advantage = advantages(q, softmax(log_prior.astype(np.float32)))
         return (advantage / self._spread).astype(np.float64), after
-
-
-class Advantages(Protocol):
-    """Critics that value every lexeme of a block."""
-
-    def start(self, speaker: int) -> Any:
-        """The state before the first block."""
-
-    def step(self, state: Any, features: BlockFeatures, previous_lexeme: int, log_prior: Scores) -> tuple[Scores, Any]:
-        """[S] the advantage of each lexeme of this block in standard deviations, given log pi_b [S], and the state
-        after it."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +81,7 @@ class AdvantageInterpreter(InterpreterDefaults):
     """The behaviour policy, biased by beta times the advantage. temperature: T, which `select` divides by."""
 
     prior: LexemeInterpreter
-    critics: Advantages
+    critics: CriticsRunner
     beta: float = 1.0
     temperature: float = 1.0
     name = "advantage"

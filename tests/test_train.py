@@ -204,7 +204,7 @@ def test_a_store_without_words_is_refused_before_a_block_is_cut(tiny_store: Path
     assert not list((tmp_path / "work").glob("blocks-*"))
 
 
-@pytest.mark.skipif(os.name != "posix", reason="a signal to a group of processes")
+@pytest.mark.skipif(os.name != "posix", reason="Ctrl C is sent to a group of processes, which Windows lacks")
 def test_ctrl_c_says_how_to_go_on_and_leaves_no_traceback(tiny_store: Path, tmp_path: Path) -> None:
     """While processes cut blocks, and again while a stage is trained; the second run goes on from the first."""
     command = [sys.executable, "-m", "gesticulator", "train", "--data", str(tiny_store), "--out", str(tmp_path / "b"),

@@ -22,18 +22,12 @@ from data_module.registry import Registry, RegistryEntry
 from gesticulator.bundle.config import Config, RewardConfig
 from gesticulator.bundle.features import CONTROL_WIDTH, Sizes
 from gesticulator.bundle.files import Weights, lexicon_hash
-from interpreters import InterpreterEntry, entries
+from interpreters import InterpreterEntry, class_at, entries
 from interpreters.base import InterpreterSizes
 
 if TYPE_CHECKING:
     from torch import nn
 
-    from data_module.speech.speech_encoder import SpeechEncoder
-    from data_module.speech.speech_encoder_run import SpeechEncoderRunner
-    from interpreters.gate import ActivityGate
-    from interpreters.gate_run import GateRunner
-    from interpreters.planner import UnitPlanner
-    from interpreters.planner_run import PlannerRunner
     from interpreters.reward import RewardEnsemble
 
 
@@ -93,45 +87,6 @@ def system_of(config: Config) -> System:
     return cast(System, SYSTEMS.load(config.system))
 
 
-def encoder(sizes: Sizes) -> SpeechEncoder:
-    """The speech encoder (RG 4.1.3)."""
-    from data_module.speech.speech_encoder import SpeechEncoder
-
-    return SpeechEncoder(sizes.config.encoder.width)
-
-
-def encoder_runner(sizes: Sizes, tensors: Tensors) -> SpeechEncoderRunner:
-    from data_module.speech.speech_encoder_run import SpeechEncoderRunner
-
-    return SpeechEncoderRunner(sizes.config.encoder.width, tensors)
-
-
-def gate(sizes: Sizes) -> ActivityGate:
-    """The gate, which decides whether a block is gestured."""
-    from interpreters.gate import ActivityGate
-
-    return ActivityGate(sizes.config.gate, sizes.frames, sizes.low, sizes.speakers)
-
-
-def gate_runner(sizes: Sizes, tensors: Tensors) -> GateRunner:
-    from interpreters.gate_run import GateRunner
-
-    return GateRunner(sizes.config.gate, sizes.frames, sizes.low, sizes.speakers, tensors)
-
-
-def planner(sizes: Sizes) -> UnitPlanner:
-    """The planner of gesture units."""
-    from interpreters.planner import UnitPlanner
-
-    return UnitPlanner(sizes.config.planner, sizes.frames, sizes.low, sizes.speakers, len(sizes.lexemes))
-
-
-def planner_runner(sizes: Sizes, tensors: Tensors) -> PlannerRunner:
-    from interpreters.planner_run import PlannerRunner
-
-    return PlannerRunner(sizes.config.planner, sizes.frames, sizes.low, sizes.speakers, len(sizes.lexemes), tensors)
-
-
 def reward(sizes: Sizes) -> RewardEnsemble:
     """The ensemble of E_m and E_u that trains a policy (RACER 4.2)."""
     return _reward(sizes, sizes.config.reward)
@@ -162,7 +117,16 @@ class BundlePart:
     tied: bool = False
 
 
-PARTS = {"encoder": BundlePart("speech_encoder", encoder, encoder_runner),
+def _of_modules(file: str, model: str, runner: str, settings: Callable[[Sizes], tuple[Any, ...]], tied: bool = False
+                ) -> BundlePart:
+    """A part whose model and runner, each a module and a class, take the same arguments."""
+    return BundlePart(file, lambda sizes: class_at(model)(*settings(sizes)),
+                      lambda sizes, tensors: class_at(runner)(*settings(sizes), tensors), tied)
+
+
+PARTS = {"encoder": _of_modules("speech_encoder", "data_module.speech.speech_encoder:SpeechEncoder",
+                                "data_module.speech.speech_encoder_run:SpeechEncoderRunner",
+                                lambda sizes: (sizes.config.encoder.width,)),
          "lexicon": BundlePart("lexicon", lambda sizes: system_of(sizes.config).lexicon(sizes),
                                lambda sizes, tensors: system_of(sizes.config).lexicon_runner(sizes, tensors)),
          "generator": BundlePart("generator", lambda sizes: system_of(sizes.config).generator(sizes),
@@ -171,8 +135,11 @@ PARTS = {"encoder": BundlePart("speech_encoder", encoder, encoder_runner),
                              lambda sizes, tensors: system_of(sizes.config).style_runner(sizes, False, tensors)),
          "style_text": BundlePart("style_interpreter_text", lambda sizes: system_of(sizes.config).style(sizes, True),
                                   lambda sizes, tensors: system_of(sizes.config).style_runner(sizes, True, tensors)),
-         "gate": BundlePart("gate", gate, gate_runner),
-         "planner": BundlePart("planner", planner, planner_runner, tied=True)}
+         "gate": _of_modules("gate", "interpreters.gate:ActivityGate", "interpreters.gate_run:GateRunner",
+                             lambda sizes: (sizes.config.gate, sizes.frames, sizes.low, sizes.speakers)),
+         "planner": _of_modules("planner", "interpreters.planner:UnitPlanner", "interpreters.planner_run:PlannerRunner",
+                                lambda sizes: (sizes.config.planner, sizes.frames, sizes.low, sizes.speakers,
+                                               len(sizes.lexemes)), tied=True)}
 """The parts other than lexeme interpreters; only the lexicon is always present."""
 
 

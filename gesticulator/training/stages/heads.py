@@ -130,7 +130,7 @@ def _planner_task(run: Run, model: UnitPlanner) -> fitting.Task:
 PLANNER: Stage[UnitPlanner] = Stage(
     "planner", settings=("planner", "window"), needs=lambda config: (CORPUS, LABELS, UNITS), schedule="planner",
     wanted=lambda config: config.schedules.planner.steps > 0, part="planner",
-    build=lambda run: models.planner(model_sizes(run)), train=_planner_task)
+    build=lambda run: models.build("planner", model_sizes(run)), train=_planner_task)
 
 
 def _gate_task(run: Run, model: ActivityGate) -> fitting.Task:
@@ -145,7 +145,7 @@ def _gate_task(run: Run, model: ActivityGate) -> fitting.Task:
 GATE: Stage[ActivityGate] = Stage(
     "gate", settings=("gate", "window"), needs=lambda config: (CORPUS, LABELS), schedule="gate",
     wanted=lambda config: config.schedules.gate.steps > 0, part="gate",
-    build=lambda run: models.gate(model_sizes(run)), train=_gate_task)
+    build=lambda run: models.build("gate", model_sizes(run)), train=_gate_task)
 
 
 _LONGEST_UNIT = 14

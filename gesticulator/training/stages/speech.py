@@ -140,7 +140,7 @@ CONTRAST: Stage[TextContrast] = Stage(
 def _encoder(run: Run) -> SpeechEncoder | None:
     if not _learned(run.config):
         return None
-    encoder = models.encoder(sizes(run.config, run.get(BLOCKS)))
+    encoder = models.build("encoder", sizes(run.config, run.get(BLOCKS)))
     encoder.load_state_dict((run.get(CONTRAST) if _contrasted(run.config) else run.get(SPEECH)).encoder.state_dict())
     # A bundle stores half precision: train on the same features as at inference.
     encoder.half().float()
