@@ -27,7 +27,7 @@ class InterpreterEntry(RegistryEntry):
 
     For interpreters with weights: section: the group of settings of `Config`, by default the name of the part. model:
     module and class of the network that is trained, if not the interpreter itself: it has `build(settings, sizes)`.
-    runner: module and class that plays its weights, by default the interpreter: it has `of(settings, sizes, tensors)`.
+    runner: module and class that plays its weights, by default the interpreter; made from settings, sizes, tensors.
     file: names of the files of the part and the text part without suffix, by default the names of the parts. tied: the
     weights fit one codebook only. temperature: its default temperature, if it is not that of the bundle. doubt: the
     warning with which it plays, if it is no better than another by our figures; empty for none.

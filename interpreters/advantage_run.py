@@ -36,11 +36,9 @@ def advantages(q: NDArray[np.floating], prior: NDArray[np.floating]) -> NDArray[
 class CriticsRunner:
     """J critics on one transformer over audio and lexemes, which value every lexeme of a block."""
 
-    def __init__(self, config: CriticConfig, frames: int, audio_width: int, lexemes: int, speakers: int,
-                 tensors: Tensors) -> None:
-        """frames: K; audio_width: d; lexemes: S; speakers: P."""
-        trunk = tensors.within("trunk")
-        self._trunk = QTrunk(config.network, frames, audio_width, lexemes, speakers, trunk)
+    def __init__(self, config: CriticConfig, sizes: InterpreterSizes, tensors: Tensors) -> None:
+        trunk, lexemes = tensors.within("trunk"), len(sizes.lexemes)
+        self._trunk = QTrunk(config.network, sizes, trunk)
         self._norm = Norm(trunk.within("head"), config.width)
         self._reward = Dense.of(tensors.within("reward"), config.width, CRITICS * lexemes)
         self._future = Dense.of(tensors.within("future"), config.width, CRITICS * lexemes)
@@ -49,10 +47,6 @@ class CriticsRunner:
         Dense.of(tensors.within("value"), config.width, CRITICS)
         for name in ("unit", "value_scale", "value_mean"):
             tensors.take(name)
-
-    @classmethod
-    def of(cls, settings: CriticConfig, sizes: InterpreterSizes, tensors: Tensors) -> CriticsRunner:
-        return cls(settings, sizes.frames, sizes.high, len(sizes.lexemes), sizes.speakers, tensors)
 
     def start(self, speaker: int) -> QRunState:
         return self._trunk.start(speaker)
@@ -85,7 +79,6 @@ class AdvantageInterpreter(InterpreterDefaults):
     beta: float = 1.0
     temperature: float = 1.0
     name = "advantage"
-    steerable = True
 
     @classmethod
     def open(cls, parts: InterpreterParts) -> AdvantageInterpreter:

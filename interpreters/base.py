@@ -88,13 +88,8 @@ class Interpreter(LexemeInterpreter, Protocol):
         ...
 
     @property
-    def steerable(self) -> bool:
-        """It accepts a beta (`steered`)."""
-        ...
-
-    @property
     def beta(self) -> float | None:
-        """Strength of the bias towards a learned reward; None if not steerable."""
+        """Strength of the bias towards a learned reward; None if it accepts none (`steered`)."""
         ...
 
     @property
@@ -116,7 +111,6 @@ class InterpreterDefaults:
 
     name: str = ""
     gives_values: bool = False
-    steerable: bool = False
 
     @property
     def beta(self) -> float | None:
@@ -161,7 +155,7 @@ def opened(kind: Any, parts: InterpreterParts) -> Interpreter:
     return as_interpreter(parts.model if parts.model is not None else kind(parts.frequencies, parts.transitions))
 
 
-_OPTIONAL = frozenset(("gives_values", "steerable", "beta", "needs", "steered", "guided", "explain"))
+_OPTIONAL = frozenset(("gives_values", "beta", "needs", "steered", "guided", "explain"))
 
 
 def as_interpreter(given: object) -> Interpreter:

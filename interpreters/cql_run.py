@@ -57,18 +57,16 @@ class TwoStreamLayer:
 class QTrunk:
     """The transformer over audio and actions, up to the features of a decision."""
 
-    def __init__(self, config: QConfig, frames: int, audio_width: int, lexemes: int, speakers: int, tensors: Tensors
-                 ) -> None:
-        """frames: K; audio_width: d; lexemes: S; speakers: P."""
-        width = config.width
+    def __init__(self, config: QConfig, sizes: InterpreterSizes, tensors: Tensors) -> None:
+        width, speakers, frames = config.width, sizes.speakers, sizes.frames
         self._window, self._width, self._speakers = config.decisions, width, speakers
         self._use_speaker = config.use_speaker
-        self._encode = BlockDense(tensors.within("encode_audio"), frames, audio_width, config.audio_features,
+        self._encode = BlockDense(tensors.within("encode_audio"), frames, sizes.high, config.audio_features,
                                   blocks=config.audio_blocks, bottleneck=config.audio_bottleneck)
         # One more input than audio and speaker: whether the block is silent.
         row = frames * config.audio_features + (speakers if config.use_speaker else 0) + 1
         self._audio_token = Dense.of(tensors.within("audio_token"), row, width)
-        self._action_token = tensors.take("action_token.weight", lexemes, width)
+        self._action_token = tensors.take("action_token.weight", len(sizes.lexemes), width)
         self._positions = tensors.take("positions", 2, config.decisions, width)
         self._layers = [TwoStreamLayer(tensors.within(f"layers.{number}"), width, config.heads)
                         for number in range(config.layers)]
@@ -107,16 +105,10 @@ class QRunner(InterpreterDefaults):
     name = "cql"
     gives_values = True
 
-    def __init__(self, config: QConfig, frames: int, audio_width: int, lexemes: int, speakers: int, tensors: Tensors
-                 ) -> None:
-        """The sizes of `QTrunk`."""
-        self._trunk = QTrunk(config, frames, audio_width, lexemes, speakers, tensors)
+    def __init__(self, config: QConfig, sizes: InterpreterSizes, tensors: Tensors) -> None:
+        self._trunk = QTrunk(config, sizes, tensors)
         self._norm = Norm(tensors.within("head.0"), config.width)
-        self._values = Dense.of(tensors.within("head.1"), config.width, lexemes)
-
-    @classmethod
-    def of(cls, settings: QConfig, sizes: InterpreterSizes, tensors: Tensors) -> QRunner:
-        return cls(settings, sizes.frames, sizes.high, len(sizes.lexemes), sizes.speakers, tensors)
+        self._values = Dense.of(tensors.within("head.1"), config.width, len(sizes.lexemes))
 
     @property
     def needs(self) -> frozenset[Need]:

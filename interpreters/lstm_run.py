@@ -69,10 +69,6 @@ class LstmRunner(InterpreterDefaults):
         self._lstm = Lstm(tensors.within("lstm"), config.width if self._by_block else width, config.width)
         self._classify = Dense.of(tensors.within("classify"), (2 if self._by_block else 1) * config.width, size)
 
-    @classmethod
-    def of(cls, settings: LstmConfig, sizes: InterpreterSizes, tensors: Tensors) -> LstmRunner:
-        return cls(settings, sizes, tensors)
-
     @property
     def needs(self) -> frozenset[Need]:
         reads: dict[Need, bool] = {"text": self.config.reads, "control": bool(self._control_width),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_module.layers_run import BlockDense, Dense, Floats, Lstm, Tensors, side_by_side
-from interpreters.base import BlockFeatures
+from interpreters.base import BlockFeatures, InterpreterSizes
 from interpreters.settings import StyleConfig
 
 __all__ = ["StyleRunner"]
@@ -22,39 +22,27 @@ class StyleRunState:
     speaker: Floats
 
 
-@dataclass(frozen=True)
-class StyleWidths:
-    """The sizes of a style interpreter that depend on the data. frames: K; audio: d of the low level; lexemes: S and
-    D_s; code: d_z; speakers: P; text: d_t + 1, used only if the settings enable it."""
-
-    frames: int
-    audio: int
-    lexemes: tuple[int, int]
-    code: int
-    speakers: int
-    text: int = 0
-
-
 class StyleRunner:
     """P_z: previous code, lexeme, three blocks of low-level audio and text to the code of the block, [d_z]."""
 
-    def __init__(self, config: StyleConfig, widths: StyleWidths, tensors: Tensors) -> None:
-        self._config, self._widths, frames = config, widths, widths.frames
-        self._lexemes = tensors.take("lexemes", *widths.lexemes)
-        self._encode_audio = BlockDense(tensors.within("encode_audio"), frames, widths.audio, config.audio_features,
+    def __init__(self, config: StyleConfig, sizes: InterpreterSizes, code: int, tensors: Tensors) -> None:
+        """code: d_z."""
+        self._config, self._speakers, self._code, frames = config, sizes.speakers, code, sizes.frames
+        self._lexemes = tensors.take("lexemes", *sizes.lexemes.shape)
+        self._encode_audio = BlockDense(tensors.within("encode_audio"), frames, sizes.low, config.audio_features,
                                         bottleneck=config.audio_bottleneck)
         self._encode_text = None
         if config.text_features:
-            self._encode_text = BlockDense(tensors.within("encode_text"), frames, widths.text, config.text_features,
+            self._encode_text = BlockDense(tensors.within("encode_text"), frames, sizes.text, config.text_features,
                                            blocks=1, bottleneck=config.text_bottleneck)
-        width = config.audio_features + widths.lexemes[1] + widths.code + config.text_features
-        width += widths.speakers if config.use_speaker else 0
+        width = config.audio_features + sizes.lexemes.shape[1] + code + config.text_features
+        width += sizes.speakers if config.use_speaker else 0
         self._lstm = Lstm(tensors.within("lstm"), width, config.width)
-        self._to_code = Dense.of(tensors.within("to_code"), config.width, widths.code)
+        self._to_code = Dense.of(tensors.within("to_code"), config.width, code)
 
     def start(self, speaker: int) -> StyleRunState:
-        speakers = np.eye(self._widths.speakers, dtype=np.float32)
-        return StyleRunState(None, np.zeros(self._widths.code, np.float32), speakers[speaker])
+        speakers = np.eye(self._speakers, dtype=np.float32)
+        return StyleRunState(None, np.zeros(self._code, np.float32), speakers[speaker])
 
     def step(self, state: StyleRunState, features: BlockFeatures, lexeme: int) -> tuple[Floats, StyleRunState]:
         """The code [d_z] of this block, and the state after it. ValueError without needed text."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from torch import nn
 
 from data_module.layers import BlockLinear
@@ -20,7 +21,7 @@ from interpreters.lstm import LstmInterpreter, StyleInterpreter
 from interpreters.lstm_run import LstmRunner
 from interpreters.planner import UnitPlanner, UnitStyleInterpreter
 from interpreters.planner_run import PlannerRunner, UnitStyleRunner
-from interpreters.style_run import StyleRunner, StyleWidths
+from interpreters.style_run import StyleRunner
 
 
 def tensors_of(model: nn.Module) -> Tensors:
@@ -35,6 +36,11 @@ def width_in(layer: BlockLinear | None) -> int:
         layer.narrow.in_features
 
 
+def sizes_for(frames: int, audio: int, lexemes: np.ndarray, speakers: int, text: int = 0) -> InterpreterSizes:
+    """Both levels of the audio have the same width."""
+    return InterpreterSizes(frames, audio, audio, speakers, text, 0, 0, np.float32(lexemes))
+
+
 def played_lstm(model: LstmInterpreter) -> LstmRunner:
     text = width_in(model.encode_text) if model.text_head is None else model.text_head.narrow.in_features
     motion = 0 if model.encode_pose is None else model.encode_pose.in_features // 3
@@ -44,21 +50,20 @@ def played_lstm(model: LstmInterpreter) -> LstmRunner:
 
 
 def played_style(model: StyleInterpreter) -> StyleRunner:
-    size, width = model.lexemes.shape
-    return StyleRunner(model.config, StyleWidths(model.frames, width_in(model.encode_audio), (size, width),
-                                                 model.code_width, model.speakers, width_in(model.encode_text)),
-                       tensors_of(model))
+    sizes = sizes_for(model.frames, width_in(model.encode_audio), model.lexemes.numpy(), model.speakers,
+                      width_in(model.encode_text))
+    return StyleRunner(model.config, sizes, model.code_width, tensors_of(model))
 
 
 def played_q(model: QNetwork, kind: type[QRunner] = QRunner) -> QRunner:
-    return kind(model.config, model.frames, width_in(model.encode_audio), model.lexemes, model.speakers,
-                   tensors_of(model))
+    sizes = sizes_for(model.frames, width_in(model.encode_audio), np.zeros((model.lexemes, 1)), model.speakers)
+    return kind(model.config, sizes, tensors_of(model))
 
 
 def played_critics(model: Critics) -> CriticsRunner:
     trunk = model.trunk
-    return CriticsRunner(model.config, trunk.frames, width_in(trunk.encode_audio), model.lexemes, trunk.speakers,
-                         tensors_of(model))
+    sizes = sizes_for(trunk.frames, width_in(trunk.encode_audio), np.zeros((model.lexemes, 1)), trunk.speakers)
+    return CriticsRunner(model.config, sizes, tensors_of(model))
 
 
 def played_gate(model: ActivityGate) -> GateRunner:

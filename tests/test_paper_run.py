@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from runners import sizes_for
 from torch import nn
 
 from data_module.layers_run import Floats, Tensors
@@ -17,6 +18,7 @@ from generator.model_run import GeneratorRunner
 from generator.settings import GeneratorConfig, GeneratorWidths
 from gesticulator.bundle.bundle import Bundle, load
 from gesticulator.bundle.files import NAMED
+from gesticulator.bundle.models import interpreter_sizes
 from interpreters.advantage import Critics
 from interpreters.advantage_run import CriticsRunner
 from interpreters.base import BlockFeatures
@@ -24,13 +26,14 @@ from interpreters.cql import QNetwork
 from interpreters.cql_run import QRunner
 from interpreters.lstm import StyleInterpreter
 from interpreters.settings import CriticConfig, QConfig, StyleConfig
-from interpreters.style_run import StyleRunner, StyleWidths
+from interpreters.style_run import StyleRunner
 from lexicon.autoencoder import Lexicon
 from lexicon.autoencoder_run import LexiconRunner
 from lexicon.settings import LexiconConfig
 
 BLOCKS, FRAMES, AUDIO, MOTION, CODE, TEXT, SPEAKERS, LEXEMES = 30, 5, 7, 6, 9, 4, 3, 11
 SEEDS = st.integers(0, 999)
+SIZES = sizes_for(FRAMES, AUDIO, np.zeros((LEXEMES, CODE)), SPEAKERS)
 EVERY = settings(deadline=None, max_examples=15)
 
 
@@ -100,7 +103,7 @@ def test_thirty_codes_of_the_style_interpreter(text: int, bottleneck: int, speak
                          text_bottleneck=bottleneck if text else 0, use_speaker=speaker)
     module = filled(StyleInterpreter(config, FRAMES, AUDIO, torch.randn(LEXEMES, CODE), 8, SPEAKERS, TEXT), seed)
     tensors = tensors_of(module)
-    runner = StyleRunner(config, StyleWidths(FRAMES, AUDIO, (LEXEMES, CODE), 8, SPEAKERS, TEXT), tensors)
+    runner = StyleRunner(config, sizes_for(FRAMES, AUDIO, np.zeros((LEXEMES, CODE)), SPEAKERS, TEXT), 8, tensors)
     tensors.finish()
     same_codes(module, runner, seed)
 
@@ -163,7 +166,7 @@ def test_thirty_decisions_of_the_q_network_before_and_after_its_window_slides(
                      audio_bottleneck=5, use_speaker=speaker)
     module = filled(QNetwork(config, FRAMES, AUDIO, LEXEMES, SPEAKERS), seed)
     tensors = tensors_of(module)
-    runner = QRunner(config, FRAMES, AUDIO, LEXEMES, SPEAKERS, tensors)
+    runner = QRunner(config, SIZES, tensors)
     tensors.finish()
     same_values(module, runner, q_inputs(seed, LEXEMES, SPEAKERS, FRAMES, AUDIO))
 
@@ -185,7 +188,7 @@ def test_thirty_advantages_of_the_critics(decisions: int, seed: int) -> None:
     module = filled(Critics(config, FRAMES, AUDIO, LEXEMES, SPEAKERS), seed)
     module.spread.fill_(0.7)
     tensors = tensors_of(module)
-    runner = CriticsRunner(config, FRAMES, AUDIO, LEXEMES, SPEAKERS, tensors)
+    runner = CriticsRunner(config, SIZES, tensors)
     tensors.finish()
     same_advantages(module, runner, q_inputs(seed, LEXEMES, SPEAKERS, FRAMES, AUDIO), seed)
 
@@ -223,13 +226,13 @@ def test_the_parts_of_the_shipped_bundles() -> None:
                                     (default, "q_network", default.config.cql)):
         module = bundle.trained(name)
         assert isinstance(module, QNetwork)
-        same_values(module, QRunner(settings_, *sizes_of(bundle), tensors_of(module)), inputs_of(bundle))
+        same_values(module, QRunner(settings_, interpreter_sizes(bundle.sizes), tensors_of(module)), inputs_of(bundle))
     critics = default.trained("advantage")
     assert isinstance(critics, Critics)
-    same_advantages(critics, CriticsRunner(default.config.advantage, *sizes_of(default), tensors_of(critics)),
-                    inputs_of(default), 4)
-    style_widths = StyleWidths(frames, low, (len(paper.vectors), lexemes[1]), style.code_width, len(paper.speakers))
-    same_codes(style, StyleRunner(config.style, style_widths, tensors_of(style)), 5)
+    runner_of_critics = CriticsRunner(default.config.advantage, interpreter_sizes(default.sizes), tensors_of(critics))
+    same_advantages(critics, runner_of_critics, inputs_of(default), 4)
+    sizes = interpreter_sizes(paper.sizes)
+    same_codes(style, StyleRunner(config.style, sizes, style.code_width, tensors_of(style)), 5)
 
 
 def sizes_of(bundle: Bundle) -> tuple[int, int, int, int]:

@@ -159,7 +159,7 @@ def _interpreter(entry: InterpreterEntry, part: str, sizes: Sizes) -> nn.Module:
 
 def _playing(entry: InterpreterEntry, part: str, sizes: Sizes, tensors: Tensors) -> Any:
     """The runner of a lexeme interpreter, with or without text."""
-    return entry.load_runner().of(*_settled(entry, part, sizes), tensors)
+    return entry.load_runner()(*_settled(entry, part, sizes), tensors)
 
 
 def _settled(entry: InterpreterEntry, part: str, sizes: Sizes) -> tuple[Any, InterpreterSizes]:
@@ -168,8 +168,13 @@ def _settled(entry: InterpreterEntry, part: str, sizes: Sizes) -> tuple[Any, Int
     settings = getattr(sizes.config, entry.settings)
     if entry.text_part and part != entry.text_part:
         settings = settings.without_text()
-    return settings, InterpreterSizes(sizes.frames, sizes.low, sizes.high, sizes.speakers, sizes.text, CONTROL_WIDTH,
-                                      sizes.motion, sizes.lexemes, sizes.silent)
+    return settings, interpreter_sizes(sizes)
+
+
+def interpreter_sizes(sizes: Sizes) -> InterpreterSizes:
+    """Those that interpreters depend on."""
+    return InterpreterSizes(sizes.frames, sizes.low, sizes.high, sizes.speakers, sizes.text, CONTROL_WIDTH,
+                            sizes.motion, sizes.lexemes, sizes.silent)
 
 
 def build(part: str, sizes: Sizes) -> Any:

@@ -26,6 +26,7 @@ from data_module.layers_run import Floats, Tensors
 from generator.model_run import GeneratorRunner
 from generator.settings import GeneratorWidths
 from gesticulator.bundle.features import CONTROL_WIDTH
+from gesticulator.bundle.models import interpreter_sizes
 from gesticulator.sampling.loop import (
     BlockMotion,
     Keys,
@@ -41,7 +42,7 @@ from gesticulator.sampling.loop import (
     shown,
 )
 from interpreters.base import BlockFeatures
-from interpreters.style_run import StyleRunner, StyleWidths
+from interpreters.style_run import StyleRunner
 from lexicon.autoencoder_run import LexiconRunner
 
 if TYPE_CHECKING:
@@ -129,10 +130,9 @@ def style(sizes: Sizes, reads: bool) -> StyleInterpreter:
 
 
 def style_runner(sizes: Sizes, reads: bool, tensors: Tensors) -> StyleRunner:
-    settings, shape = sizes.config.style, sizes.lexemes.shape
-    widths = StyleWidths(sizes.frames, sizes.low, (shape[0], shape[1]), sizes.config.generator.style_width,
-                         sizes.speakers, sizes.text)
-    return StyleRunner(settings if reads else settings.without_text(), widths, tensors)
+    settings = sizes.config.style
+    return StyleRunner(settings if reads else settings.without_text(), interpreter_sizes(sizes),
+                       sizes.config.generator.style_width, tensors)
 
 
 # ------------------------------------------------------------------------------------------- one block, RG 6 and Eq. 15
