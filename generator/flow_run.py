@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +27,7 @@ from data_module.layers_run import (
 from data_module.motion.movement_run import PAST, BasisRunner, state_before
 from generator.settings import BLEND, GROUP_WIDTH, GeneratorConfig, GeneratorWidths, positional_block
 
-__all__ = ["Body", "Circumstances", "FlowConditions", "FlowRunner", "alone"]
+__all__ = ["Circumstances", "FlowConditions", "FlowRunner", "alone"]
 
 CIRCUMSTANCES = 8
 """Numbers that describe a block's place in speech: see `Circumstances.step`."""
@@ -79,23 +79,15 @@ class FlowConditions:
     style: Floats | None = None
 
 
-@dataclass(frozen=True)
-class Body:
-    """Part of the body -> its columns of D_m, and its number of principal components (`MovementBasis`)."""
-
-    parts: Mapping[str, tuple[int, ...]]
-    components: Mapping[str, int]
-
-
 class FlowRunner:
     """`FlowGenerator` in evaluation: `contexts` of a block, and samples of it (`sample`)."""
 
-    def __init__(self, config: GeneratorConfig, widths: GeneratorWidths, present: Floats, body: Body, tensors: Tensors
-                 ) -> None:
+    def __init__(self, config: GeneratorConfig, widths: GeneratorWidths, present: Floats, basis: BasisRunner,
+                 tensors: Tensors) -> None:
         """present: [D_m] 1 for the dimensions in the data."""
         c, frames = config, widths.frames
         self.config, self.frames, self.lexemes, self.present = config, frames, widths.lexemes, present
-        self.basis = BasisRunner(frames, body.parts, body.components, tensors.within("basis"))
+        self.basis = basis
         self._position, n = positional_block(frames, c.position_width), self.basis.width
         self._deviation = tensors.take("deviation", n)
         self._centres = tensors.take("centres", widths.lexemes + 1, n)

@@ -7,8 +7,9 @@ from torch import nn
 
 from data_module.layers import BlockLinear
 from data_module.layers_run import Tensors
+from data_module.motion.movement_run import BasisRunner
 from generator.flow import FlowGenerator
-from generator.flow_run import Body, FlowRunner
+from generator.flow_run import FlowRunner
 from generator.settings import GeneratorWidths
 from interpreters.advantage import Critics
 from interpreters.advantage_run import CriticsRunner
@@ -81,8 +82,9 @@ def played_unit_style(model: UnitStyleInterpreter) -> UnitStyleRunner:
 
 
 def played_flow(model: FlowGenerator, speakers: int) -> FlowRunner:
-    basis = model.basis
-    body = Body(basis.parts, dict(zip(basis.parts, basis.widths, strict=True)))
+    basis, tensors = model.basis, tensors_of(model)
+    played = BasisRunner(model.frames, basis.parts, dict(zip(basis.parts, basis.widths, strict=True)),
+                         tensors.within("basis"))
     return FlowRunner(model.config, GeneratorWidths(
         model.frames, basis.motion_width, width_in(model.encode_audio), 0, model.control_width, model.lexemes, speakers,
-        model.unit_width), model.present.numpy(), body, tensors_of(model))
+        model.unit_width), model.present.numpy(), played, tensors)

@@ -12,9 +12,9 @@ from torch import nn
 
 from data_module.layers_run import Floats, Tensors
 from data_module.motion.movement import Pasts
-from data_module.motion.movement_run import PAST
+from data_module.motion.movement_run import PAST, BasisRunner
 from generator.flow import FlowGenerator, FlowInputs, FlowTime
-from generator.flow_run import Body, FlowConditions, FlowRunner
+from generator.flow_run import FlowConditions, FlowRunner
 from generator.settings import GeneratorConfig, GeneratorWidths
 from gesticulator.bundle.bundle import Bundle, load
 from gesticulator.bundle.features import CONTROL_WIDTH, body_columns
@@ -156,8 +156,9 @@ def same_samples(module: FlowGenerator, runner: FlowRunner, contexts: Floats, ga
 
 def flow_runner(module: FlowGenerator, lexicon: LexiconConfig, widths: GeneratorWidths) -> FlowRunner:
     parts, tensors = module.basis.parts, tensors_of(module)
-    body = Body(parts, {name: lexicon.components_of(name) for name in parts})
-    runner = FlowRunner(module.config, widths, module.present.numpy(), body, tensors)
+    basis = BasisRunner(module.frames, parts, {name: lexicon.components_of(name) for name in parts},
+                        tensors.within("basis"))
+    runner = FlowRunner(module.config, widths, module.present.numpy(), basis, tensors)
     tensors.finish()
     return runner
 

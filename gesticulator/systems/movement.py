@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 
 from data_module.layers_run import Floats, Tensors
 from data_module.motion.kinematics import fade_weights
-from data_module.motion.movement_run import PAST
+from data_module.motion.movement_run import PAST, BasisRunner
 from data_module.motion.skeletons import CHARACTERS
 from data_module.types import Array
-from generator.flow_run import Body, Circumstances, FlowConditions, FlowRunner, alone
+from generator.flow_run import Circumstances, FlowConditions, FlowRunner, alone
 from generator.settings import GeneratorWidths
 from gesticulator.body.life import SIDES
 from gesticulator.bundle.features import CONTROL_WIDTH, Flags, SpeechBlock, body_columns
@@ -114,8 +114,9 @@ def generator(sizes: Sizes) -> FlowGenerator:
 
 def generator_runner(sizes: Sizes, tensors: Tensors) -> FlowRunner:
     config, parts = sizes.config, body_columns(sizes.config)
-    body = Body(parts, {name: config.lexicon.components_of(name) for name in parts})
-    return FlowRunner(config.generator, _widths(sizes), sizes.present, body, tensors)
+    components = {name: config.lexicon.components_of(name) for name in parts}
+    basis = BasisRunner(sizes.frames, parts, components, tensors.within("basis"))
+    return FlowRunner(config.generator, _widths(sizes), sizes.present, basis, tensors)
 
 
 def _widths(sizes: Sizes) -> GeneratorWidths:
