@@ -47,9 +47,6 @@ class Tensors:
         inner._arrays, inner._prefix = self._arrays, f"{self._prefix}{prefix}."
         return inner
 
-    def __contains__(self, name: str) -> bool:
-        return self._prefix + name in self._arrays
-
     def take(self, name: str, *shape: int) -> Floats:
         """The tensor of that name in single precision; InputError if there is none of this shape (any more)."""
         array = self._arrays.pop(self._prefix + name, None)

@@ -26,7 +26,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import torch
@@ -43,7 +42,7 @@ from data_module.layers import (
 )
 from data_module.motion.movement import MovementBasis, Pasts
 from data_module.motion.movement_run import PAST
-from generator.flow_run import CIRCUMSTANCES, FREQUENCIES, LAYERS, MOST, Circumstances, alone
+from generator.flow_run import CIRCUMSTANCES, FREQUENCIES, LAYERS, MOST, Circumstances, alone, rates
 from generator.model import GumbelCodes, State
 from generator.settings import GROUP_WIDTH, GeneratorConfig, GeneratorWidths, positional_block
 
@@ -308,7 +307,7 @@ class FlowTime:
 
     @classmethod
     def of(cls, time: Tensor) -> FlowTime:
-        angles, variance = time * _rates(time.device, time.dtype), time**2 + (1 - time) ** 2
+        angles, variance = time * torch.as_tensor(rates()).to(time), time**2 + (1 - time) ** 2
         return cls(torch.cat([angles.sin(), angles.cos()], -1), variance.sqrt(), (2 * time - 1) / variance)
 
 
@@ -349,9 +348,3 @@ class FlowHead(nn.Module):
         # No final normalisation: the output must see the size of the noise, or large movements could not be sampled.
         v: Tensor = time.share * noisy + self.leave(x) / time.deviation
         return v
-
-
-@lru_cache(maxsize=4)
-def _rates(device: torch.device, dtype: torch.dtype) -> Tensor:
-    with torch.inference_mode(False):
-        return 1.5 * 2.0 ** (0.5 * torch.arange(FREQUENCIES, device=device, dtype=dtype))

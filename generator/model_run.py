@@ -22,7 +22,7 @@ class GeneratorRunner:
         self._config, self._frames, self._present = config, frames, present
         self._encode_motion = Convolutions(tensors.within("encode_motion"),
                                            (widths.motion, *[c.motion_features] * 3), norm=False)
-        self._encode_audio = BlockDense(tensors.within("encode_audio"), frames, widths.audio, c.audio_features,
+        self.encode_audio = BlockDense(tensors.within("encode_audio"), frames, widths.audio, c.audio_features,
                                         bottleneck=c.audio_bottleneck)
         self._position = positional_block(frames, c.position_width)
         self._fade = (np.arange(frames - 1, -1, -1, dtype=np.float32) / frames)[:, None]
@@ -45,14 +45,11 @@ class GeneratorRunner:
         # The hidden state of an LSTM lies between -1 and 1, its cell state has no bounds.
         return np.tanh(hidden), cell
 
-    def audio(self, window: Floats) -> Floats:
-        """[K, audio_features] of the three-block window [3K, d] of a block."""
-        return self._encode_audio(window)
-
     def step(self, past: Floats, audio: Floats, lexeme: Floats, style: Floats, state: State,
              control: Floats | None = None) -> tuple[Floats, State]:
         """One block [K, D_m] and the state after it (RG Eq. 15). past: [K, D_m] the previous block; audio: [K,
-        audio_features]; lexeme: [D_s]; style: [d_z]; control: [K, 2 F], None without."""
+        audio_features], `encode_audio` of the window [3K, d]; lexeme: [D_s]; style: [d_z]; control: [K, 2 F], None
+        without."""
         parts = [self._encode_motion(past), audio, lexeme[None], style[None], self._position]
         if self._control_width:
             free = np.zeros((self._frames, self._control_width), np.float32)

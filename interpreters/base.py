@@ -150,9 +150,9 @@ class _Adapted(InterpreterDefaults):
 
 
 def opened(kind: Any, parts: InterpreterParts) -> Interpreter:
-    if isinstance(kind, type) and issubclass(kind, InterpreterDefaults):
-        return as_interpreter(kind.open(parts))
-    return as_interpreter(parts.model if parts.model is not None else kind(parts.frequencies, parts.transitions))
+    # A class with `start` and `step` alone has no weights.
+    derived = isinstance(kind, type) and issubclass(kind, InterpreterDefaults)
+    return as_interpreter(kind.open(parts) if derived else kind(parts.frequencies, parts.transitions))
 
 
 _OPTIONAL = frozenset(("gives_values", "beta", "needs", "steered", "guided", "explain"))

@@ -77,10 +77,6 @@ class PlannerState:
     last: tuple[int, ...]
     held: float = 0.0
 
-    def begins(self) -> PlannerState:
-        """The state with the audio before the last decision forgotten, as at the start of a training window."""
-        return replace(self, hidden=None)
-
 
 class PlannerRunner:
     """Three blocks of low-level audio, the speaker and the decision before to the next decision: `UnitPlanner`."""
@@ -100,11 +96,6 @@ class PlannerRunner:
                        for level, count in enumerate(CLASSES)]
         self._fit = tensors.take("fit", lexemes, len(PHASES) * len(HANDS)).astype(np.float64)
 
-    @property
-    def choices(self) -> int:
-        """The number of classes of all levels, each of which takes a random number."""
-        return sum(CLASSES)
-
     def start(self, speaker: int) -> PlannerState:
         """Before the first block."""
         # The row of a missing past, which follows the classes, stands before the first block.
@@ -113,8 +104,8 @@ class PlannerRunner:
     def step(self, state: PlannerState, features: BlockFeatures, noise: Scores, temperature: float = 1.0,
              bias: Scores | None = None) -> tuple[UnitDecision, PlannerState]:
         """The decision for the next block: arg max of logits / temperature + Gumbel noise, which is a sample; the
-        likeliest at temperature 0. noise: [`choices`] standard Gumbel numbers. bias: [5] added to the logits of the
-        phases, that of a hold only after a stroke or a hold, where hands are up. A hold lasts at least `LEAST_HOLD`
+        likeliest at temperature 0. noise: [sum of `CLASSES`] standard Gumbel numbers. bias: [5] added to the logits of
+        the phases, that of a hold only after a stroke or a hold, where hands are up. A hold lasts at least `LEAST_HOLD`
         seconds: a hand takes half of that to stop, so a shorter one is not visible."""
         past = [table[choice] for table, choice in zip(self._past, state.last, strict=True)]
         row = np.concatenate([self._encode_audio(features.low).ravel(), *past, state.speaker])

@@ -120,7 +120,6 @@ def test_tensors_are_taken_once_by_name_and_shape() -> None:
     arrays: dict[str, NDArray[np.floating]] = {"a.weight": np.ones((2, 3), np.float16), "a.bias": np.ones(2),
                                                "b": np.array(4.0)}
     tensors = run.Tensors(arrays, "file")
-    assert "weight" in tensors.within("a") and "weight" not in tensors
     for name, shape, problem in (("weight", (3, 2), "(2, 3) instead of (3, 2)"), ("none", (1,), "absent instead of")):
         with pytest.raises(InputError, match="file: does not fit the settings") as refused:
             run.Tensors(arrays, "file").within("a").take(name, *shape)

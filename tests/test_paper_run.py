@@ -75,7 +75,7 @@ def same_motion(module: Generator, runner: GeneratorRunner, seed: int, audio: in
         wanted, _ = module.roll_out(torch.as_tensor(past), given_)
     state, before, blocks = runner.start(past[0, -1], names[0, 0]), past[0], []
     for n in range(BLOCKS):
-        before, state = runner.step(before, runner.audio(sound[0, n]), names[0, n], codes[0, n], state,
+        before, state = runner.step(before, runner.encode_audio(sound[0, n]), names[0, n], codes[0, n], state,
                                     controls[0, n] if control else None)
         blocks.append(before)
     close(np.stack(blocks), wanted[0])

@@ -142,8 +142,8 @@ def test_a_new_unit_forgets_the_sound_before_its_last_decision() -> None:
     for k in range(4):
         _, state = model.step(state, features(rows[k]), numbers(k))
         _, other = model.step(other, features(rows[k] + 1.0), numbers(k))
-    begun = replace(other.begins(), last=state.last, held=state.held)
-    state = state.begins()
+    begun = replace(other, hidden=None, last=state.last, held=state.held)
+    state = replace(state, hidden=None)
     for k in range(4, 9):
         one, state = model.step(state, features(rows[k]), numbers(k))
         two, begun = model.step(begun, features(rows[k]), numbers(k))

@@ -227,7 +227,7 @@ def decide_unit(bundle: Bundle, setup: Setup, planner: PlannerState | None, spee
     if planner is None:
         return None, None
     model: PlannerRunner = bundle.runners["planner"]
-    noise = Keys(setup.seed).plan(speech.keyed_at, model.choices)
+    noise = Keys(setup.seed).plan(speech.keyed_at, sum(CLASSES))
     # Where the best lexeme is taken instead of a sample, so is the best phase.
     temperature = float(setup.temperature > 0)
     return model.step(planner, features, noise, temperature, phrasing(speech))
@@ -321,8 +321,9 @@ def set_out(bundle: Bundle, setup: Setup, state: State, speech: SpeechBlock) -> 
     return replace(state, offset=Offset(speech.start, past[-1] - first, velocity),
                    generated=np.repeat(first[None], len(past), axis=0), lexeme=lexeme, interpreter=interpreter,
                    unguided=interpreter,
-                   planner=None if state.planner is None else state.planner.begins(),
-                   # Without the blocks before, but for how long speech or silence has lasted.
+                   # Without the blocks before, as at the start of a training window, but for the last decision and for
+                   # how long speech or silence has lasted.
+                   planner=None if state.planner is None else replace(state.planner, hidden=None),
                    generator=replace(state.generator, lstm=None, base=None, set_out=speech.start))
 
 

@@ -208,7 +208,7 @@ def generate(bundle: Bundle, state: State, features: BlockFeatures, lexeme: int,
              ) -> tuple[Floats, GeneratorState]:
     """M_i [K, D_m] = G(M_{i-1}, A_i, s_i, z_i) (Eq. 15), and the decoder's state."""
     model, before = bundle.runners["generator"], state.generator
-    audio, vector, control = model.audio(features.low), bundle.vectors[lexeme], features.control
+    audio, vector, control = model.encode_audio(features.low), bundle.vectors[lexeme], features.control
     block, decoder = model.step(state.past, audio, vector, code, before.decoder, control)
     unguided = before.unguided
     if control is not None:
