@@ -124,6 +124,6 @@ def ratings_table(systems: Sequence[ScoreRow], truth: ScoreRow, ratings: Mapping
              "measured from the person.",
              f"As good: controls that the metric finds no worse than {best}, which people rate highest of the systems. "
              "Wrong moment: real motion, so that it is wrong for metrics of timing alone.",
-             f"Of {len(table)} metrics, some {len(table) / 20:.0f} exclude 0 by chance."]
+             "Of twenty metrics without any relation to the ratings, one excludes 0 by chance."]
     return Table(f"Metrics beside the ratings of {count} systems", columns, table, "metric", notes,
                  {"ratings": dict(ratings)})
