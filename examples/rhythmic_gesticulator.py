@@ -59,7 +59,7 @@ def gesture(bundle: Bundle, speech: Speech, seed: int = 0) -> Motion:
         code, style_state = style.step(style_state, features, lexeme)
 
         # RG 5.2, Eq. 15: the motion of the block from the block before, low-level audio, lexeme and style code.
-        audio = generator.audio(features.low)
+        audio = generator.encode_audio(features.low)
         motion, decoder = generator.step(past, audio, bundle.vectors[lexeme], code, decoder)
         past = np.clip(motion, *statistics.bounds.astype(np.float32))  # within the training data
         blocks.append(past)
