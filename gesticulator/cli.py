@@ -55,7 +55,7 @@ class Command:
     """
 
     summary: str
-    arguments: Callable[[argparse.ArgumentParser], None]
+    arguments: Callable[[argparse.ArgumentParser], object]
     run: Callable[[argparse.Namespace], int]
     examples: Sequence[str] = ()
 

@@ -52,12 +52,13 @@ class Gesticulator:
         self._names: tuple[LexemeName, ...] | None = None
 
     @classmethod
-    def from_pretrained(cls, path: str | os.PathLike[str] | None = None) -> Gesticulator:
-        """Load a bundle: "default" (also if none is given), "paper", or a folder.
+    def from_pretrained(cls, path: str | os.PathLike[str] | None = None, revision: str | None = None) -> Gesticulator:
+        """Load a bundle: "default" (also if none is given), "paper", a folder, or the id "org/name" of a hub, which is
+        downloaded once (extra `hub`); revision: its branch, tag or commit.
 
         Output is bit for bit reproducible on one machine with the same number of threads.
         """
-        return cls(load_bundle(bundle_folder(path)))
+        return cls(load_bundle(bundle_folder(path if revision is None else f"{path}@{revision}")))
 
     @property
     def reads_text(self) -> bool:

@@ -8,11 +8,14 @@ import json
 from gesticulator.cli import Command
 
 
-def _arguments(p: argparse.ArgumentParser) -> None:
-    verbs = p.add_subparsers(required=True, metavar="inspect")
+def _arguments(p: argparse.ArgumentParser) -> argparse._SubParsersAction[argparse.ArgumentParser]:
+    """Adds `inspect`; returns the table of verbs, to which others are added."""
+    verbs = p.add_subparsers(required=True)
     inspect = verbs.add_parser("inspect", help="show the content, sizes and training data of a bundle")
     inspect.add_argument("bundle", nargs="?", metavar="BUNDLE",
-                         help="default, paper, or the folder of a bundle (default: default)")
+                         help="default, paper, a folder, or ORG/NAME of a hub (default: default)")
+    inspect.set_defaults(run=_run)
+    return verbs
 
 
 def _run(args: argparse.Namespace) -> int:

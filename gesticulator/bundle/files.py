@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 import platform
+import re
 import shutil
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
@@ -38,12 +39,14 @@ ENDING = ".safetensors"
 _ASSETS = Path(__file__).parents[1] / "assets"
 NAMED = {"default": _ASSETS / "bundle", "paper": _ASSETS / "paper"}
 """Name -> folder of the shipped bundles; `paper` is both papers in their own form."""
+_HUB_ID = re.compile(r"\w[\w.-]*/\w[\w.-]*(@\S+)?")
 _LARGEST = 2**30
 """Largest weight file, bytes: a hundred times the generator of the shipped bundles."""
 
 
 def bundle_folder(given: str | os.PathLike[str] | None) -> Path:
-    """The folder of a bundle that is given by name (a string of `NAMED`) or by folder; that of `default` for None.
+    """The folder of a bundle that is given by name (a string of `NAMED`), by folder, or by "org/name" or
+    "org/name@revision" of a hub, unless that is a folder here; that of `default` for None.
 
     A name means the shipped bundle even where a bundle of that name lies in the current folder, so that a command does
     not depend on where it runs. `./paper`, and any `Path`, is a folder.
@@ -51,6 +54,10 @@ def bundle_folder(given: str | os.PathLike[str] | None) -> Path:
     if given is None:
         return NAMED["default"]
     # A `Path` is a folder, whatever its name.
+    if isinstance(given, str) and _HUB_ID.fullmatch(given) and not Path(given).exists():
+        from gesticulator_hub.download import downloaded
+
+        return downloaded(given)
     return NAMED[given] if isinstance(given, str) and given in NAMED else Path(given)
 
 

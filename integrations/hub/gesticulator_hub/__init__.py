@@ -1,0 +1,1 @@
+"""Weights by name: bundles of a hub, and what publishes them."""
