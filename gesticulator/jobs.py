@@ -428,8 +428,6 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
 
         check_clip_outputs(clip, outputs)
     jobs = jobs_for(args.speech, outputs, args.text)
-    if ".glb" in outputs and (args.character or "").lower().endswith(".fbx"):
-        raise InputError("-o *.glb", "cannot hold a character from FBX", "write .fbx, or convert the character to GLB")
     if args.plan is not None:
         if len(jobs) > 1:
             raise InputError("--plan", f"is for one recording, and {len(jobs)} are given", "give one")

@@ -6,14 +6,18 @@ Where the mesh or the rest pose is to blame, see `tests/test_retarget_rigs.py` a
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from performances import perform
+from performances import write as write_performance
 from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError
 from data_module.motion import kinematics
+from data_module.motion.skeletons import FINGERED
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import Retargeter
@@ -297,3 +301,136 @@ def test_tails_wings_skirts_and_targets_are_no_limbs(tmp_path: Path) -> None:
                        ("Foot_IK_R", (-0.1, -0.9, 0.0)), ("HeadTarget", (0.0, 0.7, 1.0))):
         body.beside(key, "Hips", place, 0.0)
     assert moved(tmp_path / "rig.glb", body).doubts == ()
+
+
+# ------------------------------------------------------------------------------------------- nodes, meshes and skins
+
+def edited(path: Path, body: Figure, change: Callable[[GlbFile], None]) -> Path:
+    """The file of a figure, changed."""
+    file = GlbFile.parse(write(path, body).read_bytes())
+    change(file)
+    return save(path, file.document, file.binary)
+
+
+def scaled(name: str, scale: list[float]) -> Callable[[GlbFile], None]:
+    def change(file: GlbFile) -> None:
+        file.document["nodes"][file.names().index(name)]["scale"] = scale
+
+    return change
+
+
+@pytest.mark.parametrize(("name", "scale"), [("LeftArm", [1, 1, -1]), ("RightForeArm", [-1, 1, 1]),
+                                             ("LeftToeBase", [-1, 1, 1]), ("Spine1", [1, -1, 1])])
+def test_a_node_that_mirrors_below_a_mesh_that_was_bound_otherwise_is_moved(name: str, scale: list[float],
+                                                                            tmp_path: Path) -> None:
+    """The rotations of its bind pose and of its rest pose differ by a reflection, which no rotation is."""
+    body = figure(pose="A")
+    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+        body.beside(f"{side}ForeArmTwist", f"{side}ForeArm", (0.09 * sign, -0.09, 0.0), 0.02)
+    found = Retargeter(read_character(edited(tmp_path / "rig.glb", body, scaled(name, scale))))
+    motion = probe_motion()
+    assert np.isfinite(found(motion).rotations).all()
+    plain = Retargeter(read_character(write(tmp_path / "plain.glb", body)))
+    places = [each(motion).world_matrices()[:, each.mapping.joints["RightHand"], :3, 3] for each in (found, plain)]
+    assert name == "Spine1" or name.startswith("Right") or np.abs(places[0] - places[1]).max() < 1e-4
+
+
+@pytest.mark.parametrize("scale", [[1, 0, 1], [0, 0, 0]])
+def test_a_flat_node_over_the_joints_is_named(scale: list[float], tmp_path: Path) -> None:
+    body = figure()
+    body.above = [("rig", UPRIGHT, 1.0)]
+    character = read_character(edited(tmp_path / "rig.glb", body, scaled("rig", scale)))
+    with pytest.raises(InputError, match=r"below rig, whose scale is .*0.*flat"):
+        Retargeter(character)
+    hidden = figure()
+    hidden.beside("Prop", "LeftHand", (0.1, 0.0, 0.0), 0.0)
+    assert Retargeter(read_character(edited(tmp_path / "rig.glb", hidden, scaled("Prop", scale)))).doubts == ()
+
+
+def test_a_robot_without_a_spine_whose_feet_hang_elsewhere_is_moved_with_contacts(tmp_path: Path) -> None:
+    """Its trunk does not move, so that places on it have one frame, those of its hands all."""
+    body = figure().without("Spine", "Spine1", "Spine2", "Neck", "ToeBase")
+    body.above = [("rig", UPRIGHT, 1.0)]
+    for key, parent in body.parents.items():
+        body.parents[key] = None if key.endswith("Foot") else "Hips" if parent in ("Spine2", "Neck") else parent
+    body.widths |= {f"{side}Foot": 0.0 for side in SIDES}
+    found = Retargeter(read_character(write(tmp_path / "robot.glb", body)))
+    assert np.isfinite(found(probe_motion()).rotations).all() and found.contacts
+
+
+@pytest.mark.parametrize("rigid", [True, False])
+def test_a_rigid_head_on_its_bone_is_a_head(rigid: bool, tmp_path: Path) -> None:
+    """Robots and figures of game kits have parts without a skin that hang on bones."""
+    body = figure()
+    body.widths["Head"] = 0.0
+
+    def change(file: GlbFile) -> None:
+        document, mesh = file.document, file.document["meshes"][0]["primitives"][0]
+        document["meshes"].append({"primitives": [{"attributes": {"POSITION": mesh["attributes"]["POSITION"]}}]})
+        document["nodes"].append({"name": "Helmet", "mesh": 1})
+        document["nodes"][file.names().index("Head")]["children"] = [len(document["nodes"]) - 1]
+
+    character = read_character(edited(tmp_path / "robot.glb", body, change if rigid else lambda file: None))
+    if rigid:
+        assert Retargeter(character).doubts == () and character.flesh_nodes[-1] == character.names.index("Head")
+    else:
+        with pytest.raises(InputError, match="nothing that follows the head"):
+            Retargeter(character)
+
+
+def test_a_hat_on_a_head_with_a_skin_is_no_skin(tmp_path: Path) -> None:
+    def change(file: GlbFile) -> None:
+        file.document["nodes"].append({"name": "Hat", "mesh": 0})
+        file.document["nodes"][file.names().index("Head")]["children"] = [len(file.document["nodes"]) - 1]
+
+    plain = read_character(write(tmp_path / "plain.glb", figure()))
+    worn = read_character(edited(tmp_path / "worn.glb", figure(), change))
+    np.testing.assert_array_equal(worn.flesh, plain.flesh)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_bones_without_any_skin_are_joints_by_their_names_alone(known: bool, tmp_path: Path) -> None:
+    """An armature that was exported alone; a car has as many nodes, and no names of bones."""
+    def change(file: GlbFile) -> None:
+        for key in ("skins", "meshes"):
+            del file.document[key]
+        file.document["nodes"].pop()
+        file.document["scenes"][0]["nodes"].pop()
+
+    body = figure(spelled({}, MIXAMO) if known else unknown_words(), "A")
+    character = read_character(edited(tmp_path / "rig.glb", body, change))
+    if not known:
+        with pytest.raises(InputError, match="it has no skin"):
+            Retargeter(character)
+        return
+    made = perform(0.3, skeleton=FINGERED)
+    made = replace(made, character=Retargeter(character)(made.motion))
+    out = GlbFile.parse(write_performance(tmp_path / "out.glb", made).read_bytes())
+    names = out.names()
+    assert {names[node] for node in out.document["skins"][0]["joints"]} == set(map(body.names, body.places))
+
+
+@pytest.mark.parametrize("weight", [0.0, np.nan])
+def test_weights_that_players_cannot_use_are_doubted(weight: float, tmp_path: Path) -> None:
+    file = GlbFile.parse(write(tmp_path / "rig.glb", figure()).read_bytes())
+    accessor = file.document["meshes"][0]["primitives"][0]["attributes"]["WEIGHTS_0"]
+    weights = file.numbers(accessor).copy()
+    weights[::7] = weight
+    file = with_numbers(file, accessor, weights)
+    doubts = Retargeter(read_character(save(tmp_path / "rig.glb", file.document, file.binary))).doubts
+    assert len(doubts) == 1 and "skin weights" in doubts[0]
+
+
+@pytest.mark.parametrize("mode", [5, 6])
+@pytest.mark.parametrize("indexed", [True, False])
+def test_triangles_of_strips_and_fans_are_those_of_the_format(mode: int, indexed: bool, tmp_path: Path) -> None:
+    file = GlbFile.parse(write(tmp_path / "rig.glb", figure()).read_bytes())
+    primitive = file.document["meshes"][0]["primitives"][0]
+    points, corners = (file.numbers(number) for number in (primitive["attributes"]["POSITION"], primitive["indices"]))
+    corners = corners[:, 0].astype(int) if indexed else np.arange(len(points))
+    primitive["mode"] = mode
+    if not indexed:
+        del primitive["indices"]
+    skin = read_character(save(tmp_path / "rig.glb", file.document, file.binary)).skin
+    wanted = [(corners[k if mode == 5 else 0], corners[k + 1], corners[k + 2]) for k in range(len(corners) - 2)]
+    np.testing.assert_allclose(skin.points[skin.triangles], points[np.array(wanted)], atol=1e-6)

@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError
 from gesticulator.characters.blender import VARIABLE, run_in_blender
-from gesticulator.export.fbx_child import needed, played, reduce_keys, turned_by
+from gesticulator.export.blender_child import needed, played, reduce_keys, turned_by
 
 SCRIPT = """import json, os, sys
 if sys.argv[2] == "fails":
+    print("Location: /ops.py:109", file=sys.stderr) if len(sys.argv) > 3 else None
     raise ValueError("no armature here")
 with open(sys.argv[1], "w") as file:
     json.dump([sys.argv[2:], os.environ.get("PYTHONHASHSEED"), "PYTHONPATH" in os.environ], file)

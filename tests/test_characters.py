@@ -15,15 +15,13 @@ from data_module.motion import bvh, kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, WHOLE_BODY
 from data_module.types import Motion
 from gesticulator import infer
-from gesticulator.characters.blender import blender, run_in_blender
+from gesticulator.characters.blender import SCRIPT, run_in_blender
 from gesticulator.characters.bvh_rig import write_character_bvh
-from gesticulator.characters.fbx_rig import from_bones
 from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import check, load_mapping, save_mapping
 from gesticulator.characters.names import label
 from gesticulator.characters.reading import read_character
 from gesticulator.characters.retarget import Retargeter, retarget
-from gesticulator.export import fbx_child as blender_child
 from tests.performances import EXAMPLE
 from tests.rigs import Rig, as_glb, draw
 
@@ -127,33 +125,12 @@ def test_a_bvh_character_keeps_her_own_skeleton_and_plays_the_motion(tmp_path: P
 
 # ---------------------------------------------------------------------------------------------------- FBX
 
-def test_bones_as_blender_tells_them_are_a_character() -> None:
-    """The armature stands in metres, Z up, with a scale of its own; she is moved as the GLB of the same rig is."""
-    rig = draw(3, "mixamo", "A")
-    glb = rig.character
-    z_up = np.eye(4)
-    z_up[:3, :3] = Rotation.from_euler("X", 90, degrees=True).as_matrix()
-    world, scale = z_up @ glb.world_matrices(), np.diag([0.01, 0.01, 0.01, 1.0])
-    top = np.linalg.inv(scale) @ world
-    told = [{"name": "Armature", "parent": -1, "matrix": scale.ravel().tolist(), "length": 0.0}]
-    for node, (name, parent) in enumerate(zip(glb.names, glb.parents, strict=True)):
-        local = top[node] if parent < 0 else np.linalg.inv(top[parent]) @ top[node]
-        told.append({"name": name, "parent": parent + 1, "matrix": local.ravel().tolist(), "length": 0.1})
-    fbx = from_bones(Path("rig.fbx"), told)
-    assert np.allclose(fbx.world_matrices()[1:, :3, 3], world[:, :3, 3], atol=1e-6)
-    assert {name: node - 1 for name, node in find_joints(fbx).joints.items()} == rig.truth
-    motion = motion_of()
-    ours, theirs = (retarget(motion, each, contacts=False).world_matrices()[..., :3, 3] for each in (glb, fbx))
-    assert np.allclose(theirs[:, 1:], ours @ z_up[:3, :3].T, atol=1e-4)
-
-
+@pytest.mark.usefixtures("blender")
 def test_an_fbx_file_is_read_through_blender(tmp_path: Path) -> None:
-    if blender() is None:
-        pytest.skip("Blender is not installed")
     rig = draw(3, "mixamo", "A")
     glb = tmp_path / "rig.glb"
     glb.write_bytes(as_glb(rig))
-    run_in_blender(glb, Path(blender_child.__file__), str(glb), str(tmp_path / "rig.fbx"), "30")
+    run_in_blender(glb, SCRIPT, str(glb), str(tmp_path / "rig.fbx"), "30")
     read = read_character(tmp_path / "rig.fbx")
     found = find_joints(read)
     check(found, read)

@@ -13,10 +13,9 @@ from small_characters import write_character
 from test_face_files import JAW, add_bones, add_shapes, still, with_face
 
 from data_module.types import Array
-from gesticulator.characters.blender import run_in_blender
+from gesticulator.characters.blender import SCRIPT, run_in_blender
 from gesticulator.characters.retarget import retarget
 from gesticulator.export.face import FaceWarning
-from gesticulator.export.fbx import SCRIPT
 from gesticulator.face.shapes import ARKIT, arkit, jaw_angles
 from gesticulator.performance import Performance
 

@@ -46,9 +46,9 @@ NO_CASE = {
         data_module/text/word_vectors.py:_fingerprint gesticulator/bundle/files.py:replace_folder
         gesticulator/jobs.py:file_hash gesticulator/export/html.py:character_data""",
     "a file that this process, its worker or its child wrote a moment ago": """
-        data_module/files.py:lock gesticulator/characters/fbx_rig.py:read_fbx_character
+        data_module/files.py:lock gesticulator/characters/blender.py:_converted
         gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:* gesticulator/export/usd.py:write_usd""",
-    "runs in a child process, whose parent has a case": "gesticulator/export/fbx_child.py:animate",
+    "runs in a child process, whose parent has a case": "gesticulator/export/blender_child.py:compare_materials",
     "a model that another library reads": """
         data_module/text/alignment.py:_loaded_decoder data_module/text/word_vectors.py:_bert
         data_module/text/word_vectors.py:WordEncoder.open

@@ -76,6 +76,8 @@ def with_draco(source: Path, target: Path) -> Path:
     primitive["attributes"] = {name: primitive["attributes"][name] for name in ("POSITION", "JOINTS_0", "WEIGHTS_0")}
     binary = file.binary + bytes(-len(file.binary) % 4)
     document["bufferViews"].append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(packed)})
+    document["accessors"].append({"componentType": 5125, "type": "SCALAR", "count": len(numbers["POSITION"])})
+    primitive["indices"] = len(document["accessors"]) - 1
     primitive["extensions"] = {DRACO: {"bufferView": len(document["bufferViews"]) - 1, "attributes": {
         "POSITION": decoded[0], "JOINTS_0": 7, "WEIGHTS_0": 8}}}
     document["buffers"][0]["byteLength"] = len(binary) + len(packed)
@@ -95,6 +97,8 @@ def test_a_compressed_character_is_read_and_written_as_the_plain_one(name: str, 
     np.testing.assert_allclose(same.bind, plain.bind, atol=1e-6)
     np.testing.assert_array_equal(same.flesh_nodes, plain.flesh_nodes)
     np.testing.assert_allclose(same.flesh, plain.flesh, atol=1e-4)
+    np.testing.assert_allclose(same.skin.points[same.skin.triangles], plain.skin.points[plain.skin.triangles],
+                               atol=1e-4)
     made = perform(0.5, skeleton=FINGERED)
     moved = [replace(made, character=retarget(made.motion, path)) for path in (source, packed)]
     out = GlbFile.parse(write(tmp_path / "out.glb", moved[1]).read_bytes())

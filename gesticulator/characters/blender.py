@@ -8,18 +8,55 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tempfile
+import warnings
+from functools import lru_cache
 from pathlib import Path
 
 from data_module.errors import InputError
 
 VARIABLE = "GESTICULATOR_BLENDER"
 """Environment variable with the path of the Blender, or the Python with bpy, to use."""
+SCRIPT = Path(__file__).parents[1] / "export" / "blender_child.py"
+"""The script that converts files."""
 SECONDS = 1800
 """Time limit of a job, seconds: an hour of motion takes some minutes."""
+_WARNING = "gesticulator: "
+"""How the lines begin that `SCRIPT` prints for the user."""
+_EXCEPTION = re.compile(r"[A-Za-z_.]*(Error|Exception|Interrupt|Exit): ")
 _ADVICE = (f'pip install "gesticulator[fbx]" (Python 3.11), or install Blender, or name one in {VARIABLE}')
+
+
+class BlenderWarning(UserWarning):
+    """A part of a file that Blender shows in another way than the file has it."""
+
+
+def glb_of(path: Path) -> bytes:
+    """The character of an FBX file at rest as GLB. `InputError` without Blender or if it cannot read the file."""
+    if not path.is_file():
+        raise InputError(path, "does not exist" if not path.exists() else "is not a regular file", "check the path")
+    state = path.stat()
+    return _converted(path, (state.st_mtime_ns, state.st_size))
+
+
+@lru_cache(maxsize=1)
+def _converted(path: Path, changed: tuple[int, int]) -> bytes:
+    """changed: tells the states of a file apart."""
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "character.glb"
+        say(path, run_in_blender(path, SCRIPT, str(path.resolve()), str(target)))
+        return target.read_bytes()
+
+
+def say(path: Path, printed: str) -> None:
+    """Give the warnings about a file among the lines that the script printed."""
+    for line in printed.splitlines():
+        if line.startswith(_WARNING):
+            warnings.warn(BlenderWarning(f"{path.name}: {line.removeprefix(_WARNING)}"), stacklevel=5)
 
 
 def blender() -> list[str] | None:
@@ -63,6 +100,8 @@ def run_in_blender(subject: Path, script: Path, *arguments: str) -> str:
     except subprocess.TimeoutExpired:
         raise InputError(subject, f"took Blender more than {SECONDS} s", "give a shorter recording") from None
     if done.returncode:
-        messages = (done.stderr or done.stdout).strip().splitlines()
-        raise InputError(subject, f"was rejected by Blender ({messages[-1] if messages else 'no message'})", _ADVICE)
+        messages = (done.stderr or done.stdout).strip().splitlines() or ["no message"]
+        # The exception itself: Blender adds lines on the places in its own code.
+        reason = next((line for line in reversed(messages) if _EXCEPTION.match(line)), messages[-1])
+        raise InputError(subject, f"was rejected by Blender ({reason})", "open it in Blender, and export it again")
     return done.stdout

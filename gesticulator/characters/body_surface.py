@@ -43,9 +43,8 @@ def keep_hands_out(turns: dict[int, Array], body: Body, default: Pose, fps: floa
     default: its pose; fps: frames per second."""
     joints, chest, origin = body.mapping.joints, default.turns["Spine3"], default.places["Hips"]
     neck = body.place(turns, body.mapping.neck[0] if body.mapping.neck else joints["Head"])
-    # A trunk that does not move has one place for all frames.
-    theirs = trunk_axes(np.broadcast_to(neck, default.places["Neck"].shape), chest)
-    ours, outline = trunk_axes(default.places["Neck"] - origin, chest), outline_of(body)
+    theirs, outline = trunk_axes(neck, chest), outline_of(body)
+    ours = trunk_axes(default.places["Neck"] - origin, chest)
     for side in SIDES:
         chain = (joints[side + "Arm"], joints[side + "ForeArm"], joints[side + "Hand"])
         arm = float(sum(np.linalg.norm(body.place({}, below) - body.place({}, above))

@@ -20,7 +20,6 @@ from data_module.motion import rotation, skeletons
 from data_module.motion.skeletons import FINGERS, WHOLE_BODY
 from data_module.types import Array
 from gesticulator.characters import shape
-from gesticulator.characters.bvh_rig import turns_of
 from gesticulator.characters.mapping import SIDES, RigMapping, ancestors
 from gesticulator.characters.rig import UPS, Character
 
@@ -86,7 +85,7 @@ class Body:
         hips = self.mapping.joints["Hips"]
         line = [node, *ancestors(self.character.parents, node)]
         turn = turns[hips] if hips in turns else self.rest_turns[hips][None]
-        place = np.zeros((1, 3))
+        place = np.zeros((len(next(iter(turns.values()), turn)), 3))
         # Forward kinematics from the hips down, all frames at once.
         for at in reversed(line[:line.index(hips)]):
             place = place + turn @ self.offsets[at]
@@ -109,8 +108,7 @@ def measure(character: Character, mapping: RigMapping) -> Body:
     parents = np.maximum(character.parents, 0)
     # Row vectors: v @ M is the transpose of M times v.
     offsets = unit * np.einsum("ni,nij->nj", rest - rest[parents], turns[parents])
-    bound = bind_axes @ (turns if character.bind is None else turns_of(bind))
-    rig = _Rig(character, mapping, bound, (places, axes @ turns, offsets))
+    rig = _Rig(character, mapping, bind_axes @ shape.bind_turns(character), (places, axes @ turns, offsets))
     segments = (*rig.trunk(), *rig.arms(), *rig.legs())
     legs = frozenset(mapping.joints[name] for name in skeletons.LEG_JOINTS if name in mapping.joints)
     lift, ratio = 0.0, 1.0

@@ -81,6 +81,10 @@ def unpacked_view(extension: dict[str, Any], data: bytes, size: int, subject: ob
     return out.tobytes().ljust(size, b"\0")
 
 
+_FACES = -1
+"""Stands for the indices of a Draco mesh, which have no number as its attributes have."""
+
+
 def draco_attributes(document: dict[str, Any]) -> dict[int, tuple[int, int]]:
     """Accessor -> the buffer view of the Draco mesh that holds it, and its number there."""
     attributes_at: dict[int, tuple[int, int]] = {}
@@ -90,23 +94,24 @@ def draco_attributes(document: dict[str, Any]) -> dict[int, tuple[int, int]]:
             if extension is None or not isinstance(extension.get("attributes"), dict):
                 continue
             view = extension.get("bufferView")
-            for name, number in extension["attributes"].items():
-                accessor = primitive.get("attributes", {}).get(name)
-                if _is_index(accessor) and _is_index(view) and _is_index(number):
-                    attributes_at[int(accessor)] = int(view), int(number)  # type: ignore[arg-type]
+            numbers = [(primitive.get("attributes", {}).get(name), number)
+                       for name, number in extension["attributes"].items()]
+            for accessor, number in [*numbers, (primitive.get("indices"), _FACES)]:
+                # The identity: True is an int, too.
+                if type(accessor) is type(view) is type(number) is int:
+                    attributes_at[accessor] = view, number
     return attributes_at
 
 
-def _is_index(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
 def unpacked_mesh(data: bytes, subject: object) -> dict[int, NDArray[Any]]:
-    """The attributes of a Draco mesh by number, [count, width] each. `InputError` if it cannot be decoded."""
+    """The attributes of a Draco mesh by number, [count, width] each, and its indices. `InputError` if it cannot be
+    decoded."""
     package = decoder(DRACO, subject)
     try:
         mesh = package.decode(data)
     except Exception as error:  # noqa: BLE001 - the package raises whatever its decoder did
         raise InputError(subject, f"has a mesh that {DRACO} cannot decode ({shown(str(error), 80)})",
                          "copy or export it again") from None
-    return {int(attribute["unique_id"]): np.asarray(attribute["data"]) for attribute in mesh.attributes}
+    # A cloud of points has no faces.
+    return {_FACES: np.reshape(getattr(mesh, "faces", ()), (-1, 1))} | {
+        int(attribute["unique_id"]): np.asarray(attribute["data"]) for attribute in mesh.attributes}

@@ -1,4 +1,5 @@
-"""The reader of glTF 2.0: GLB, VRM, and .gltf with buffers and images embedded or in separate files.
+"""The reader of glTF 2.0: GLB, VRM, .gltf with buffers and images embedded or in separate files, and of FBX through
+Blender.
 
 Everything that later code relies on is checked when a file is opened, before memory is allocated: lists are lists of
 objects, every index is valid, every accessor lies in its view, every view in its buffer. Unknown content is preserved.
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError, shown
 from data_module.files import parse_json, read_bytes
+from gesticulator.characters.blender import glb_of
 from gesticulator.characters.gltf_compression import (
     compressed_view,
     draco_attributes,
@@ -58,9 +60,10 @@ _KNOWN = re.compile("(KHR_materials_|KHR_texture_|EXT_texture_|MSFT_texture_|KHR
 
 
 def read_gltf(path: str | os.PathLike[str]) -> GltfFile:
-    """Read a .glb, .vrm or .gltf file. `InputError` for another format or an invalid file."""
+    """Read a .glb, .vrm, .gltf or .fbx file. `InputError` for another format or an invalid file."""
     place = Path(path)
-    data = read_bytes(path, "leave out its textures", LARGEST)
+    fbx = place.suffix.lower() == ".fbx"
+    data = glb_of(place) if fbx else read_bytes(path, "leave out its textures", LARGEST)
     binary = None
     if data[:4] == MAGIC:
         data, binary = _chunks(place, data)
@@ -265,7 +268,8 @@ class GltfFile:
                 raise self.error(f"accessors[{accessor}] is in a Draco mesh that is not there")
             self._meshes[view] = unpacked_mesh(self._view_bytes(self.rows("bufferViews")[view]), self.path)
         values = self._meshes[view].get(number)
-        if values is None or values.reshape(len(values), -1).shape != (self.count(accessor), width):
+        # A decoder may leave out triangles without area, so there may be fewer indices.
+        if values is None or (number >= 0 and values.reshape(len(values), -1).shape != (self.count(accessor), width)):
             raise self.error(f"accessors[{accessor}] is not what its Draco mesh holds")
         return values.reshape(len(values), -1)
 

@@ -1,4 +1,4 @@
-"""Characters in glTF 2.0: GLB, VRM 0.x and 1.0, and .gltf with embedded or separate buffers.
+"""Characters in glTF 2.0: GLB, VRM 0.x and 1.0, .gltf with embedded or separate buffers, and FBX made GLB by Blender.
 
 Only the parts needed for a rig are read: nodes, skins, inverse bind matrices, the VRM table, skinned vertices, and a
 sample of the skinned triangles with the weights of their corners. glTF uses metres and Y up; a VRM 0.x character faces
@@ -8,8 +8,9 @@ sample of the skinned triangles with the weights of their corners. glTF uses met
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,8 @@ _AS_TURNED = float(np.radians(100.0))
 """The same for a body whose joints all rest in the bind pose but for one that turns the whole of it."""
 _EQUAL = 1e-5
 """Numbers of matrices that differ by less are equal."""
+_LEAST_NODES = 8
+"""Hips, head, two arms and two legs of two bones are not fewer."""
 _SKINNED = ("POSITION", "JOINTS_0", "WEIGHTS_0")
 """Attributes of a skinned mesh."""
 
@@ -67,31 +70,35 @@ def _character(file: GltfFile) -> Character:
     for skin in file.rows("skins"):
         skinned[[place[node] for node in skin["joints"]]] = True
     version, humanoid = _vrm(file, place)
+    # An armature in an FBX file without a mesh has no skin in GLB.
+    skinless = not skinned.any() and file.path.suffix.lower() != ".fbx"
     if not skinned.any():
-        if not humanoid:
-            raise InputError(file.path, "has no skin, and so no joints", "export the armature, too")
-        # A VRM file without a mesh still says which nodes are bones.
-        skinned[list(humanoid.values())] = True
+        if len(order) < _LEAST_NODES and not humanoid:
+            raise InputError(file.path, "has no skin, and too few nodes for a body", "export the armature, too")
+        # A VRM file without a mesh still says which nodes are bones; in others any node may be one.
+        skinned[list(humanoid.values()) or slice(None)] = True
     character = Character(
         tuple(str(nodes[node].get("name", ""))[:_LONGEST_NAME] for node in order),
         tuple(place[parent_of[node]] if node in parent_of else -1 for node in order),
         translations, rotations, scales, file.path, "glb", skinned, humanoid=humanoid, vrm=version, unit=1.0,
-        node_ids=tuple(order))
+        node_ids=tuple(order), skinless=skinless and not humanoid)
     with np.errstate(over="ignore", invalid="ignore"):
         rest = character.world_matrices()
     if not (np.abs(rest) <= FARTHEST).all():
         raise InputError(file.path, f"has nodes farther away, or larger, than {FARTHEST:g}", AGAIN)
     matrices = _inverse_matrices(file)
-    if not matrices:
-        return character
     inverse = _inverse_bind(file, place, matrices)
     # Matrices that are all equal hold no pose: the mesh is in the axes of its joints, wherever they rest.
     meshes = [place[node] for node, entry in enumerate(nodes) if "mesh" in entry and "skin" in entry]
     bind, to_world = _bind(character, inverse, meshes) if inverse else (rest, np.eye(4))
-    moves = _to_world(file, place, matrices, bind, to_world)
-    flesh, flesh_nodes = _flesh(file, place, moves)
-    return replace(character, bind=bind, space=turns_of(to_world), flesh=flesh, flesh_nodes=flesh_nodes,
-                   skin=read_skin(file, place, moves))
+    parts = _listed(file, _skinned_parts(file, place, _to_world(file, place, matrices, bind, to_world)))
+    flesh, flesh_nodes = _flesh(file, parts)
+    rigid = _listed(file, _rigid_parts(file, character, bind, set(flesh_nodes.tolist())))
+    if rigid:
+        (more, more_nodes), parts = _flesh(file, rigid), parts + rigid
+        flesh, flesh_nodes = np.concatenate([flesh, more]), np.concatenate([flesh_nodes, more_nodes])
+    return replace(character, bind=bind if matrices else None, space=turns_of(to_world), flesh=flesh,
+                   flesh_nodes=flesh_nodes, skin=read_skin(file, parts))
 
 
 def _parents_first(file: GltfFile, count: int, parent_of: Mapping[int, int]) -> list[int]:
@@ -265,92 +272,135 @@ def _placed_by_nodes(character: Character, joints: Sequence[int], there: Array, 
     return best
 
 
-def _flesh(file: GltfFile, place: Mapping[int, int], moves: Mapping[int, Array]) -> tuple[Array, NDArray[np.int64]]:
-    """[V, 3] vertices of the skinned meshes in the bind pose's world, and [V] the node with the largest weight of
-    each. moves: skin -> [J, 4, 4] from the space of its mesh."""
-    parts = [(skin, primitive["attributes"]) for skin, primitive in _skinned_parts(file)]
-    counts = [file.count(attributes["POSITION"]) for _, attributes in parts]
+@dataclass(frozen=True)
+class _Part:
+    """A primitive of a mesh that bones move. joints: [J] the nodes that its corners name; moves: [J, 4, 4] from its
+    space to the world of the bind pose, by joint. A rigid part has one joint and no weights."""
+
+    primitive: dict[str, Any]
+    joints: NDArray[np.int64]
+    moves: Array
+
+    def points(self, file: GltfFile, rows: Any) -> tuple[Array, NDArray[np.int64], Array]:
+        """[V, 3] some of its vertices, in its space, [V, K] their joints (places in `joints`) and [V, K] weights, all 0
+        where the file has one that is not a number."""
+        attributes = self.primitive["attributes"]
+        where = file.array(attributes["POSITION"], rows)
+        if where.shape[1] != 3:
+            raise InputError(file.path, "has a mesh whose positions have not three numbers", AGAIN)
+        if not set(_SKINNED) <= set(attributes):
+            return where, np.zeros((len(where), 1), np.int64), np.ones((len(where), 1))
+        which, weights = (file.array(attributes[name], rows) for name in _SKINNED[1:])
+        if which.shape != weights.shape or len(where) != len(which) or not which.shape[1]:
+            raise InputError(file.path, "has a mesh whose positions, joints and weights do not match", AGAIN)
+        weights = np.where(np.isfinite(weights).all(axis=1, keepdims=True), np.maximum(weights, 0.0), 0.0)
+        # An index out of range becomes the last joint, NaN the first.
+        return where, np.clip(np.nan_to_num(which), 0, len(self.joints) - 1).astype(np.int64), weights
+
+
+def _skinned_parts(file: GltfFile, place: Mapping[int, int], moves: Mapping[int, Array]) -> Iterator[_Part]:
+    """The parts of all skinned meshes. moves: skin -> [J, 4, 4] from the space of its mesh."""
+    joints = {skin: np.array([place[node] for node in file.rows("skins")[skin]["joints"]]) for skin in moves}
+    return (_Part(primitive, joints[node["skin"]], moves[node["skin"]]) for node in file.rows("nodes")
+            if "mesh" in node and node.get("skin") in moves
+            for primitive in file.rows("meshes")[node["mesh"]]["primitives"]
+            if set(_SKINNED) <= set(primitive.get("attributes", {})))
+
+
+def _rigid_parts(file: GltfFile, character: Character, bind: Array, moved: Collection[int]) -> Iterator[_Part]:
+    """The parts of the meshes that hang on joints without a skin, as the head of many a robot does. moved: the nodes
+    that a skin moves, whose rigid parts are hats, hair and weapons."""
+    for node, number in enumerate(character.node_ids):
+        entry = file.rows("nodes")[number]
+        if "mesh" in entry and "skin" not in entry:
+            line = (node, *ancestors(character.parents, node))
+            joint = next((above for above in line if character.skinned[above]), -1)
+            if joint >= 0 and joint not in moved:
+                yield from (_Part(primitive, np.array([joint]), bind[node][None])
+                            for primitive in file.rows("meshes")[entry["mesh"]]["primitives"]
+                            if "POSITION" in primitive.get("attributes", {}))
+
+
+def _listed(file: GltfFile, parts: Iterator[_Part]) -> list[_Part]:
+    out = list(islice(parts, _MOST_PARTS + 1))
+    if len(out) > _MOST_PARTS:
+        raise InputError(file.path, f"draws more than {_MOST_PARTS:,} parts of meshes", "join them")
+    return out
+
+
+def _flesh(file: GltfFile, parts: Sequence[_Part]) -> tuple[Array, NDArray[np.int64]]:
+    """[V, 3] vertices of the meshes in the bind pose's world, and [V] the node with the largest weight of each."""
+    counts = [file.count(part.primitive["attributes"]["POSITION"]) for part in parts]
     # One step over all meshes, so that each keeps its share of the points.
     step = -(-sum(counts) // MOST_POINTS) or 1
     points: list[Array] = [np.zeros((0, 3))]
     movers: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
-    joints_of: dict[int, NDArray[np.int64]] = {}
     before = 0
-    for (skin, attributes), count in zip(parts, counts, strict=True):
+    for part, count in zip(parts, counts, strict=True):
         # Continue the pattern of every `step`-th vertex across the boundaries of the parts.
         first, before = -before % step, before + count
         if first >= count:
             continue
-        if skin not in joints_of:
-            joints_of[skin] = np.array([place[node] for node in file.rows("skins")[skin]["joints"]])
-        joints = joints_of[skin]
-        where, which, weights = (file.array(attributes[name], slice(first, None, step)) for name in _SKINNED)
-        if where.shape[1] != 3 or which.shape != weights.shape or len(where) != len(which) or not which.shape[1]:
-            raise InputError(file.path, "has a mesh whose positions, joints and weights do not match", AGAIN)
-        most = np.take_along_axis(which, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
-        # An index out of range becomes the last joint, NaN the first.
-        mover = np.clip(np.nan_to_num(most), 0, len(joints) - 1).astype(np.int64)
+        where, which, weights = part.points(file, slice(first, None, step))
+        mover = np.take_along_axis(which, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
         good = (np.abs(where) <= FARTHEST).all(axis=1)  # also not NaN
-        move = moves[skin][mover[good]]
+        move = part.moves[mover[good]]
         points.append(np.einsum("vij,vj->vi", move[:, :3, :3], where[good]) + move[:, :3, 3])
-        movers.append(joints[mover[good]])
+        movers.append(part.joints[mover[good]])
     return np.concatenate(points), np.concatenate(movers)
-
-
-def _skinned_parts(file: GltfFile) -> Iterator[tuple[int, dict[str, Any]]]:
-    """The skin and the primitive of every part of a skinned mesh."""
-    count = 0
-    for node in file.rows("nodes"):
-        if "mesh" not in node or "skin" not in node or not file.rows("skins")[node["skin"]]["joints"]:
-            continue
-        for primitive in file.rows("meshes")[node["mesh"]]["primitives"]:
-            count += 1
-            if count > _MOST_PARTS:
-                raise InputError(file.path, f"draws more than {_MOST_PARTS:,} parts of meshes", "join them")
-            if set(_SKINNED) <= set(primitive.get("attributes", {})):
-                yield node["skin"], primitive
 
 
 MOST_TRIANGLES = 6000
 """Most triangles kept, evenly over each mesh: enough to see a tear of a hundredth of the surface."""
 _MOST_VERTICES = 1 << 22
 """Largest mesh that is sampled, vertices: film characters have some hundred thousand."""
-_SEPARATE_TRIANGLES = 4
-"""glTF's mode of separate triangles."""
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+"""glTF's modes of primitives with triangles."""
 
 
-def read_skin(file: GltfFile, place: Mapping[int, int], moves: Mapping[int, Array]) -> Skin:
-    """A sample of the skinned triangles. moves: skin -> [J, 4, 4] from its mesh to the world of the bind pose."""
-    parts = [(skin, primitive) for skin, primitive in _skinned_parts(file)
-             if primitive.get("mode", _SEPARATE_TRIANGLES) == _SEPARATE_TRIANGLES]
-    sizes = [file.count(primitive["indices"] if "indices" in primitive else primitive["attributes"]["POSITION"]) // 3
-             for _, primitive in parts]
+def read_skin(file: GltfFile, parts: Sequence[_Part]) -> Skin:
+    """A sample of the triangles of the parts."""
+    parts = [part for part in parts if part.primitive.get("mode", _TRIANGLES) in (_TRIANGLES, _STRIP, _FAN)]
+    sizes = [file.count(part.primitive.get("indices", part.primitive["attributes"]["POSITION"])) for part in parts]
+    sizes = [size // 3 if part.primitive.get("mode", _TRIANGLES) == _TRIANGLES else max(size - 2, 0)
+             for part, size in zip(parts, sizes, strict=True)]
     # As for the vertices: one step over all parts.
     step = max(1, -(-sum(sizes) // MOST_TRIANGLES))
     points, joints, weights, triangles = [], [], [], []
     before = 0
-    for (skin, primitive), size in zip(parts, sizes, strict=True):
-        attributes = primitive["attributes"]
-        vertices = file.count(attributes["POSITION"])
+    for part, size in zip(parts, sizes, strict=True):
+        vertices = file.count(part.primitive["attributes"]["POSITION"])
         if not size or vertices > _MOST_VERTICES or 3 * size > 4 * _MOST_VERTICES:
             continue
-        corners = np.arange(3 * size) if "indices" not in primitive else np.nan_to_num(
-            file.array(primitive["indices"])[:, 0]).astype(np.int64)
-        chosen = corners[:3 * size].reshape(-1, 3)[::step]
+        chosen = _triangles(file, part.primitive, vertices)[::step]
         chosen = chosen[(chosen < vertices).all(axis=1)]
         # Only the corners of the sampled triangles are kept, renumbered.
         used, back = np.unique(chosen, return_inverse=True)
-        nodes = np.array([place[node] for node in file.rows("skins")[skin]["joints"]])
-        which, shares = _influences(file, attributes, used, len(nodes))
-        points.append(_bound_points(file.array(attributes["POSITION"])[used], moves[skin], which, shares))
-        joints.append(nodes[which])
-        weights.append(shares)
+        where, which, shares = part.points(file, used)
+        points.append(_bound_points(where, part.moves, which, shares))
+        joints.append(np.pad(part.joints[which], ((0, 0), (0, _MOST_INFLUENCES - which.shape[1]))))
+        weights.append(np.pad(shares, ((0, 0), (0, _MOST_INFLUENCES - which.shape[1]))))
         triangles.append(back.reshape(-1, 3) + before)
         before += len(used)
     if not points:
         return Skin()
     return _without_bad_triangles(np.concatenate(points), np.concatenate(joints), np.concatenate(weights),
                                   np.concatenate(triangles))
+
+
+_MOST_INFLUENCES = 4
+"""Joints of a vertex in one pair of attributes."""
+
+
+def _triangles(file: GltfFile, primitive: Mapping[str, Any], vertices: int) -> NDArray[np.int64]:
+    """[F, 3] corners of the triangles of a primitive: separate ones, a strip or a fan."""
+    corners = np.arange(vertices) if "indices" not in primitive else np.nan_to_num(
+        file.array(primitive["indices"])[:, 0]).astype(np.int64)
+    mode = primitive.get("mode", _TRIANGLES)
+    if mode == _TRIANGLES:
+        return corners[:len(corners) // 3 * 3].reshape(-1, 3)
+    first = corners[:-2] if mode == _STRIP else np.repeat(corners[:1], max(len(corners) - 2, 0))
+    return np.stack([first, corners[1:-1], corners[2:]], axis=-1)
 
 
 def _bound_points(points: Array, moves: Array, which: NDArray[np.int64], shares: Array) -> Array:
@@ -364,14 +414,6 @@ def _bound_points(points: Array, moves: Array, which: NDArray[np.int64], shares:
         return np.asarray(np.einsum("vij,vj->vi", move[:, :3, :3], points) + move[:, :3, 3])
 
 
-def _influences(file: GltfFile, attributes: Mapping[str, int], used: NDArray[np.int64], count: int
-                ) -> tuple[NDArray[np.int64], Array]:
-    """[V, 4] joints of a skin and their weights, of the vertices in use."""
-    which, weights = (file.array(attributes[name])[used] for name in ("JOINTS_0", "WEIGHTS_0"))
-    weights = np.where(np.isfinite(weights) & (weights > 0.0), weights, 0.0)
-    return np.clip(np.nan_to_num(which), 0, count - 1).astype(np.int64), weights
-
-
 def _without_bad_triangles(points: Array, joints: NDArray[np.int64], weights: Array, triangles: NDArray[np.int64]
                            ) -> Skin:
     """The skin without the triangles that have a corner at no finite place or without weight."""
@@ -379,4 +421,4 @@ def _without_bad_triangles(points: Array, joints: NDArray[np.int64], weights: Ar
     whole = weights.sum(axis=1)
     good = (np.abs(points) <= FARTHEST).all(axis=1) & (whole > 0.0)
     return Skin(np.where(good[:, None], points, 0.0), joints, weights / np.where(good, whole, 1.0)[:, None],
-                triangles[good[triangles].all(axis=1)])
+                triangles[good[triangles].all(axis=1)], float((whole == 0.0).mean()))

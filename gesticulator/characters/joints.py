@@ -8,7 +8,7 @@ between trunk and end: a choice is scored by names and by plausible bone lengths
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -105,6 +105,9 @@ def find_joints(character: Character) -> RigMapping:
         if candidates[-1].confidence >= 0.9:
             break
     best = max(candidates, key=_worth)
+    if character.skinless and best.confidence < _BY_SECOND_NAME:
+        # A car has as many nodes as a body; without a skin, names alone tell joints from them.
+        best = replace(best, confidence=_BY_SHAPE * best.confidence, doubts=(*best.doubts, "it has no skin"))
     whole = [mapping for name in _skeletons_mixed(character, best)
              if set(NEEDED) <= (mapping := find_joints(chosen(character, name))).joints.keys()]
     # If none of them is a body, they are disconnected parts of one; `check` reports that later.

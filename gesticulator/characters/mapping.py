@@ -24,6 +24,8 @@ LEG_PARTS = ("UpLeg", "Leg", "Foot", "ToeBase")
 SURE = 0.6
 """Confidence below which a detected mapping is rejected unless the user provides it. Known names throughout give 1, a
 body-shaped tree without known names 0.7; each doubt subtracts a fifth or more."""
+_FLAT = 1e-6
+"""Smallest scale of a node, as a share of its largest, with which there is a way back from the world to its axes."""
 LACKS = "it lacks "
 """How the doubt begins that lists the missing joints of `NEEDED`."""
 
@@ -58,6 +60,13 @@ class RigMapping:
 def check(mapping: RigMapping, character: Character) -> None:
     """`InputError` if the mapping lacks required joints, uses a node twice, or has too low a confidence."""
     missing = [name for name in NEEDED if name not in mapping.joints]
+    joints = [node for node, joint in enumerate(character.skinned) if joint] if missing else mapping.joints.values()
+    # Only nodes that carry joints: a prop without extent is one that is hidden.
+    for node in sorted({above for joint in joints for above in ancestors(character.parents, joint)}):
+        if abs(character.scales[node]).min() <= _FLAT * abs(character.scales[node]).max():
+            scale = ", ".join(f"{value:g}" for value in character.scales[node])
+            raise InputError(character.path, f"has joints below {shown(character.names[node])}, whose scale is "
+                             f"({scale}): all of them are flat", "give that node another scale, and export it again")
     if missing:
         doubts = "; ".join(doubt for doubt in mapping.doubts if not doubt.startswith(LACKS))
         raise InputError(character.path, f"has no joint that could be {', '.join(missing)}"

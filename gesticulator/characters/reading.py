@@ -19,7 +19,7 @@ READERS: Registry[RegistryEntry] = Registry("characters", "a format of character
     ".glb": RegistryEntry("binary glTF", "gesticulator.characters.gltf_rig:read_gltf_character"),
     ".gltf": RegistryEntry("glTF", "gesticulator.characters.gltf_rig:read_gltf_character"),
     ".vrm": RegistryEntry("VRM 0.x and 1.0", "gesticulator.characters.gltf_rig:read_gltf_character"),
-    ".fbx": RegistryEntry("FBX, through Blender", "gesticulator.characters.fbx_rig:read_fbx_character"),
+    ".fbx": RegistryEntry("FBX, through Blender", "gesticulator.characters.gltf_rig:read_gltf_character"),
 }, RegistryEntry)
 """By suffix: reader(path) -> `Character`."""
 

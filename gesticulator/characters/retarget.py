@@ -80,11 +80,12 @@ class Retargeter:
         # If the feet are not below the legs in the tree, moving hips would tear the legs off them.
         whole = self.mapping.legs or "LeftUpLeg" not in self.mapping.joints
         self.legs = whole and legs
-        self.contacts = False  # contacts bend arms on purpose, which the checks would report
-        measured = require_sound(self.body, self(probe_motion()), self.legs and self.mapping.legs)
-        self.doubts = (*self.mapping.doubts, *measured.doubts)
-        self.confidence = min(self.mapping.confidence, measured.share)
+        self.contacts = False  # contacts bend arms on purpose, so their directions are checked without
+        plain = self(probe_motion())
         self.contacts = contacts
+        doubts, share = require_sound(self.body, (plain, self(probe_motion())), self.legs and self.mapping.legs)
+        self.doubts = (*self.mapping.doubts, *doubts)
+        self.confidence = min(self.mapping.confidence, share)
 
     def __call__(self, motion: Motion) -> CharacterMotion:
         """The motion on the character. ValueError if the motion is not on one of our skeletons."""

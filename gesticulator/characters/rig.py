@@ -19,7 +19,7 @@ from data_module.types import Array
 
 __all__ = ["Character", "CharacterMotion", "Skin", "decomposed"]
 
-UPS = {"glb": np.array([0.0, 1.0, 0.0]), "fbx": np.array([0.0, 0.0, 1.0])}
+UPS = {"glb": np.array([0.0, 1.0, 0.0])}
 """The up direction of each format, where the format defines it (BVH does not)."""
 
 
@@ -28,13 +28,14 @@ class Skin:
     """Triangles of the meshes of a character, in the world of its bind pose.
 
     points: [V, 3]; joints: [V, K] the nodes that move each, and weights: [V, K] their shares, which add up to 1;
-    triangles: [F, 3] their corners.
+    triangles: [F, 3] their corners. loose: the share of the corners that have no usable weights.
     """
 
     points: Array = field(default_factory=lambda: np.zeros((0, 3)))
     joints: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 1), np.int64))
     weights: Array = field(default_factory=lambda: np.zeros((0, 1)))
     triangles: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    loose: float = 0.0
 
     def posed(self, bind: Array, world: Array) -> Array:
         """[T, V, 3] where the points are when the nodes, bound at `bind` [N, 4, 4], are at `world` [T, N, 4, 4]."""
@@ -58,8 +59,9 @@ class Character:
     parents: N indices, -1 for a root (there may be several: cameras, props, the mesh beside the armature).
     translations: [N, 3], rotations: [N, 4] (unit quaternions, w first), scales: [N, 3]: the local transform of each
         node at rest, in its parent's frame: x_parent = translation + rotation * (scale * x), in the file's unit.
-    path: the file. kind: its format, "bvh", "glb" (also VRM and .gltf) or "fbx".
+    path: the file. kind: its format, "bvh" or "glb" (also VRM, .gltf, and FBX, which Blender makes GLB).
     skinned: [N] which nodes are joints of a skin; all of them if the format has no skins (BVH).
+    skinless: whether the format has skins but the file none, so that it does not say which nodes are joints.
     bind: [N, 4, 4] the world matrix of each node in the pose that the mesh was bound in (from glTF's inverse bind
         matrices), in the world of the rest pose; None if unknown. space: [3, 3] columns are the axes of the mesh in
         that world: a mesh is modelled upright along one of them, however the file places it.
@@ -92,6 +94,7 @@ class Character:
     flesh: Array = field(default_factory=lambda: np.zeros((0, 3)))
     flesh_nodes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     skin: Skin = field(default_factory=Skin)
+    skinless: bool = False
 
     def __post_init__(self) -> None:
         if not self.node_ids:
@@ -112,14 +115,14 @@ class Character:
         """[..., N, 4, 4] the nodes' local matrices for local rotations [..., N, 4]; default: at rest."""
         q = self.rotations if rotations is None else rotations
         out = np.zeros((*q.shape[:-1], 4, 4))
-        out[..., :3, :3] = _turns(q) * self.scales[:, None, :]
+        out[..., :3, :3] = rotation.to_matrix(q) * self.scales[:, None, :]
         out[..., :3, 3] = self.translations
         out[..., 3, 3] = 1.0
         return out
 
     def local_turns(self) -> Array:
         """[N, 3, 3] the nodes' local rotations at rest, as matrices; a node with a negative scale mirrors, too."""
-        return np.asarray(_turns(self.rotations) * np.where(self.scales < 0.0, -1.0, 1.0)[:, None, :])
+        return np.asarray(rotation.to_matrix(self.rotations) * np.where(self.scales < 0.0, -1.0, 1.0)[:, None, :])
 
     def world_turns(self) -> Array:
         """[N, 3, 3] the nodes' world rotations at rest, in the file's axes, without scales but for their signs: below
@@ -153,20 +156,11 @@ def decomposed(matrices: Array) -> tuple[Array, Array, Array]:
     scales = np.linalg.norm(matrices[..., :3, :3], axis=-2)
     # A reflection has no rotation; moving it into one scale keeps the rest a proper rotation.
     scales[..., 0] *= np.where(np.linalg.det(matrices[..., :3, :3]) < 0.0, -1.0, 1.0)
-    # The polar decomposition: the nearest rotation to a matrix that may be sheared.
+    # The polar decomposition: the nearest rotation to a matrix that may be sheared, or flat.
     left, _, right = np.linalg.svd(matrices[..., :3, :3] * np.where(scales < 0.0, -1.0, 1.0)[..., None, :])
+    left[..., -1] *= np.sign(np.linalg.det(left @ right))[..., None]
     quaternions = Rotation.from_matrix((left @ right).reshape(-1, 3, 3)).as_quat(scalar_first=True)
     return matrices[..., :3, 3], quaternions.reshape(*matrices.shape[:-2], 4), scales
-
-
-def _turns(q: Array) -> Array:
-    """[..., 3, 3] the matrices of unit quaternions [..., 4]."""
-    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
-    # Written out for any number of leading dimensions: scipy's Rotation takes [N, 4].
-    turn = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-                     2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-                     2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
-    return turn.reshape(*q.shape[:-1], 3, 3)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from data_module.motion.skeletons import FINGERS
 from data_module.types import Array
+from gesticulator.characters.bvh_rig import turns_of
 from gesticulator.characters.mapping import ancestors
 from gesticulator.characters.rig import Character
 
@@ -25,6 +26,16 @@ _EVEN = 0.12
 def bind_matrices(character: Character) -> Array:
     """[N, 4, 4] world matrices in the bind pose of the mesh; at rest if unknown."""
     return character.world_matrices() if character.bind is None else character.bind
+
+
+def bind_turns(character: Character) -> Array:
+    """[N, 3, 3] world rotations of the nodes in the bind pose of the mesh. A node that mirrors at rest alone has its
+    rotation at rest: no rotation leads there from the bind pose."""
+    rest = character.world_turns()
+    if character.bind is None:
+        return rest
+    bound = turns_of(character.bind)
+    return np.where((np.linalg.det(bound) * np.linalg.det(rest) < 0.0)[:, None, None], rest, bound)
 
 
 def _children(character: Character) -> list[list[int]]:

@@ -9,7 +9,6 @@ looks at the result.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -59,15 +58,6 @@ Check = Iterator[tuple[bool, str, Remedy]]
 """Of each problem: whether it is a fault, the reason, and the remedy."""
 
 
-@dataclass(frozen=True)
-class Findings:
-    """Problems of a moved character. faults: (reason, remedy); share: of the checks that found nothing."""
-
-    faults: tuple[tuple[str, Remedy], ...] = ()
-    doubts: tuple[str, ...] = ()
-    share: float = 1.0
-
-
 def probe_motion() -> Motion:
     """Five poses of the default body, for the checks: arms hanging, aside, ahead, one up; a turned trunk."""
     poses: list[dict[str, tuple[float, float, float]]] = [
@@ -84,14 +74,20 @@ def probe_motion() -> Motion:
         for name, angles in pose.items():
             turns[frame, WHOLE_BODY.index(name)] = Rotation.from_euler("ZYX", angles[::-1], degrees=True).as_quat(
                 scalar_first=True)
-    return Motion(WHOLE_BODY, turns, np.zeros((len(poses), 3)), 30.0)
+    # A frame a second: contacts, which are spread over parts of a second, see each pose by itself.
+    return Motion(WHOLE_BODY, turns, np.zeros((len(poses), 3)), 1.0)
 
 
-def require_sound(body: Body, moved: CharacterMotion, stands: bool) -> Findings:
-    """`examine` of a sound character; for a fault `InputError` with the line of the mapping to correct."""
-    findings = examine(body, moved, stands)
-    if findings.faults:
-        reason, remedy = findings.faults[0]
+def require_sound(body: Body, moved: tuple[CharacterMotion, CharacterMotion], stands: bool
+                  ) -> tuple[tuple[str, ...], float]:
+    """The doubts about a sound character, and the share of the checks that found nothing; for a fault `InputError` with
+    the line of the mapping to correct. moved: in the poses of `probe_motion`, without contacts and as it is written.
+    stands: whether hips and legs are moved."""
+    probed = _Probe(body, moved, stands)
+    problems = [list(check()) for check in (
+        probed.connected, probed.human, probed.facing, probed.proportions, probed.directions, probed.following,
+        probed.tears)]
+    for reason, remedy in ((reason, remedy) for some in problems for grave, reason, remedy in some if grave):
         if not isinstance(remedy, str):
             keys, joints = node_keys(body.character), body.mapping.joints
             quoted = {name: f'"{shown(keys[joints[name]], 60).strip(chr(39))}"' for name in remedy if name in joints}
@@ -99,29 +95,19 @@ def require_sound(body: Body, moved: CharacterMotion, stands: bool) -> Findings:
                       + ", ".join(f'"{name}": {quoted.get(name, "null")}' for name in remedy)
                       + ", then --mapping FILE.json")
         raise InputError(body.character.path, f"would come out wrong: {reason}", remedy)
-    return findings
-
-
-def examine(body: Body, moved: CharacterMotion, stands: bool) -> Findings:
-    """The problems of a character in the poses of `probe_motion`. stands: whether hips and legs are moved."""
-    probed = _Probe(body, moved, stands)
-    problems = [list(check()) for check in (
-        probed.connected, probed.human, probed.facing, probed.proportions, probed.directions, probed.following,
-        probed.tears)]
-    faults = tuple((reason, remedy) for some in problems for grave, reason, remedy in some if grave)
-    doubts = tuple(reason for some in problems for grave, reason, _ in some if not grave)
-    return Findings(faults, doubts, sum(not some for some in problems) / len(problems))
+    doubts = tuple(reason for some in problems for _, reason, _ in some)
+    return doubts, sum(not some for some in problems) / len(problems)
 
 
 class _Probe:
     """A character in the poses of the probe, measured with Y up, facing +Z, in metres."""
 
-    def __init__(self, body: Body, moved: CharacterMotion, stands: bool) -> None:
+    def __init__(self, body: Body, moved: tuple[CharacterMotion, CharacterMotion], stands: bool) -> None:
         self.body, self.character, self.stands = body, body.character, stands
         self.mapping, self.joints = body.mapping, body.mapping.joints
-        world, bound = moved.world_matrices(), bind_matrices(self.character)
-        to_posed, to_bound = self.body.axes.T, self.body.bind_axes.T
-        self.places = world[..., :3, 3] @ to_posed * self.body.unit
+        bound, to_posed, to_bound = bind_matrices(self.character), self.body.axes.T, self.body.bind_axes.T
+        plain, world = (each.world_matrices() for each in moved)
+        self.plain, self.places = (each[..., :3, 3] @ to_posed * self.body.unit for each in (plain, world))
         self.bound = bound[:, :3, 3] @ to_bound * self.body.unit
         trunk = float(np.linalg.norm(self.bound[self.joints["Head"]] - self.bound[self.joints["Hips"]]))
         self.height = max(float(np.ptp(self.bound[list(self.joints.values()), 1])), trunk, 1e-9)
@@ -212,9 +198,8 @@ class _Probe:
         """Arms and legs point where those of the motion point."""
         source = pose_of(probe_motion())
         for side, above, below in self.bones(("arm", "leg") if self.stands else ("arm",)):
-            bone = self.place(side + below) - self.place(side + above)
+            bone = self.plain[:, self.joints[side + below]] - self.plain[:, self.joints[side + above]]
             wanted = source.places[side + below] - source.places[side + above]
-            # Only the poses in which no hand comes near the trunk: contacts bend the others on purpose.
             angle = max(_degrees(a, b) for a, b in zip(bone[1:3], wanted[1:3], strict=True))
             if angle > (_LEGS_ASTRAY if "Leg" in above else _ASTRAY):
                 yield (True, f"its {side.lower()} {_PLAIN[above]} points {angle:.0f} degrees elsewhere",
@@ -224,6 +209,9 @@ class _Probe:
         """The mesh of each limb is where its bone is."""
         if not len(self.skin.points):
             return
+        if self.skin.loose > _TORN:
+            yield (False, f"{self.skin.loose:.0%} of the corners of its mesh have skin weights that are 0 or not "
+                   "numbers: players show them elsewhere, or not at all", "weight them and export it again")
         apart: list[bool] = []
         for side, above, below in (*self.bones(), ("", "Head", "Head")):
             top, low, head = side + above, side + below, not side

@@ -12,11 +12,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from data_module.types import Array
-from gesticulator.characters.bvh_rig import turns_of
 from gesticulator.characters.frames import Body
 from gesticulator.characters.mapping import SIDES, ancestors
 from gesticulator.characters.names import words
-from gesticulator.characters.shape import bind_matrices
+from gesticulator.characters.shape import bind_matrices, bind_turns
 
 NAMED = {"twist", "roll"}
 """Words in the names of twist bones."""
@@ -30,8 +29,7 @@ _ASIDE = 0.1
 
 def share_roll(turns: dict[int, Array], body: Body) -> None:
     """Add the twist bones' world rotations to `turns` (node -> [T, 3, 3]); the hands are unchanged."""
-    bind = bind_matrices(body.character)
-    bound, places = turns_of(bind), bind[:, :3, 3]
+    bound, places = bind_turns(body.character), bind_matrices(body.character)[:, :3, 3]
     for side in SIDES:
         forearm, hand = body.mapping.joints[side + "ForeArm"], body.mapping.joints[side + "Hand"]
         # Places from elbow to wrist in the axes of the forearm, in the bind pose of the mesh.

@@ -1,4 +1,4 @@
-"""`.fbx`: the GLB converted by Blender; or a character's FBX file animated by it, with its mesh, skin and materials."""
+"""`.fbx`: the GLB converted by Blender; a character from FBX keeps the meshes and materials of its file."""
 
 from __future__ import annotations
 
@@ -6,108 +6,55 @@ import tempfile
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
+from data_module.errors import shown
 from data_module.files import write_bytes
-from data_module.motion import rotation
-from data_module.types import Array
-from gesticulator.characters.blender import run_in_blender
-from gesticulator.characters.rig import CharacterMotion
-from gesticulator.export.glb import write_glb
-from gesticulator.export.gltf import ROTATION, WEIGHTS, FrameTrack, GltfDocument, open_gltf
+from gesticulator.characters.blender import SCRIPT, run_in_blender, say
+from gesticulator.export.glb import document_of
 from gesticulator.export.writers import Scene
 
-if TYPE_CHECKING:
-    from gesticulator.face.motion import FaceMotion
 
-SCRIPT = Path(__file__).with_name("fbx_child.py")
-_STILL = 1e-5
-"""A shape key whose value never differs by more from that at rest needs no keys."""
+class ClipWarning(UserWarning):
+    """An FBX file that lacks something of the character's own file."""
+
+
+def _without_other_shading(document: dict[str, Any]) -> None:
+    """Give materials that FBX has no word for the plain colours that they have: else Blender drops their textures, and
+    takes what they do not say for metal."""
+    for material in filter(lambda entry: isinstance(entry, dict), document.get("materials", [])):
+        extensions = material.get("extensions") or {}
+        unlit, glossy = (extensions.pop(f"KHR_materials_{kind}", None) for kind in ("unlit", "pbrSpecularGlossiness"))
+        plain = material.setdefault("pbrMetallicRoughness", {})
+        if isinstance(glossy, dict):
+            plain |= {name: glossy[other] for other, name in (
+                ("diffuseFactor", "baseColorFactor"), ("diffuseTexture", "baseColorTexture")) if other in glossy}
+        if unlit is not None or glossy is not None:
+            plain["metallicFactor"] = 0.0
+    document.pop("extensionsRequired", None)
 
 
 def write_fbx(path: Path, scene: Scene) -> Path:
     """Write the motion as binary FBX, atomically. Returns `path`. `InputError` without Blender or if it fails.
 
-    Of a character from FBX the animations in the file are omitted; with a face, the animation moves the shape keys,
-    eyes and jaw that it has for one, too.
+    It holds one animation: those of a character's own file are left out, with a `ClipWarning`.
     """
-    moved, clip = scene.character, scene.clip
+    clip, moved = scene.clip, scene.character
+    # All frames: the keys are reduced once, by Blender's exporter, within the same bound.
+    gltf = document_of(scene=replace(scene, layout=replace(clip, keys=0.0)))
+    *others, gesture = gltf.document["animations"]
+    # Blender makes the first of several animations the one that it writes.
+    gltf.document["animations"] = [gesture]
+    _without_other_shading(gltf.document)
+    if others:
+        names = ", ".join(shown(entry.get("name", "unnamed")) for entry in others[:5])
+        warnings.warn(ClipWarning(f"{path.name}: holds {clip.name} alone, not the {len(others)} clips that are in the "
+                                  f"character's file ({names}); a .glb holds all"), stacklevel=3)
+    original = [] if moved is None or moved.character.path.suffix.lower() != ".fbx" else [moved.character.path]
     with tempfile.TemporaryDirectory() as folder:
-        resting, motion, target = (Path(folder) / name for name in ("motion.glb", "motion.npz", "motion.fbx"))
-        if moved is None or moved.character.kind != "fbx":
-            # All frames: the keys are reduced once, by Blender's exporter, within the same bound.
-            write_glb(resting, replace(scene, layout=replace(clip, keys=0.0)))
-            run_in_blender(path, SCRIPT, str(resting), str(target), repr(scene.fps), repr(clip.keys), clip.name)
-        else:
-            source, poses = str(moved.character.path.resolve()), pose(moved)
-            if scene.face is not None:
-                run_in_blender(path, SCRIPT, source, str(resting))
-                poses = _with_face(poses, resting, moved, scene.face)
-            np.savez(motion, **poses)
-            run_in_blender(path, SCRIPT, source, str(target), repr(moved.fps), repr(clip.keys), clip.name, str(motion))
+        source, target = Path(folder) / "motion.glb", Path(folder) / "motion.fbx"
+        source.write_bytes(gltf.to_bytes())
+        say(path, run_in_blender(path, SCRIPT, str(source), str(target), repr(scene.fps), repr(clip.keys), clip.name,
+                                 *(str(file.resolve()) for file in original)))
         write_bytes(path, target.read_bytes())
     return path
-
-
-def _face_tracks(file: Path, gltf: GltfDocument, moved: CharacterMotion, face: FaceMotion
-                 ) -> list[FrameTrack]:
-    """Tracks of the face in a GLB that Blender wrote of the character, as `gesticulator.export.face` makes them."""
-    from gesticulator.characters.gltf_rig import read_gltf_character
-    from gesticulator.export.face import FaceWarning, tracks_of
-
-    if not gltf.document.get("skins"):
-        warnings.warn(FaceWarning(f"{moved.character.path.name}: has no mesh on its bones, so it shows no face"),
-                      stacklevel=4)
-        return []
-    character = read_gltf_character(file)
-    bones = {name: node for node, name in enumerate(character.names) if character.skinned[node]}
-    left, right = (bones[moved.character.names[moved.joints[joint]]] for joint in ("LeftArm", "RightArm"))
-    return tracks_of(gltf, character, (left, right), face, moved.character.path.name)
-
-
-def _with_face(poses: dict[str, Any], file: Path, moved: CharacterMotion, face: FaceMotion) -> dict[str, Any]:
-    """Bone poses as of `pose` with those of the eyes and the jaw, and the values of shape keys.
-
-    shape_meshes, shape_keys: [k] names of a mesh object and of a shape key of it; shape_values: [T, k].
-    """
-    gltf = open_gltf(file)
-    nodes, names, turns = gltf.document["nodes"], poses["names"].tolist(), [poses["turns"]]
-    shapes: list[tuple[str, str, Array]] = []
-    for node, path, values in _face_tracks(file, gltf, moved, face):
-        entry = nodes[node]
-        assert isinstance(values, np.ndarray)
-        if path == WEIGHTS:
-            mesh = gltf.document["meshes"][entry["mesh"]]
-            keys = mesh["extras"]["targetNames"]
-            stills = mesh.get("weights", [0.0] * len(keys))
-            shapes += [(entry["name"], key, column) for key, column, still in zip(
-                keys, values.reshape(-1, len(keys)).T, stills, strict=True) if np.abs(column - still).max() > _STILL]
-        elif path == ROTATION and entry["name"] in moved.character.names and entry["name"] not in names:
-            # glTF's quaternions are w last, ours w first.
-            rest = np.array(entry.get("rotation", [0.0, 0.0, 0.0, 1.0]))[[3, 0, 1, 2]]
-            names.append(entry["name"])
-            turns.append(rotation.multiply(rotation.conjugate(rest), values[:, [3, 0, 1, 2]].astype(float))[:, None])
-    return poses | {"names": np.array(names), "turns": np.concatenate(turns, axis=1),
-                    "shape_meshes": np.array([mesh for mesh, _, _ in shapes], dtype=str),
-                    "shape_keys": np.array([key for _, key, _ in shapes], dtype=str),
-                    "shape_values": np.array([column for _, _, column in shapes]).reshape(len(shapes), len(face)).T}
-
-
-def pose(moved: CharacterMotion) -> dict[str, Any]:
-    """Bone poses as Blender defines them: relative to rest, in the bone's axes.
-
-    names: [n] bones; turns: [T, n, 4] w first; hips: [1] the translated bone; shifts: [T, 3], empty for none.
-    """
-    character = moved.character
-    nodes = [node for node in moved.moved if node]  # node 0 is the armature's object
-    # Blender's pose is relative to rest: q_pose = q_rest^-1 q_local.
-    back = rotation.conjugate(character.rotations[nodes])
-    shifts = np.zeros((0, 3))
-    if moved.translations is not None:
-        away = moved.translations - character.translations[moved.hips]
-        shifts = rotation.rotate(rotation.conjugate(character.rotations[moved.hips]), away)
-    return {"names": np.array([character.names[node] for node in nodes]),
-            "turns": rotation.multiply(back, moved.rotations[:, nodes]),
-            "hips": np.array([character.names[moved.hips]]), "shifts": shifts}

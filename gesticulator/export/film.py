@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -55,9 +55,6 @@ the share of the picture's shorter side that a metre at `_MIDDLE` takes."""
 _MIDDLE = (0.0, 0.93, 0.0)
 """The point that the camera looks at, metres."""
 
-_Colour = tuple[int, int, int]
-_Ink = Callable[[str], _Colour]
-
 
 # ---------------------------------------------------------------- the picture
 
@@ -77,56 +74,41 @@ def project(points: Array, size: tuple[int, int]) -> tuple[Array, Array, Array]:
     return np.stack([size[0] / 2 + across * scale, size[1] / 2 - up * scale], axis=-1), scale, depth
 
 
-def _polygons(part: FlatPart, ink: _Ink) -> list[tuple[list[list[int]], _Colour]]:
+def _polygons(part: FlatPart) -> list[tuple[list[list[int]], str]]:
     """For each polygon of a part its corners in T frames, rounded to whole pixels (Pillow would truncate), and its
     colour."""
-    return [(np.rint(corners).astype(np.int64).reshape(len(corners), -1).tolist(), ink(colour))
+    return [(np.rint(corners).astype(np.int64).reshape(len(corners), -1).tolist(), colour)
             for corners, colour in part.polygons]
 
 
-def _background(size: tuple[int, int], ink: _Ink, still_legs: bool) -> Image:
+def _background(size: tuple[int, int], still_legs: bool) -> Image:
     """The static background: paper, a soft shadow on the floor, and still legs."""
     from PIL import Image, ImageDraw, ImageFilter
 
-    picture = Image.new("RGB", size, ink(PAPER))
+    picture = Image.new("RGB", size, PAPER)
     pen = ImageDraw.Draw(picture)
     place, scale, _ = project(np.zeros(3), size)
     for across, deep, colour in ((0.5, 0.07, FLOOR), (0.26, 0.036, SHADOW)):
         reach = np.array([across, deep]) * scale
-        pen.ellipse([*(place - reach), *(place + reach)], fill=ink(colour))
+        pen.ellipse([*(place - reach), *(place + reach)], fill=colour)
     picture = picture.filter(ImageFilter.GaussianBlur(0.012 * float(scale)))
     pen = ImageDraw.Draw(picture)
     for part in legs() if still_legs else ():
-        for polygon, code in _polygons(flattened(part, partial(project, size=size), PAPER), ink):
-            pen.polygon(polygon[0], fill=code)
+        for polygon, colour in _polygons(flattened(part, partial(project, size=size), PAPER)):
+            pen.polygon(polygon[0], fill=colour)
     return picture
 
 
-def rgb(colour: str) -> _Colour:
-    """"#rrggbb" as three numbers from 0 to 255."""
-    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
-
-
-def bt709(colour: str) -> _Colour:
-    """"#rrggbb" as Y', Cb, Cr of eight bits in the narrow range (ITU-R BT.709): Y' in 16..235, Cb and Cr in 16..240."""
-    r, g, b = (value / 255 for value in rgb(colour))
-    y = 0.2126 * r + 0.7152 * g + 0.0722 * b
-    return round(16 + 219 * y), round(128 + 224 * (b - y) / 1.8556), round(128 + 224 * (r - y) / 1.5748)
-
-
-def pictures(points: dict[str, Array], size: tuple[int, int] = SIZE, ink: _Ink = rgb) -> Iterator[Image]:
-    """One picture of `size` pixels for each of the T times of `points`: name -> [T, 3], of `figure_points`.
-
-    ink: converts a colour to the three channels. Edges are averages, valid in any linear colour code.
-    """
+def pictures(points: dict[str, Array], size: tuple[int, int] = SIZE) -> Iterator[Image]:
+    """One picture of `size` pixels for each of the T times of `points`: name -> [T, 3], of `figure_points`."""
     from PIL import ImageDraw
 
     moving = legs(points) if "LeftUpLeg" in points else []
     # Draw at twice the size and average 2 x 2 pixels: Pillow itself does not smooth edges.
     large = (size[0] * _OVER, size[1] * _OVER)
-    look, background = partial(project, size=large), _background(large, ink, not moving)
+    look, background = partial(project, size=large), _background(large, not moving)
     parts = [flattened(part, look, PAPER) for part in (*moving, *body(points, look))]
-    polygons = [_polygons(part, ink) for part in parts]
+    polygons = [_polygons(part) for part in parts]
     # Painter's algorithm: parts are drawn from back to front.
     order = np.argsort(np.stack([part.near for part in parts]), axis=0, kind="stable")
     for frame, numbers in enumerate(order.T.tolist()):
@@ -150,7 +132,7 @@ def encode(points: dict[str, Array], speech: Speech, size: tuple[int, int] = SIZ
     with tempfile.TemporaryDirectory() as folder:
         # A file, not memory: moving the index to the front reads back the written data.
         target = Path(folder) / "clip.mp4"
-        _write(target, pictures(points, size, bt709), sound, size)
+        _write(target, pictures(points, size), sound, size)
         return target.read_bytes()
 
 
@@ -192,16 +174,11 @@ def _write(target: Path, drawn: Iterator[Image], sound: Samples, size: tuple[int
 
 
 def _frame(picture: Image, number: int) -> Any:
-    """A picture in the colours of `bt709` as frame `number`; drawn in these colours to avoid a slow conversion."""
+    """A picture as frame `number`, in the colours of BT.709 and its narrow range."""
     import av
 
-    light, blue, red = picture.split()
-    frame = av.VideoFrame(*picture.size, "yuv420p")
-    for plane, channel in zip(frame.planes, (light, blue.reduce(2), red.reduce(2)), strict=True):
-        rows = np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)
-        rows[:, :channel.width] = np.asarray(channel)
-        # Rows are padded, and an encoder may read the padding.
-        rows[:, channel.width:] = rows[:, channel.width - 1:channel.width]
+    frame = av.VideoFrame.from_image(picture).reformat(
+        format="yuv420p", dst_colorspace="ITU709", dst_color_range=_NARROW)
     frame.pts, frame.time_base = number, Fraction(1, FPS)
     frame.colorspace, frame.color_range = _BT709, _NARROW
     return frame

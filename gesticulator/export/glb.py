@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.errors import InputError
 from data_module.files import write_bytes
 from data_module.types import Array
 from gesticulator.characters.rig import CharacterMotion
@@ -31,15 +30,18 @@ _COLOUR = [0.24, 0.45, 0.47, 1.0]
 
 
 def write_glb(path: Path, scene: Scene) -> Path:
-    """Write the motion as an animation of a GLB, named after the clip, atomically. Returns `path`.
+    """Write the document of a scene as GLB, atomically. Returns `path`."""
+    write_bytes(path, document_of(scene).to_bytes())
+    return path
+
+
+def document_of(scene: Scene) -> GltfDocument:
+    """The motion as the last animation of a document, named after the clip.
 
     A character's file keeps everything; with a face, the animation moves what it has for one (`gesticulator.face.rig`),
-    too, and a warning says so if it has no mouth. Other scenes are a skeleton with a figure of spindles. `InputError`
-    for a character from FBX.
+    too, and a warning says so if it has no mouth. Other scenes are a skeleton with a figure of spindles.
     """
     character = scene.character
-    if character is not None and character.character.kind == "fbx":
-        raise InputError(path, "cannot hold a character from FBX", "write .fbx, or convert the character to GLB")
     if character is not None and character.character.kind == "glb":
         gltf = open_gltf(character.character.path)
         _add_character_clip(gltf, character, scene.clip, scene.face)
@@ -54,8 +56,7 @@ def write_glb(path: Path, scene: Scene) -> Path:
         steady = frozenset(node for node, name in enumerate(motion.names) if name in STEADY)
         gltf.animate(scene.clip, motion, {node: node for node in range(len(motion.names))
                                           if not (scene.clip.bare and node in steady)}, steady)
-    write_bytes(path, gltf.to_bytes())
-    return path
+    return gltf
 
 
 def _add_character_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLayout, face: FaceMotion | None) -> None:
@@ -66,6 +67,9 @@ def _add_character_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLa
         # glTF forbids a matrix on an animated node.
         if entry.pop("matrix", None) is not None:
             entry |= transform(character.translations[node], character.rotations[node], character.scales[node])
+    if not gltf.document.get("skins"):  # the sign by which players take nodes for bones
+        inside = character.under([moved.hips])
+        gltf.document["skins"] = [{"joints": [character.node_ids[node] for node in np.flatnonzero(inside)]}]
     shifts = {} if moved.translations is None else {moved.hips: moved.translations}
     motion = NodeMotion(character.names, character.parents, character.translations, character.rotations,
                         moved.rotations, shifts, {}, moved.fps)

@@ -159,7 +159,7 @@ def transform(translation: Array, turn: Array, scale: Array) -> dict[str, Any]:
 
 
 def open_gltf(path: Path) -> GltfDocument:
-    """Read a .glb, .vrm or .gltf file with all buffers joined and all images embedded, each file once.
+    """Read a .glb, .vrm, .gltf or .fbx file with all buffers joined and all images embedded, each file once.
 
     `InputError` for an invalid file or a missing separate file.
     """

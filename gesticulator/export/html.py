@@ -156,10 +156,10 @@ def character_data(rig: Character, joints: Mapping[str, int], face: FaceMotion |
     """The page's data of a character: its file as GLB, our joint -> its node in the file and, if faces are shown like
     `face`, `gesticulator.face.page`. A file of more than `LARGEST_CHARACTER` bytes is omitted, and the page says
     so."""
-    # A .gltf keeps its buffers beside it; the page needs one file.
+    # A .gltf keeps its buffers beside it, and a page reads no FBX.
     path = rig.path
     name = title_of(path) + path.suffix
-    file = open_gltf(path).to_bytes() if path.suffix.lower() == ".gltf" else path.read_bytes()
+    file = open_gltf(path).to_bytes() if path.suffix.lower() in (".gltf", ".fbx") else path.read_bytes()
     if len(file) > LARGEST_CHARACTER:
         return {"notice": f"{name} is too large to be kept in the page. Drop the file here to see it."}
     data: dict[str, Any] = {"name": name, "data": _base64(file), "joints": dict(joints)}

@@ -20,10 +20,6 @@ _CHUNK = 1024
 """Frames whose matrices are computed at a time, to bound memory."""
 
 
-_UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-"""Rotates Z up, facing -Y, to Y up, facing +Z."""
-
-
 @dataclass(frozen=True)
 class NodeMotion:
     """N nodes, parents before children, over T frames; frame t is the pose at t / fps seconds.
@@ -100,8 +96,6 @@ def of_character(moved: CharacterMotion) -> NodeMotion:
     character = moved.character
     nodes = _joints_below(character, moved.hips, {*np.flatnonzero(character.skinned).tolist(), *moved.moved})
     rest, world = character.world_matrices(), moved.world_matrices()
-    if character.kind == "fbx":  # as Blender reads it: Z up
-        rest, world = _UPRIGHT @ rest, _UPRIGHT @ world
     rest_turns, turns = (_turns(matrices[..., nodes, :, :]) for matrices in (rest, world))
     parents = [nodes.index(character.parents[node]) if node != moved.hips else -1 for node in nodes]
     # From here on metres; node scales are contained in the places.

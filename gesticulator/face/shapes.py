@@ -7,7 +7,7 @@ shapes of a character stand for them, and `jaw_angles` is for a character with a
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -111,51 +111,64 @@ def vrm(face: FaceMotion) -> dict[str, Array]:
 
 # --------------------------------------------------------------------------------------------------- finding shapes
 
-def _plain(name: str) -> str:
-    """A name without case, separators, and the prefixes that tools put before it."""
-    name = re.sub(r"^.*[.:]", "", name)
-    return re.sub(r"[^a-z0-9]", "", re.sub(r"^(ctrl_expressions_|bs_|blendshape\d*_|morph_)", "", name.lower()))
-
-
-def _sided(name: str) -> str:
-    """ARKit's name with the sides of other spellings: browDown_L, eyeBlinkL."""
-    return re.sub(r"(left|right)$", lambda side: side[0][0], _plain(name))
-
-
-_ARKIT_NAMES = {_plain(name): name for name in ARKIT} | {_sided(name): name for name in ARKIT if name != _sided(name)}
-# The controls of MetaHuman are ARKit's in other words.
+# Words of MetaHuman for shapes of ARKit; a name or a curve without a side is for both.
 _METAHUMAN = {
-    "eyeblinkl": "eyeBlinkLeft", "eyeblinkr": "eyeBlinkRight", "eyelookleftl": "eyeLookOutLeft",
-    "eyelookrightl": "eyeLookInLeft", "eyelookleftr": "eyeLookInRight", "eyelookrightr": "eyeLookOutRight",
-    "browraiseinl": "browInnerUp", "browraiseinr": "browInnerUp", "browraiseouterl": "browOuterUpLeft",
-    "browraiseouterr": "browOuterUpRight", "mouthcornerpulll": "mouthSmileLeft", "mouthcornerpullr": "mouthSmileRight",
-    "mouthcornerdepressl": "mouthFrownLeft", "mouthcornerdepressr": "mouthFrownRight",
-    "mouthstretchl": "mouthStretchLeft",
-    "mouthstretchr": "mouthStretchRight", "mouthlowerlipdepressl": "mouthLowerDownLeft",
-    "mouthlowerlipdepressr": "mouthLowerDownRight", "mouthupperlipraisel": "mouthUpperUpLeft",
-    "mouthupperlipraiser": "mouthUpperUpRight", "mouthfunneldl": "mouthFunnel", "mouthfunneldr": "mouthFunnel",
-    "mouthfunnelul": "mouthFunnel", "mouthfunnelur": "mouthFunnel", "mouthlipspursedl": "mouthPucker",
-    "mouthlipspursedr": "mouthPucker", "mouthlipspurseul": "mouthPucker", "mouthlipspurseur": "mouthPucker",
-    "mouthlipspressl": "mouthPressLeft", "mouthlipspressr": "mouthPressRight"}
-# Reallusion's Character Creator, Mixamo (Fuse), VRChat and Japanese names -> a shape of ARKit or a viseme, and a share.
-_TOOLS: dict[str, tuple[str, float]] = {
-    "vopen": ("viseme_aa", 1.0), "vexplosive": ("viseme_PP", 1.0), "vdentallip": ("viseme_FF", 1.0),
-    "vtonguecurlu": ("viseme_RR", 0.5), "vtighto": ("viseme_ou", 1.0), "vaffricate": ("viseme_CH", 1.0),
-    "vwide": ("viseme_ih", 1.0), "vlipopen": ("viseme_DD", 1.0), "vtight": ("viseme_SS", 0.5),
-    "eyeblinkl": ("eyeBlinkLeft", 1.0), "eyeblinkr": ("eyeBlinkRight", 1.0), "eyeblink": ("eyeBlinkLeft", 1.0),
-    "browraiseinnerl": ("browInnerUp", 1.0), "browraiseinnerr": ("browInnerUp", 1.0),
-    "browraiseouterl": ("browOuterUpLeft", 1.0), "browraiseouterr": ("browOuterUpRight", 1.0),
-    "mouthsmilel": ("mouthSmileLeft", 1.0), "mouthsmiler": ("mouthSmileRight", 1.0),
-    "blinkleft": ("eyeBlinkLeft", 1.0), "blinkright": ("eyeBlinkRight", 1.0), "blink": ("eyeBlinkLeft", 1.0),
-    "mouthopen": ("opening", 1.0), "browsupleft": ("browOuterUpLeft", 1.0), "browsupright": ("browOuterUpRight", 1.0),
-    "smileleft": ("mouthSmileLeft", 1.0), "smileright": ("mouthSmileRight", 1.0),
-    "mouthnarrowleft": ("mouthPucker", 1.0), "mouthnarrowright": ("mouthPucker", 1.0),
-    "a": ("vrm_aa", 1.0), "i": ("vrm_ih", 1.0), "u": ("vrm_ou", 1.0), "e": ("vrm_ee", 1.0), "o": ("vrm_oh", 1.0),
-    "あ": ("vrm_aa", 1.0), "い": ("vrm_ih", 1.0), "う": ("vrm_ou", 1.0), "え": ("vrm_ee", 1.0), "お": ("vrm_oh", 1.0),
-    "まばたき": ("eyeBlinkLeft", 1.0)}
-_OCULUS_NAMES = {_plain(f"{prefix}{name}"): f"viseme_{name}" for name in VISEMES for prefix in ("viseme_", "v_")} | {
-    "visemei": "viseme_ih", "visemeo": "viseme_oh", "visemeu": "viseme_ou"}
+    "eyeLookLeftLeft": "eyeLookOutLeft", "eyeLookRightLeft": "eyeLookInLeft", "eyeLookLeftRight": "eyeLookInRight",
+    "eyeLookRightRight": "eyeLookOutRight", "browRaiseIn": "browInnerUp", "browRaiseOuter": "browOuterUp",
+    "mouthCornerPull": "mouthSmile", "mouthCornerDepress": "mouthFrown", "mouthLowerLipDepress": "mouthLowerDown",
+    "mouthUpperLipRaise": "mouthUpperUp", "mouthFunnelD": "mouthFunnel", "mouthFunnelU": "mouthFunnel",
+    "mouthLipsPurseD": "mouthPucker", "mouthLipsPurseU": "mouthPucker", "mouthLipsPress": "mouthPress"}
+# Those of Reallusion's Character Creator, Mixamo (Fuse), VRChat, VRoid, Unity-chan, and Japanese ones.
+_TOOLS = {
+    "vOpen": "viseme_aa", "vExplosive": "viseme_PP", "vDentalLip": "viseme_FF", "vTongueCurlU": "viseme_RR",
+    "vTightO": "viseme_ou", "vAffricate": "viseme_CH", "vWide": "viseme_ih", "vLipOpen": "viseme_DD",
+    "vTight": "viseme_SS", "mouthOpen": "opening", "mouthNarrow": "mouthPucker", "mouthSmile": "mouthSmile",
+    "smileLeft": "mouthSmileLeft", "smileRight": "mouthSmileRight", "browRaiseInner": "browInnerUp",
+    "browRaiseOuter": "browOuterUp", "browsUp": "browOuterUp",
+    **dict.fromkeys(("blink", "eyeBlink", "eyesBlink", "eyeClose", "eyesClose", "eyesClosed"), "eyeBlink"),
+    "eyeDefC": "vrm_blink", "まばたき": "vrm_blink"}
+_HALF = ("vtonguecurlu", "vtight")
+"""Names of `_TOOLS` whose shape is twice as strong as its curve."""
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[^\W\d_a-zA-Z]+")
+_SAME = {"mth": "mouth", "mouse": "mouth"}
+"""Words of tools for another word."""
+
+
+def _spelled(table: Mapping[str, str]) -> dict[str, str]:
+    """Every spelling of the names of a table in lower case -> curve: their side in full or as a letter, before the name
+    or behind it."""
+    known = {*ARKIT, "opening", "vrm_blink", *(f"viseme_{name}" for name in VISEMES)}
+    out: dict[str, str] = {}
+    for name, curve in table.items():
+        stem = re.sub("(Left|Right)$", "", name)
+        for side in (name.removeprefix(stem),) if stem != name else ("", "Left", "Right"):
+            other = "vrm_blink" if curve == "eyeBlink" else f"{curve}Left"
+            sided = next(each for each in (curve, curve + side, other) if each in known)
+            key, side = stem.lower(), side.lower()
+            out |= dict.fromkeys((key + side, key + side[:1], side + key, side[:1] + key), sided)
+    return out
+
+
+_NAMES = {
+    "arkit": _spelled(_METAHUMAN | {name: name for name in ARKIT}),
+    "visemes": {prefix + name.lower(): f"viseme_{name}" for name in VISEMES for prefix in ("viseme", "v")}
+    | {"visemei": "viseme_ih", "visemeo": "viseme_oh", "visemeu": "viseme_ou"},
+    "tools": _spelled(_TOOLS)}
+"""Kind of shapes -> a name's last words in lower case, joined -> the curve."""
+_VOWELS = {name: f"vrm_{vowel}" for vowel, names in {
+    "aa": "a aa ah あ", "ih": "i ih い", "ou": "u ou uu う", "ee": "e ee え", "oh": "o oh お"}.items()
+           for name in names.split()}
+_PHONES = {name: f"viseme_{viseme}" for viseme, names in {
+    "PP": "pp mbp bmp m p", "FF": "ff fv f v", "TH": "th", "DD": "dd td d t", "kk": "kk k g", "CH": "ch sh",
+    "SS": "ss s z", "nn": "nn n", "RR": "rr er", "aa": "aa a ai ah", "E": "e eh", "ih": "ih i ee iy", "oh": "oh o ow",
+    "ou": "ou u oo uw wq w"}.items() for name in names.split()}
+_RHUBARB = {"a": "viseme_PP", "b": "viseme_SS", "c": "viseme_E", "d": "viseme_aa", "e": "viseme_oh", "f": "viseme_ou",
+            "g": "viseme_FF", "h": "viseme_nn"}
+"""The mouths of Preston Blair's series, which Rhubarb and 2-D animators call A to H."""
 _LIPS = ("jaw", "mouth", "tongue", "viseme", "vrm", "opening", "cheekPuff")
+SPEECH = tuple(name for name in ARKIT if re.sub("(Left|Right)$", "", name) in {
+    shape for mouth in _MOUTHS.values() for shape in mouth if shape not in ("tongueOut", "mouthSmile")})
+"""ARKit's shapes that speech moves."""
 
 
 def curves(face: FaceMotion) -> dict[str, Array]:
@@ -166,23 +179,53 @@ def curves(face: FaceMotion) -> dict[str, Array]:
 
 def find_shapes(names: Iterable[str]) -> dict[str, tuple[str, float]]:
     """Shape of a character -> the curve of `curves` that drives it, and its share. One kind of mouth is chosen, the
-    richest: ARKit's or MetaHuman's (with jawOpen), Oculus visemes, those of tools, VRM's vowels. Empty if none is
-    known."""
-    known = list(dict.fromkeys(names))
-    ways = {
-        "arkit": {name: (curve, 1.0) for name in known
-                  if (curve := _ARKIT_NAMES.get(_plain(name)) or _METAHUMAN.get(_plain(name)))},
-        "oculus": {name: (curve, 1.0) for name in known if (curve := _OCULUS_NAMES.get(_plain(name)))},
-        "tools": {name: tool for name in known if (tool := _TOOLS.get(_plain(name) or name.lower()))}}
+    richest: ARKit's or MetaHuman's (with jawOpen), Oculus visemes, those of tools, vowels. Empty if none is known.
+
+    A name counts by its last words, whatever their case, what separates them, and what is before them: a prefix is the
+    mesh's or the tool's. Names of one or two letters count only as several with one prefix.
+    """
+    ways: dict[str, dict[str, tuple[str, float]]] = {kind: {} for kind in (*_NAMES, "vowels")}
+    groups: dict[str, dict[str, str]] = {}
+    for name in dict.fromkeys(names):
+        words = [_SAME.get(word.lower(), word.lower()) for word in _WORD.findall(name)]
+        tails = ["".join(words[first:]) for first in range(len(words))]
+        tail = next((tail for tail in tails if _known(tail)), "")
+        before = words[:tails.index(tail)] if tail else words[:-1]
+        ends = range(len(before) + 1)
+        if tail and any(_known("".join(before[first:last])) for last in ends for first in range(last)):
+            continue  # a correction, of two shapes at once
+        for kind, table in _NAMES.items():
+            if tail in table:
+                ways[kind][name] = table[tail], 0.5 if tail in _HALF else 1.0
+        if words and not tail:
+            groups.setdefault("".join(before), {}).setdefault(words[-1], name)
+    for prefix, rows in groups.items():
+        vowels = _RHUBARB if {"b", "c", "d"} <= rows.keys() else _VOWELS
+        consonants = len(rows.keys() & (_PHONES.keys() - _VOWELS.keys() - {"ai", "eh"})) > 2
+        table, kind = (_PHONES, "visemes") if consonants and vowels is _VOWELS else (vowels, "vowels")
+        known = {table[word]: name for word, name in reversed(rows.items()) if word in table}
+        if len(known) >= _FEWEST_LETTERS or not prefix:
+            ways[kind] |= {name: (curve, 1.0) for curve, name in known.items()}
     # A character often has shapes of several kinds; driving two of them at once would open the mouth twice.
-    mouth = next((way for way, least in (("arkit", 3), ("oculus", 5), ("tools", 1))
-                  if sum(is_lips(curve) for curve, _ in ways[way].values()) >= least
-                  and (way != "arkit" or any(curve == "jawOpen" for curve, _ in ways[way].values()))), "")
-    chosen = {name: driver for name, driver in ways.get(mouth, {}).items() if is_lips(driver[0])}
+    mouth = next((way for way, least in _CHOICE if len(
+        lips := {curve for curve, _ in ways[way].values() if is_lips(curve)}) >= least
+        and (way != "arkit" or least == 1 or "jawOpen" in lips)), "arkit")
+    chosen = {name: driver for name, driver in ways[mouth].items() if is_lips(driver[0])}
     # Lids and brows come from whatever kind has them: those do not add up with the mouth.
     for way in ways.values():
         chosen |= {name: driver for name, driver in way.items() if not is_lips(driver[0]) and name not in chosen}
-    return chosen
+    sided = any(curve == "eyeBlinkRight" for curve, _ in chosen.values())
+    return {name: driver for name, driver in chosen.items() if not (sided and driver[0] == "vrm_blink")}
+
+
+_CHOICE = (("arkit", 3), ("visemes", 5), ("tools", 3), ("vowels", 3), ("tools", 1), ("vowels", 1), ("arkit", 1))
+"""Kinds of mouths in the order of their worth, and the least different curves of the lips that each takes."""
+_FEWEST_LETTERS = 3
+"""Least different names of one or two letters behind one prefix that are taken for sounds."""
+
+
+def _known(words: str) -> bool:
+    return any(words in table for table in _NAMES.values())
 
 
 def is_lips(curve: str) -> bool:
