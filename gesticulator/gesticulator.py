@@ -53,8 +53,7 @@ class Gesticulator:
 
     @classmethod
     def from_pretrained(cls, path: str | os.PathLike[str] | None = None, revision: str | None = None) -> Gesticulator:
-        """Load a bundle: "default" (also if none is given), "paper", a folder, or the id "org/name" of a hub, which is
-        downloaded once (extra `hub`); revision: its branch, tag or commit.
+        """Load a bundle: "default" (also if none is given), "paper", a folder, or "org/name" of a hub, at a revision.
 
         Output is bit for bit reproducible on one machine with the same number of threads.
         """

@@ -298,8 +298,8 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
                       help="which nodes are which joints, if they are not identified automatically")
     body.add_argument("--save-mapping", metavar="FILE.json", help="write the joint mapping, to check or correct it")
     body.add_argument("--no-contacts", action="store_true", help="do not keep the hands outside the trunk")
-    p.add_argument("--bundle", metavar="NAME|DIR", help="trained weights: default, paper (both papers in their own "
-                   "form), or a folder (default: default)")
+    p.add_argument("--bundle", metavar="NAME", help="trained weights: default, paper (both papers in their own form), "
+                   "a folder, or ORG/NAME of a hub (default: default)")
     # One thread: blocks are small, and threads that wait for each other cost more than they gain.
     p.add_argument("--threads", type=number("threads"), default=1, metavar="N",
                    help="threads of matrix products; they affect the last bits of the output (default 1, usually the "

@@ -18,6 +18,7 @@ from eval.commands import PLOT
 from eval.metrics.encode import encode_motion, normalised_blocks
 from eval.pictures import embedding, lexicon_sheet
 from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.files import NAMED
 
 
 def test_neighbours_and_embedding_of_two_heaps() -> None:
@@ -36,7 +37,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two takes, one of a performer whom the shipped bundle knows."""
     folder = tmp_path_factory.mktemp("map") / "store"
     writer = StoreWriter(folder, "tones", {}, 0, "none")
-    for split, speaker in (("train", bundles.load(bundles.SHIPPED).speakers[0]), ("test", "somebody")):
+    for split, speaker in (("train", bundles.load(NAMED["default"]).speakers[0]), ("test", "somebody")):
         own = perform(6.0, seed=len(split), fps=50.0)
         writer.add(Recording(RecordingInfo(split, split, speaker, "tone", "en"), own.speech, own.motion))
     writer.finish(["train", "test"])
@@ -60,18 +61,18 @@ def test_the_sheet_shows_the_lexemes_that_are_used(store: Path, tmp_path: Path,
     shares = [float(title.rsplit(", ", 1)[1].removesuffix(" %")) for title in told]
     assert 1 < len(told) <= lexicon_sheet.MOST and shares == sorted(shares, reverse=True) and 0 < sum(shares) <= 101
     silent = {int(title.split()[0]) for title in told if "(silent)" in title}
-    assert silent <= set(bundles.load(bundles.SHIPPED).silent.tolist())
+    assert silent <= set(bundles.load(NAMED["default"]).silent.tolist())
 
 
 def test_labels_are_the_nearest_lexemes(store: Path) -> None:
-    bundle, own = bundles.load(bundles.SHIPPED), Store.open(store).load("train")
+    bundle, own = bundles.load(NAMED["default"]), Store.open(store).load("train")
     read = encode_motion(bundle, own.motion, cut(own.speech, bundle.config.rhythm), own.info.speaker)
     gaps = np.square(read.latents.numpy()[:, None] - bundle.lexicon.vectors.numpy()).sum(axis=2)
     np.testing.assert_allclose(gaps[np.arange(len(gaps)), read.labels], gaps.min(axis=1), rtol=1e-3, atol=1e-5)
 
 
 def test_an_unknown_performer_is_centred_on_their_own_pose(store: Path) -> None:
-    bundle, own = bundles.load(bundles.SHIPPED), Store.open(store).load("test")
+    bundle, own = bundles.load(NAMED["default"]), Store.open(store).load("test")
     poses, _ = normalised_blocks(bundle.config, bundle.statistics, own.motion, cut(own.speech, bundle.config.rhythm),
                                  own.info.speaker)
     # Joints that the store has not are at zero, where their mean is.

@@ -549,7 +549,7 @@ def test_the_player_shows_the_frame_of_the_sound_that_is_heard() -> None:
     (["--port", "99999"], "port 99999"), (["--host", "no.such.host.invalid"], "no.such.host.invalid"),
     (["--host", "0.0.0.0"], "--token-file"), (["--streams", "0"], "limits.streams"),
     (["--vmc", "nowhere"], "HOST:PORT"),
-    (["--bundle", "/no/such/folder"], "is not a folder"), (["--drain-seconds", "nan"], "limits.drain_seconds"),
+    (["--bundle", "/no/such/folder"], "is not a bundle"), (["--drain-seconds", "nan"], "limits.drain_seconds"),
     (["--threads", "0"], "--threads")])
 def test_what_cannot_be_served_is_told_in_one_line(arguments: list[str], wrong: str,
                                                    capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,6 +10,7 @@ import pytest
 from data_module.motion.skeletons import CHARACTERS
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.features import LEAST_MOVEMENT, Normaliser, Statistics, control_rows
+from gesticulator.bundle.files import NAMED
 from gesticulator.training.presets import preset
 from gesticulator.training.stages.measured import measured, resting
 
@@ -80,7 +81,7 @@ def test_a_joint_that_no_source_has_is_absent_though_its_numbers_are_not_quite_e
 
 
 def test_control_rows_are_standardised_and_say_what_is_asked() -> None:
-    levels = bundles.load(bundles.SHIPPED).levels
+    levels = bundles.load(NAMED["default"]).levels
     assert levels is not None
     given = np.array([True, False, True])
     rows = control_rows(levels, levels.mean + 2 * levels.spread, given)

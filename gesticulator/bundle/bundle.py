@@ -28,7 +28,6 @@ from gesticulator.bundle.files import (
     CARD,
     ENDING,
     INDEX,
-    NAMED,
     TIED,
     Weights,
     lexicon_hash,
@@ -71,9 +70,6 @@ if TYPE_CHECKING:
 __all__ = ["Bundle", "load"]
 
 P = TypeVar("P")
-SHIPPED = NAMED["default"]
-"""The shipped bundle that is used unless another is given; `gesticulator.bundle.files.bundle_folder` finds the others
-by name."""
 _STATISTICS = "statistics"
 
 

@@ -9,7 +9,6 @@ from gesticulator.cli import Command
 
 
 def _arguments(p: argparse.ArgumentParser) -> argparse._SubParsersAction[argparse.ArgumentParser]:
-    """Adds `inspect`; returns the table of verbs, to which others are added."""
     verbs = p.add_subparsers(required=True)
     inspect = verbs.add_parser("inspect", help="show the content, sizes and training data of a bundle")
     inspect.add_argument("bundle", nargs="?", metavar="BUNDLE",

@@ -129,7 +129,6 @@ def serve(args: argparse.Namespace, address: ServerAddress, limits: ServerLimits
     import numpy as np
 
     from data_module.speech.audio import SAMPLE_RATE
-    from gesticulator.bundle.files import bundle_folder
     from gesticulator.gesticulator import Gesticulator
     from gesticulator.live.server import LiveServer, live_pages
     from gesticulator.live.session import session_opener
@@ -137,17 +136,15 @@ def serve(args: argparse.Namespace, address: ServerAddress, limits: ServerLimits
     from gesticulator.options import RANGES
 
     RANGES["threads"].check("--threads", args.threads)
-    # Errors come before the models are loaded, which takes seconds.
+    # Errors come before the port is opened; each model is loaded when it is first used.
     output = None if args.vmc is None else VmcOutput(args.vmc)
-    if not bundle_folder(args.bundle).is_dir():
-        raise InputError(args.bundle or "--bundle", "is not a folder", "give default, paper, or a trained bundle")
+    gesticulator = Gesticulator.from_pretrained(args.bundle)
     _log_to_stderr()
     # Beside a stream's small matrix products further threads wait in a loop, which costs more than the stream.
     with address.listen() as listening, limited_threads(args.threads):
         host, port = listening.getsockname()[:2]
         LOG.info("listening on ws://%s:%d/stream, /healthz, /readyz and /metrics", f"[{host}]" if ":" in host else host,
                  port)
-        gesticulator = Gesticulator.from_pretrained(args.bundle)
         # The first stream would otherwise wait for the models to be loaded. Silence would not reach the generator.
         noise = np.random.default_rng(0).normal(0.0, 0.05, 2 * SAMPLE_RATE)
         gesticulator.stream(text=gesticulator.reads_text).feed(noise.astype(np.float32))

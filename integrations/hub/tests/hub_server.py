@@ -1,4 +1,4 @@
-"""A hub on this machine: the part of the interface of huggingface.co that reads and writes the repositories of models."""
+"""A hub on this machine: the part of the interface of huggingface.co that reads and writes repositories of models."""
 
 from __future__ import annotations
 
