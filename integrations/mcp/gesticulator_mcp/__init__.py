@@ -1,0 +1,1 @@
+"""Gestures as tools of a language model, by the Model Context Protocol."""
