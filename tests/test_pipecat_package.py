@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from gesticulator.plan.gestures import EXPRESSIONS, REPERTOIRE, mark_of
+
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "integrations" / "pipecat-gesticulator"
 OURS = {"data_module", "lexicon", "interpreters", "generator", "gesticulator", "eval"}
@@ -34,6 +36,15 @@ def test_it_imports_nothing_of_the_gpl_packages() -> None:
                           capture_output=True, text=True, check=True)
     loaded = set(ast.literal_eval(done.stdout))
     assert "pipecat_gesticulator" in loaded and not loaded & OURS and "torch" not in loaded
+
+
+def test_the_tools_name_gestures_and_moods_of_the_repertoire() -> None:
+    from pipecat_gesticulator.tools import NAMES, STYLES
+
+    assert set(NAMES) == {name for name, gesture in REPERTOIRE.items() if gesture.core}
+    assert set(STYLES) <= set(EXPRESSIONS)
+    prompt = (ROOT / "docs" / "marks.md").read_text()
+    assert [name for name in NAMES if mark_of(name) not in prompt.replace("\n", " ")] == []
 
 
 def test_it_has_its_own_licence_and_the_notice_names_it() -> None:

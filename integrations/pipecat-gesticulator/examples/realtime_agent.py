@@ -33,13 +33,13 @@ SILENCE = 2.0
 class Recorder:
     """Sound and poses of a conversation, by media time."""
 
-    def __init__(self) -> None:
-        self.sound = np.zeros(0, np.int16)
+    def __init__(self, rate: int = RATE) -> None:
+        self.rate, self.sound = rate, np.zeros(0, np.int16)
         self.poses: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
     def play(self, sound: bytes, begin: float) -> None:
         """Sound at a media time; what was there is replaced."""
-        at, samples = round(begin * RATE), np.frombuffer(sound, "<i2")
+        at, samples = round(begin * self.rate), np.frombuffer(sound, "<i2")
         self.sound = np.concatenate([self.sound[:at], np.zeros(max(0, at - len(self.sound)), np.int16), samples])
 
     def show(self, poses: Poses) -> None:
@@ -53,7 +53,7 @@ class Recorder:
         with wave.open(str(sound), "wb") as file:
             file.setnchannels(1)
             file.setsampwidth(2)
-            file.setframerate(RATE)
+            file.setframerate(self.rate)
             file.writeframes(self.sound.astype("<i2").tobytes())
         rotations, root = zip(*(self.poses[number] for number in sorted(self.poses)), strict=True)
         np.savez(poses, rotations=np.array(rotations), root_positions=np.array(root), fps=fps)

@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pipecat.adapters.llm.schemas.function_schema import FunctionSchema
+from pipecat.adapters.llm.schemas.tools_schema import ToolsSchema
 from pipecat.frames.frames import (
     AggregatedTextFrame,
     CancelFrame,
@@ -39,6 +41,7 @@ from pipecat_gesticulator.marks import timed_words, without_marks
 from pipecat_gesticulator.messages import hello_messages, pose_messages, to_rtvi
 from pipecat_gesticulator.protocol import Hello, Poses, Welcome
 from pipecat_gesticulator.resuming import ResumingStream, connect_resuming
+from pipecat_gesticulator.tools import TOOLS, GestureCalls
 
 TICK_SECONDS = 0.05
 """How often idle motion is asked for while nobody speaks; poses of idle time come so much late."""
@@ -88,6 +91,8 @@ class GesticulatorProcessor(FrameProcessor):
         patience: seconds for which a lost server is waited for. messages: send the poses to the client, too."""
         super().__init__(**kwargs)
         self._url, self._patience, self._messages = url, patience, messages
+        self.calls = GestureCalls()
+        """What a language model called for (`register_tools`)."""
         self._greeted = -math.inf
         """time.monotonic() at which the skeleton was sent to the client."""
         self._asked = {"fps": fps, "seed": seed, "options": {"keep_up": True, **(options or {})}, "token": token}
@@ -113,6 +118,15 @@ class GesticulatorProcessor(FrameProcessor):
         """Whether the synthesiser tells when it says each word, so that nothing is estimated."""
         self._began: tuple[int, float] | None = None
         """Pipeline time (nanoseconds) and media time at which the sound of this answer began."""
+
+    def register_tools(self, llm: Any) -> ToolsSchema:
+        """Let a language model call make_gesture and set_mood; the tools for its context. With the option "text"."""
+        async def carry_out(params: Any) -> None:
+            await params.result_callback(self.calls.call(params.function_name, params.arguments))
+
+        for tool in TOOLS:
+            llm.register_function(tool["name"], carry_out)
+        return ToolsSchema(standard_tools=[FunctionSchema(**tool) for tool in TOOLS])
 
     def media_time(self) -> float:
         """The media time that is played now, seconds, where sound is played as it comes."""
@@ -155,7 +169,7 @@ class GesticulatorProcessor(FrameProcessor):
         elif isinstance(frame, AggregatedTextFrame):
             if self._text and not self._timed and frame.will_be_spoken:
                 self._measure()
-                self._sentence = frame.text
+                self._sentence = self.calls.marked(frame.text)
         elif isinstance(frame, TTSStoppedFrame):
             self._measure()
             self._began = None
@@ -164,6 +178,7 @@ class GesticulatorProcessor(FrameProcessor):
             at = self.media_time()
             self._sent, self._play_end, self._letters = at, time.monotonic(), 0
             self._sentence, self._began = "", None
+            self.calls.forget()
             self._order(lambda stream: stream.interrupt(at))
         elif isinstance(frame, UserStartedSpeakingFrame):
             self._user_speaks = True
@@ -189,7 +204,8 @@ class GesticulatorProcessor(FrameProcessor):
             return
         begun, said_at = self._began
         start = said_at + max(0.0, (frame.pts - begun) / 1e9)
-        for first in range(0, len(words := timed_words(frame.text, start, self._letter)), MOST_WORDS):
+        words = timed_words(self.calls.marked(frame.text), start, self._letter)
+        for first in range(0, len(words), MOST_WORDS):
             self._order(_words(words[first:first + MOST_WORDS]))
 
     def _say(self) -> None:

@@ -48,8 +48,9 @@ class RealtimeGestures:
     """
 
     def __init__(self, stream: ResumingStream, play: Play | None = None,
-                 clock: Callable[[], float] = time.monotonic) -> None:
-        self._stream, self._play, self._clock = stream, play, clock
+                 clock: Callable[[], float] = time.monotonic, rate: int = RATE) -> None:
+        """rate: of the sound of stream and events, hertz."""
+        self._stream, self._play, self._clock, self._rate = stream, play, clock, rate
         self._sent, self._play_end = 0.0, clock()
         self._item: _Item | None = None
         self._response, self._dropped = "", ""
@@ -59,6 +60,11 @@ class RealtimeGestures:
     def time(self) -> float:
         """The media time that is played now, seconds."""
         return max(0.0, self._sent - max(0.0, self._play_end - self._clock()))
+
+    @property
+    def end(self) -> float:
+        """The media time at which the sound ends that was taken so far, seconds."""
+        return self._sent
 
     async def take(self, event: dict[str, Any]) -> list[dict[str, Any]]:
         """An event of the API's server; returns events to be sent back."""
@@ -79,7 +85,7 @@ class RealtimeGestures:
     async def user_sound(self, sound: bytes) -> None:
         """Sound of the user, as it is sent to the API: the character nods in its pauses."""
         if self._user_speaks and self._play_end <= self._clock():
-            self._count(len(sound) / 2 / RATE)
+            self._count(len(sound) / 2 / self._rate)
             await self._stream.send(sound)
 
     async def tick(self) -> None:
@@ -101,8 +107,8 @@ class RealtimeGestures:
         if self._item is None or self._item.name != event["item_id"]:
             self._item = _Item(event["item_id"], event.get("content_index", 0), self._sent, self._sent)
         begin = self._sent
-        self._sent += len(sound) / 2 / RATE
-        self._play_end = max(self._play_end, self._clock()) + len(sound) / 2 / RATE
+        self._sent += len(sound) / 2 / self._rate
+        self._play_end = max(self._play_end, self._clock()) + len(sound) / 2 / self._rate
         self._item.end = self._sent
         if self._play is not None:
             self._play(sound, begin)
