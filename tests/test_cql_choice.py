@@ -7,6 +7,7 @@ import warnings
 import pytest
 
 from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.files import NAMED
 from gesticulator.gesticulator import Gesticulator, InterpreterWarning
 from gesticulator.options import InferenceOptions
 from gesticulator.training.presets import preset
@@ -14,7 +15,7 @@ from gesticulator.training.presets import preset
 
 @pytest.fixture(scope="module")
 def shipped() -> bundles.Bundle:
-    return bundles.load(bundles.SHIPPED)
+    return bundles.load(NAMED["default"])
 
 
 def temperature(system: Gesticulator, **asked: object) -> float:

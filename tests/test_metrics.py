@@ -19,6 +19,7 @@ from eval.context import EvalContext
 from eval.metrics.gesture_features import RawFeatures
 from eval.score import command as score
 from gesticulator.bundle import bundle as bundles
+from gesticulator.bundle.files import NAMED
 
 SECONDS, FPS, RATE = 12.0, 20.0, 16000
 NETWORK = "raw directions of 2 frames, 12 frames"
@@ -49,7 +50,7 @@ def clip(seed: int) -> Clip:
 def rows() -> dict[str, Any]:
     """metric -> figure, by row: the truth, the same again, and every control."""
     truth = {f"clip{seed}": clip(seed) for seed in range(6)}
-    context = EvalContext(models=bundles.load(bundles.SHIPPED), networks={NETWORK: RawFeatures(12)})
+    context = EvalContext(models=bundles.load(NAMED["default"]), networks={NETWORK: RawFeatures(12)})
     figures = score.score(context, common_clips({"truth": truth, "same": truth})).figures
     return {row: {("fgd" if key == NETWORK else key): score.mean_of(figures, row, key) for key in cells}
             for row, cells in figures.items()}

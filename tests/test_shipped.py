@@ -10,7 +10,7 @@ import pytest
 from eval.acceptance.rest import Rested
 from eval.table import load_with_provenance, markdown
 from gesticulator.bundle import bundle as bundles
-from gesticulator.bundle.files import CARD, read_index
+from gesticulator.bundle.files import CARD, NAMED, read_index
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.performance import Performance
 
@@ -23,12 +23,12 @@ def example(system: Gesticulator) -> Performance:
 
 
 def test_the_bundle_is_small_and_says_what_it_was_trained_on() -> None:
-    size = sum(file.stat().st_size for file in bundles.SHIPPED.iterdir())
+    size = sum(file.stat().st_size for file in NAMED["default"].iterdir())
     assert size < 25e6
-    index = read_index(bundles.SHIPPED)
+    index = read_index(NAMED["default"])
     assert index["config"]["name"] == "default"
     assert "LGPL" in index["provenance"]["licence"] and "SmartBody" in (ROOT / "NOTICE").read_text()
-    card = (bundles.SHIPPED / CARD).read_text()
+    card = (NAMED["default"] / CARD).read_text()
     assert index["provenance"]["fingerprint"] in card and "## Limits" in card
 
 
@@ -47,4 +47,4 @@ def test_the_example_is_gestured_in_speech_and_rests_in_its_pause(example: Perfo
 def test_the_stored_figures_are_those_of_the_shipped_weights() -> None:
     tables, about = load_with_provenance(ROOT / "docs/results/quality.json")
     assert markdown(tables, about) == (ROOT / "docs/results/quality.md").read_text(), "what is read is what is kept"
-    assert tables[0].facts["store"]["fingerprint"] == read_index(bundles.SHIPPED)["provenance"]["fingerprint"]
+    assert tables[0].facts["store"]["fingerprint"] == read_index(NAMED["default"])["provenance"]["fingerprint"]
