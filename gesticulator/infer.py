@@ -16,6 +16,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line, printable
+from data_module.files import opened
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
 from gesticulator.jobs import CharacterRequest, Job, RunSettings, infer_arguments, jobs_of, run_settings_of
 
@@ -108,12 +109,10 @@ def _process(jobs: Sequence[Job], settings: RunSettings) -> Callable[[str], floa
 
 def check_job(job: Job) -> None:
     """`InputError` if the recording cannot be processed, as far as can be known without reading it."""
-    from data_module.speech.audio import check_file
-
     if job.fault is not None:
         raise job.fault
     if job.source is not None:
-        check_file(job.source, any_length=True)
+        opened(job.source).close()
     elif sys.stdin is None or sys.stdin.isatty():
         raise InputError("standard input", "holds no recording", f"pipe one into {PROGRAM}, or name a file")
 
@@ -181,12 +180,11 @@ class Worker:
 
 
 def load(job: Job) -> Speech:
-    """The recording; warns if it is too quiet even after the requested gain."""
-    from data_module.speech.audio import amplified, level_note, load_speech
+    """The recording; warns if it is too quiet even after the requested gain, or no speech."""
+    from data_module.speech.audio import amplified, level_note, load_speech, music_note
 
-    speech = load_speech(job.source or sys.stdin.buffer, any_length=True)
-    note = level_note(amplified(speech, job.options.gain))
-    if note is not None:
+    speech = load_speech(job.source or sys.stdin.buffer)
+    for note in filter(None, (level_note(amplified(speech, job.options.gain)), music_note(speech))):
         complain(f"{PROGRAM}: warning: {job.name}: {note}")
     return speech
 
