@@ -20,13 +20,12 @@ from data_module.speech.audio import (
     SoundWarning,
     amplified,
     as_speech,
-    level_note,
     load_speech,
-    music_note,
     resample,
     write_flac,
 )
 from data_module.types import Samples, Speech
+from gesticulator.infer import level_note
 
 SPEECH = Path(__file__).parents[1] / "examples" / "speech.flac"
 FORMATS = [("wav", "WAV", "PCM_16"), ("flac", "FLAC", "PCM_16"), ("ogg", "OGG", "VORBIS"), ("mp3", "MP3", None)]
@@ -124,9 +123,10 @@ def test_samples_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
         refused(put(tmp_path, "nan.wav", encoded(sound, 48000, subtype="FLOAT")), "not a number", "at 3.2 s")
         feed = SampleFeed(48000)
         feed.take(sound[:48000 * 3])
-        for take in (lambda sound=sound: as_speech(sound, 48000), lambda sound=sound: feed.take(sound[48000 * 3:])):
-            with pytest.raises(InputError, match=r"not a number .* at 3.2 s"):
-                take()
+        with pytest.raises(InputError, match=r"not a number .* at 3.2 s"):
+            as_speech(sound, 48000)
+        with pytest.raises(InputError, match=r"not a number .* at 3.2 s"):
+            feed.take(sound[48000 * 3:])
     refused(put(tmp_path, "big.wav", encoded(tone(16000) * 30000, 16000, subtype="FLOAT")), "full scale")
     refused(put(tmp_path, "slow.wav", encoded(tone(500, 9.0), 500)), "500 samples per second")
 
@@ -211,12 +211,12 @@ def test_the_channel_with_the_speech_is_taken_where_a_mean_would_lose_it(tmp_pat
         np.testing.assert_allclose(speech.samples, resample(Speech(expected, 48000), SAMPLE_RATE).samples, atol=2e-5)
     lines = [str(remark.message) for remark in said]
     assert len(lines) == (0 if taken is None else 2)
-    assert all(f"channel {(taken or 0) + 1} of its {len(columns)} is taken" in line for line in lines)
+    assert all(f"channel {(taken or 0) + 1} is taken of {len(columns)}," in line for line in lines)
 
 
 def test_the_centre_of_vorbis_is_its_second_channel(tmp_path: Path) -> None:
     sound = np.stack([voice(2, 1), voice(), voice(2, 2), *3 * [0 * HUM]], axis=1)
-    with pytest.warns(SoundWarning, match="channel 2 of its 6"):
+    with pytest.warns(SoundWarning, match="channel 2 is taken of 6"):
         load_speech(put(tmp_path, "a.ogg", encoded(sound, 48000, "OGG", "VORBIS")))
 
 
@@ -292,9 +292,7 @@ def test_sound_is_found_by_content_whatever_holds_it_and_whenever_its_clock_star
         pytest.skip(f"FFmpeg without {codec}")
     rate = {"libspeex": 32000, "pcm_mulaw": 8000}.get(codec, 48000)
     data = contained(tone(rate), kind, codec, rate=rate, picture=kind == "vob")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        speech = load_speech(put(tmp_path, "a.sound", data))
+    speech = load_speech(put(tmp_path, "a.sound", data))
     assert abs(speech.duration - 2.0) < 0.09
     check_tone(speech, 0.1)
 
@@ -302,7 +300,7 @@ def test_sound_is_found_by_content_whatever_holds_it_and_whenever_its_clock_star
 def test_a_codec_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data = contained(tone(48000), "wav", "flac")
     monkeypatch.setitem(sys.modules, "av", None)
-    refused(put(tmp_path, "a.wav", data), "FLAC", "decoded")
+    refused(put(tmp_path, "a.wav", data), "codec", "PyAV")
 
 
 @pytest.mark.parametrize(("suffix", "law"), [("ul", "ULAW"), ("al", "ALAW")])
@@ -385,16 +383,3 @@ def test_what_harms_a_recording_is_said_and_a_good_one_passes_in_silence(tmp_pat
     assert _warned(tmp_path, samples, 8000) == []
     line, = _warned(tmp_path, samples, 5512)
     assert "5512 samples per second" in line
-
-
-def test_music_and_noise_are_told_from_voices() -> None:
-    rng, time = np.random.default_rng(0), np.arange(160_000) / 16000
-    notes = sum(np.sin(2 * np.pi * hertz * time) * ((time // 0.4).astype(int) % 4 == n) * np.exp(-2 * (time % 0.4))
-                for n, hertz in enumerate((262.0, 330.0, 392.0, 523.0)))
-    chords = sum(np.sin(2 * np.pi * hertz * time) for hertz in (220.0, 277.0, 330.0)) * (1.5 + np.sin(3 * time))
-    for sound in (notes, chords, rng.standard_normal(len(time))):
-        assert "music" in str(music_note(Speech((0.1 * sound).astype(np.float32), 16000)))
-    samples = load_speech(SPEECH).samples
-    noise = np.sqrt((samples ** 2).mean() / 10) * rng.standard_normal(len(samples))
-    for sound in (samples, samples + noise, np.concatenate([samples, np.zeros(10 * 16000), samples]), np.zeros(160_000)):
-        assert music_note(Speech(sound.astype(np.float32), 16000)) is None

@@ -18,24 +18,11 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias, cast
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.files import opened, write_bytes
-from data_module.speech.silence import (
-    FAINTEST_SPEECH,
-    MARGIN,
-    TYPICAL_LEVEL,
-    frame_levels,
-    loudness,
-)
-from data_module.speech.sound_files import (
-    BrokenSoundError,
-    NoSoundError,
-    Sound,
-    decoder,
-)
+from data_module.speech.sound_files import BrokenSoundError, NoSoundError, Sound, decoder
 from data_module.types import Samples, Speech
 
 __all__ = ["SoundWarning", "as_speech", "load_speech"]
@@ -49,8 +36,6 @@ SHORTEST = 0.3
 """Shortest recording, seconds; anything shorter has no block."""
 SOUNDS = (".flac", ".wav", ".mp3", ".ogg", ".opus", ".m4a", ".aac", ".webm", ".mp4", ".mkv", ".mov")
 """Suffixes of sound files, and of videos with sound, in order of preference."""
-LOW_LEVEL = -45.0
-"""Level of speech, dBFS, below which a recording is about 20 dB too low and quiet syllables get lost."""
 
 # Range of sample rates, hertz: below the first there is no intelligible speech, and no sound card exceeds the second.
 _LOWEST_RATE, _HIGHEST_RATE = 1000, 768_000
@@ -62,19 +47,13 @@ _FULL_SCALE = 16.0
 _MOST_CHANNELS = 1024
 # Channels (7.1) above which as few samples indicate the same.
 _USUAL_CHANNELS = 8
-# Numbers of channels with a centre: 5.1 and 7.1.
-_WITH_CENTRE = (6, 8)
-# Least power of a centre with speech, of that of the strongest channel: dialogue under music is 12 dB below, at most.
-_LEAST_CENTRE = 0.06
+# Numbers of channels with a centre (5.1, 7.1), and its least power with speech, of that of the strongest: -12 dB.
+_WITH_CENTRE, _LEAST_CENTRE = (6, 8), 0.06
 # Power of the mean of channels, of what it would be if they were unrelated, below which they cancel one another.
 _CANCELLED = 0.25
 # Levels that are told apart up to full scale; the share of samples at the loudest one above which a recording is
 # clipped, and their part of the samples within a hundredth of it: a sine has a fifth there, a cut wave nearly all.
 _LEVELS, _CLIPPED, _CUT_OFF = 2048, 0.002, 0.4
-# Loudest sample of a recording, times full scale, below which it is silence with a step and not clipped.
-_FAINT_TOP = 0.1
-# Seconds that are judged whether they are music, the least that can be, and the correlation from which on they are.
-_LISTENED, _LEAST_LISTENED, _MOST_STEADY = 60.0, 2.0, 0.28
 # Seconds that may be missing at the end, because of encoder padding and rounding.
 _CUT = 0.25
 
@@ -98,8 +77,7 @@ def load_speech(source: str | os.PathLike[str] | BinaryIO) -> Speech:
 
     def read(channel: int | None = None) -> tuple[Samples, _Survey]:
         with decoder(raw, name) as sound:
-            if not _LOWEST_RATE <= sound.rate <= _HIGHEST_RATE:
-                raise InputError(name, f"has {sound.rate} samples per second", "record at 8 kHz or more, or export it again")
+            _check_rate(sound.rate, name)
             survey = _Survey(sound.rate, sound.centre)
             return np.concatenate(list(_mono(sound, name, survey, channel))), survey
 
@@ -110,8 +88,7 @@ def load_speech(source: str | os.PathLike[str] | BinaryIO) -> Speech:
                 # Once more from its beginning: all channels of an hour would not fit into memory.
                 samples, _ = read(channel)
     except NoSoundError as error:
-        codec = f", as it holds {error}" if str(error) else ""
-        raise InputError(name, f"is not sound that can be decoded{codec}", "give a WAV, FLAC, OGG or MP3 file") from error
+        raise InputError(name, "is not sound that can be decoded", "give a WAV, FLAC, OGG or MP3 file") from error
     except OSError as error:
         raise InputError(name, f"cannot be read ({error.strerror or error})", "check the path and its rights") from None
     survey.warn(name, channel)
@@ -134,19 +111,16 @@ def as_speech(given: SpeechInput, sample_rate: float | None = None) -> Speech:
     survey.add(samples)
     channel = survey.channel()
     if len(samples) < SHORTEST * rate:
-        raise _too_short("speech", len(samples) / rate)
+        raise InputError("speech", f"lasts {len(samples) / rate:.2f} s, too short for a gesture",
+                         f"give {SHORTEST} s or more")
     survey.warn("speech", channel)
-    return Speech(_clipped(_mixed(samples, channel)), rate)
+    return Speech(np.clip(_mixed(samples, channel), -1.0, 1.0), rate)
 
 
-def _too_short(name: object, seconds: float) -> InputError:
-    return InputError(name, f"lasts {seconds:.2f} s, too short for a gesture", f"give {SHORTEST} s or more")
-
-
-def _check_rate(rate: float) -> None:
+def _check_rate(rate: float, name: object = "") -> None:
     if not _LOWEST_RATE <= rate <= _HIGHEST_RATE or rate != round(rate):
-        raise InputError(f"sample_rate {rate:g}", "is out of range",
-                         f"give {_LOWEST_RATE} to {_HIGHEST_RATE} samples per second")
+        raise InputError(name or f"sample_rate {rate:g}", f"{rate:g} samples per second are out of range",
+                         f"give {_LOWEST_RATE} to {_HIGHEST_RATE}")
 
 
 class SampleFeed:
@@ -170,7 +144,7 @@ class SampleFeed:
     def take(self, samples: NDArray[Any]) -> Samples:
         """The output at `SAMPLE_RATE` after some more samples [n] or [n, channels]; `InputError` for invalid samples,
         which are not taken."""
-        mono = _clipped(_mixed(_checked(np.asarray(samples), self.rate, self._taken), None))
+        mono = np.clip(_mixed(_checked(np.asarray(samples), self.rate, self._taken)), -1.0, 1.0)
         self._taken += len(mono)
         if self._gain:
             mono = np.clip(mono * 10.0 ** (self._gain / 20), -1.0, 1.0).astype(np.float32)
@@ -183,47 +157,6 @@ class SampleFeed:
         if self._resampler is None:
             return mono
         return np.clip(self._resampler.resample_chunk(mono, last=last), -1.0, 1.0).astype(np.float32)
-
-
-def header_seconds(name: Path) -> float:
-    """Length of a recording from its header, seconds; 0 if unknown."""
-    with contextlib.suppress(OSError, NoSoundError, InputError), name.open("rb") as raw, decoder(raw, name) as sound:
-        return sound.frames / sound.rate
-    return 0.0
-
-
-def level_note(speech: Speech) -> str | None:
-    """A note for the user on a recording whose level is far too low, with the gain to apply; None for others."""
-    frames = loudness(frame_levels(speech.samples, speech.sample_rate))
-    levels = frames.levels
-    if levels.max() <= FAINTEST_SPEECH:
-        return f"all of it is silence (its loudest 10 ms are at {levels.max():.0f} dBFS); record it again"
-    loud = levels > np.maximum(frames.floor + MARGIN, FAINTEST_SPEECH)
-    level = float(levels[loud].mean() if loud.any() else levels.max())
-    if level >= LOW_LEVEL:
-        return None
-    gain = round(TYPICAL_LEVEL - level)
-    return f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
-
-
-def music_note(speech: Speech) -> str | None:
-    """A note for the user on a recording that is music rather than a voice; None for others. Notes are held and pitch
-    glides: log spectra of loud moments 0.1 s apart, without their envelope, correlate by 0.03 to 0.19 in voices (29
-    readers) and by 0.3 to 0.8 in most music."""
-    rate = speech.sample_rate
-    samples, size = speech.samples[:round(_LISTENED * rate)], round(0.064 * rate)
-    if len(samples) < _LEAST_LISTENED * rate:
-        return None
-    spectra = np.abs(np.fft.rfft(sliding_window_view(samples, size)[::size // 2] * np.hanning(size)))[:, 4:256]
-    logs = np.log(spectra + 1e-4)
-    # The envelope is the mean of the bands 8 above and 8 below: 125 Hz.
-    fine = logs[:, 8:-8] - (logs[:, :-16] + logs[:, 16:]) / 2
-    fine /= np.maximum(np.linalg.norm(fine, axis=1, keepdims=True), 1e-6)
-    loud = spectra.sum(axis=1) > np.percentile(spectra.sum(axis=1), 40)
-    alike = (fine[:-3] * fine[3:]).sum(axis=1)[loud[:-3] & loud[3:]]
-    if len(alike) == 0 or alike.mean() < _MOST_STEADY:
-        return None
-    return "it sounds like music, and gestures follow whatever is loud in it; give the voice alone"
 
 
 def amplified(speech: Speech, decibels: float) -> Speech:
@@ -282,13 +215,9 @@ def _check_scale(samples: NDArray[np.floating[Any]], name: object, rate: float, 
                      "export it again from its source")
 
 
-def _mixed(samples: NDArray[np.floating[Any]], channel: int | None) -> NDArray[Any]:
+def _mixed(samples: NDArray[np.floating[Any]], channel: int | None = None) -> Samples:
     """[n, channels] as [n]: the mean of the channels, or one of them."""
-    return np.ascontiguousarray(samples.mean(axis=1) if channel is None else samples[:, channel])
-
-
-def _clipped(mono: NDArray[np.floating[Any]]) -> Samples:
-    return np.clip(mono, -1.0, 1.0).astype(np.float32)
+    return np.ascontiguousarray(samples.mean(axis=1) if channel is None else samples[:, channel], dtype=np.float32)
 
 
 class _Survey:
@@ -325,16 +254,16 @@ class _Survey:
 
     def warn(self, name: object, channel: int | None) -> None:
         if channel is not None:
-            centre = self._channels in _WITH_CENTRE and channel == self.centre
-            _warn(name, f"channel {channel + 1} of its {self._channels} is taken, " + (
-                "the centre of 5.1 or 7.1" if centre else "because mixed they cancel one another (one is inverted)"))
+            why = "of which it is the centre" if self._channels in _WITH_CENTRE and channel == self.centre \
+                else "which cancel one another when they are mixed"
+            _warn(name, f"channel {channel + 1} is taken of {self._channels}, {why}")
         if self.rate < _TELEPHONE_RATE:
-            _warn(name, f"has {self.rate} samples per second, at which consonants are lost; record it at 16 kHz or more")
+            _warn(name, f"has {self.rate} samples per second and so lacks consonants; record it at 16 kHz or more")
         top = int(np.flatnonzero(self._counts)[-1]) if self._counts.any() else 0
-        cut, near = self._counts[top], self._counts[math.ceil(0.99 * top):].sum()
-        if top > _FAINT_TOP * _LEVELS and cut > _CLIPPED * self._counts.sum() and cut > _CUT_OFF * near:
-            _warn(name, f"is clipped: {cut / self._counts.sum():.1%} of its samples are cut off, and strokes may follow "
-                        "the distortion; record it at a lower level")
+        cut, near = self._counts[top] / max(1, self._counts.sum()), self._counts[math.ceil(0.99 * top):].sum()
+        # What is never louder than a tenth of full scale is silence with a step.
+        if top > 0.1 * _LEVELS and cut > _CLIPPED and self._counts[top] > _CUT_OFF * near:
+            _warn(name, f"is clipped ({cut:.1%} of its samples), and strokes may follow that; record it less loudly")
 
 
 def _warn(name: object, remark: str) -> None:
@@ -393,5 +322,6 @@ def _mono(sound: Sound, name: object, survey: _Survey, channel: int | None) -> I
         raise InputError(name, f"is cut short: {frames / rate:.2f} s of the {sound.frames / rate:.2f} s that its "
                          "header promises", "copy it again from its source")
     if given < round(SHORTEST * SAMPLE_RATE):
-        raise _too_short(name, given / SAMPLE_RATE)
+        raise InputError(name, f"lasts {given / SAMPLE_RATE:.2f} s, too short for a gesture",
+                         f"give {SHORTEST} s or more")
 

@@ -46,7 +46,7 @@ class Sound:
 
 
 class NoSoundError(Exception):
-    """The decoder does not support the file; the message names its codec if that is known."""
+    """The decoder does not support the file."""
 
 
 class BrokenSoundError(Exception):
@@ -74,9 +74,6 @@ _SECOND_TRY = ((8, b"WAVE", "wav"), (0, b"OggS", "ogg"), (0, b"FORM", "aiff"), (
 _HEADLESS = frozenset({"aac", "ac3", "eac3", "dts"})
 # Telephone sound without any header, by its suffix: 8 kHz, one channel.
 _TELEPHONE = {".ul": "ULAW", ".ulaw": "ULAW", ".mulaw": "ULAW", ".al": "ALAW", ".alaw": "ALAW"}
-# WAV: codecs by their tag, which libsndfile does not read.
-_WAV_CODECS = {0xFF: "AAC", 0x161: "WMA", 0x162: "WMA", 0x2000: "AC-3", 0x2001: "DTS", 0x566F: "Vorbis",
-               0x674F: "Vorbis", 0xF1AC: "FLAC"}
 
 
 class Patched(io.RawIOBase):
@@ -145,16 +142,12 @@ def decoder(raw: BinaryIO, name: object) -> Iterator[Sound]:
     with contextlib.ExitStack() as files:
         try:
             sound = files.enter_context(container(raw, kind, name) if kind else _sndfile(raw, head, name))
-        except NoSoundError as error:
+        except NoSoundError:
             second = next((kind for at, mark, kind in _SECOND_TRY if head[at:at + len(mark)] == mark), "")
             if kind or not second:
                 raise
             raw.seek(0)
-            try:
-                sound = files.enter_context(container(raw, second, name))
-            except (NoSoundError, InputError):
-                tag = head.find(b"fmt ") + 8
-                raise NoSoundError(_WAV_CODECS.get(int.from_bytes(head[tag:tag + 2], "little"), "")) from error
+            sound = files.enter_context(container(raw, second, name))
         yield sound
 
 
@@ -206,7 +199,7 @@ def container(raw: BinaryIO, kind: str, name: object) -> Iterator[Sound]:
     try:
         import av
     except ImportError:
-        raise InputError(name, "is a video or container, and its decoder (PyAV) is not installed",
+        raise InputError(name, f"needs the decoder PyAV (a video, or a codec in {kind}), which is not installed",
                          f"{PYAV}, or convert it to WAV") from None
     try:
         file: Any = av.open(raw, mode="r", format=kind.split(",")[0])

@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, sosfiltfilt
 
@@ -80,8 +81,8 @@ class WordSounds:
             return math.nan, math.nan, lasts
         return float(level[voiced].max()), float(np.median(pitch[voiced])), lasts
 
-    def _frames(self, word: Word) -> tuple[Array, Array, Array]:
-        """Of a word every `PITCH_HOP` seconds: [T] level of vowels, decibels; whether it is voiced; its pitch, semitones."""
+    def _frames(self, word: Word) -> tuple[Array, NDArray[np.bool_], Array]:
+        """Of a word every 10 ms: [T] level of vowels, decibels; whether it is voiced; its pitch, semitones."""
         # Frames are centred on their moment.
         hop, length = round(PITCH_HOP * self._rate), round(PITCH_WINDOW * self._rate)
         count = max(round((word.end - word.start) / PITCH_HOP), 1)
@@ -90,13 +91,11 @@ class WordSounds:
         wanted = np.arange(first - margin, first + count * hop + margin + length)
         inside = (wanted >= 0) & (wanted < len(self._samples))
         sound = np.where(inside, self._samples[np.clip(wanted, 0, len(self._samples) - 1)], 0.0).astype(np.float64)
-        if not sound.any():
-            return np.full(count, -np.inf), np.zeros(count, bool), np.full(count, np.nan)
         # Between 300 and 2500 Hz, where vowels are loud.
         band = butter(2, (300, min(2500, 0.45 * self._rate)), "bandpass", fs=self._rate, output="sos")
         power = sosfiltfilt(band, sound) ** 2
         means = power[:len(power) // hop * hop].reshape(-1, hop).mean(axis=1)
         level = gaussian_filter1d(10.0 * np.log10(means + 1e-12 * power.max() + 1e-300), 2.0)
         begin = margin + hop // 2 - length // 2
-        pitch, voiced = pitch_of(sound[begin:begin + (count - 1) * hop + length], self._rate)
+        pitch, voiced = pitch_of(sound[begin:begin + (count - 1) * hop + length].astype(np.float32), self._rate)
         return level[margin // hop:margin // hop + count], voiced, 12.0 * pitch
