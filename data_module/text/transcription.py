@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from data_module.errors import InputError
+from data_module.registry import Requirement
 from data_module.speech.silence import FRAME, silent_frames
 from data_module.text.transcript import Transcript, timed_transcript
 from data_module.types import Speech, Word
@@ -43,8 +44,7 @@ _HASHES = {
 def find_model(model: str | os.PathLike[str]) -> Path:
     """The folder of a model: `PACKAGED`, or a folder in the format of CTranslate2. `InputError` if the
     recogniser or the model is missing, or if a packaged file is not the one that is pinned."""
-    if importlib.util.find_spec("faster_whisper") is None:
-        raise InputError("--transcribe", "needs faster-whisper, which is not installed", _INSTALL)
+    Requirement("faster_whisper", "faster-whisper", "transcribe").check("--transcribe")
     if str(model) == PACKAGED:
         return _packaged()
     folder = Path(model)
