@@ -44,7 +44,6 @@ _MARKED = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (cod
 # exceed the limit of the file system.
 _PREFIX, _TOKEN = 40, 12
 # Names of the temporary files of `write_bytes`.
-_LINKS = Path("/proc/self/fd")
 _UNFINISHED = re.compile(rf"\..{{1,{_PREFIX}}}\.[0-9a-f]{{{_TOKEN}}}")
 
 
@@ -67,14 +66,11 @@ def new_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     temporary = target.parent / f".{target.name[:_PREFIX]}.{secrets.token_hex(_TOKEN // 2)}"
     try:
         try:
-            with _unnamed(target.parent) or temporary.open("xb") as stream:
+            with temporary.open("xb") as stream:
                 yield stream
                 stream.flush()
                 # Without it the name may reach the disk before the content, and a power failure leaves an empty file.
                 os.fsync(stream.fileno())
-                if not temporary.exists():
-                    # Any folder's handle makes it `linkat`, which follows the link; a file cannot be replaced this way.
-                    os.link(f"/proc/self/fd/{stream.fileno()}", temporary, src_dir_fd=stream.fileno())
             rename(temporary, target)
         except BaseException:
             temporary.unlink(missing_ok=True)
@@ -82,16 +78,6 @@ def new_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     except OSError as error:
         # Name the file of the user, not the temporary one.
         raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(target)) from error
-
-
-def _unnamed(folder: Path) -> BinaryIO | None:
-    """A file without a name, which is gone when its process is killed; None where the system has no such (not Linux)
-    or the folder cannot be written."""
-    flag = getattr(os, "O_TMPFILE", None)
-    try:
-        return os.fdopen(os.open(folder, flag | os.O_WRONLY, 0o666), "wb") if flag and _LINKS.exists() else None
-    except OSError:
-        return None
 
 
 def remove_unfinished_of(targets: Iterable[Path]) -> None:

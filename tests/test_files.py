@@ -124,17 +124,14 @@ def test_a_lock_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert order == ["first", "second"]
 
 
-@pytest.mark.parametrize("named", [False, True])
-def test_what_a_killed_process_had_begun_is_removed_and_nothing_else(named: bool, tmp_path: Path) -> None:
-    """Where the system has files without a name (Linux), nothing is there from the beginning."""
+def test_what_a_killed_process_had_begun_is_removed_and_nothing_else(tmp_path: Path) -> None:
     code = ("import os, pathlib, sys; from data_module import files\n"
-            f"if {named}: files._unnamed = lambda folder: None\n"
             "os.fsync = lambda handle: os.kill(os.getpid(), 9)\n"
             "files.write_text(sys.argv[1], 'half')")
     target = tmp_path / "recordings" / "a.json"
     target.parent.mkdir()
     subprocess.run([sys.executable, "-c", code, str(target)], check=False)
-    assert len(list(target.parent.iterdir())) == (named or not files._unnamed(target.parent))
+    assert len(list(target.parent.iterdir())) == 1
     assert not target.exists()
     for name in (".hidden", ".a.json.0123", "b.json"):
         (target.parent / name).write_text("kept")

