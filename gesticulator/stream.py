@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -192,9 +192,9 @@ class Stream:
     def look_ahead(self) -> float:
         """Seconds of sound after a frame that are needed at most before the frame is final; it depends on
         `latency`."""
-        beats, lead = self._bundle.config.rhythm.beats, self._bundle.config.selection.lead
+        beats = self._bundle.config.rhythm.beats
         # From a beat to where the next beat is certain, and from there to where the pauses of the block after it are.
-        certain = beats.d_max + beats.d_min + onsets.LOOK_AHEAD + lead
+        certain = beats.d_max + beats.d_min + onsets.LOOK_AHEAD
         if not self._path.prompt:
             known = beats.d_max + silence.LOOK_AHEAD + silence.STEP * silence.FRAME
             # A block is generated once the next one is known; its last knot is certain with the knot after that.
@@ -269,6 +269,12 @@ class Stream:
         before its motion is final; up to .6 s later, the gesture is as much late; beyond, it is not made. Returns the
         words as they are spoken, without marks. `InputError` if the stream was opened without text.
         """
+        *_, spoken = self.adding(words)
+        return spoken
+
+    def adding(self, words: Sequence[Word], *batch: int) -> Iterator[tuple[Word, ...]]:
+        """`add_words` in steps, each of which gives the words as they are spoken. batch: beginnings of sentences that
+        a step reads."""
         self._check_open()
         if not self._text:
             raise InputError("words", "are not read by this stream", "open it with text=True")
@@ -278,9 +284,10 @@ class Stream:
         self._express(words)
         if self._meanings is not None:
             self._meanings.add(words)
-        self._utterance().add_words([replace(word, start=word.start - self._begun, end=word.end - self._begun)
-                                     for word in words])
-        return words
+        yield words
+        placed = [replace(word, start=word.start - self._begun, end=word.end - self._begun) for word in words]
+        for _ in self._utterance().add_words(placed, *batch):
+            yield words
 
     def idle(self, seconds: float) -> StreamFrames:
         """Advance media time by seconds without sound: the character comes to rest, with idle motion. Returns the
