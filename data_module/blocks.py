@@ -179,6 +179,10 @@ class KnotPath:
         self._settled = prompt
         """Whether the slope at the newest knot is final, because frames up to it were returned."""
 
+    def begin_in(self, pose: Array) -> None:
+        """Begin in another pose [D], before the first knot is pushed."""
+        self._values[0] = pose
+
     @property
     def reach(self) -> float:
         """Half of the smoothing kernel, seconds."""

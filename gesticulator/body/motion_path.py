@@ -40,6 +40,8 @@ class MotionPath:
         self._representation = representation_of(bundle.config)
         first: Array = bundle.statistics.rest_pose[speaker]
         self._knots = KnotPath(first, float(options.fps), bundle.config.motion.smoothing, prompt)
+        # Nobody saw what was before: a body that can begin elsewhere than at rest begins in its first knot.
+        self._unseen = bundle.config.rests_by_phrase
         # Joint positions give rotations only as a whole: their frames wait for the end.
         self._whole: list[Array] | None = None if bundle.config.motion.representation == "rotations" else []
         self._last: Array | None = None
@@ -86,7 +88,11 @@ class MotionPath:
 
     def push_poses(self, times: Array, poses: Array, until: int | None = None) -> Motion | None:
         """`push` of poses [K, D_m] that are not normalised and have the knobs and gestures applied."""
-        frames = self._knots.push(times, self._cleared(poses), until)
+        poses = self._cleared(poses)
+        if self._unseen and len(poses):
+            self._knots.begin_in(poses[0])
+            self._unseen = False
+        frames = self._knots.push(times, poses, until)
         if self._whole is None:
             return self._motion(frames)
         self._whole.append(frames)
@@ -110,7 +116,7 @@ class MotionPath:
     def rewind_poses(self, times: Array, poses: Array, first: int) -> None:
         """`rewind` with poses [M, D_m] as in `push_poses`; the legs stay as they are."""
         self._knots.rewind(times, self._cleared(poses), first)
-        self._last = None
+        self._last, self._unseen = None, False
 
     @property
     def has_legs(self) -> bool:

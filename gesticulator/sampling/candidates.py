@@ -4,8 +4,9 @@ a small change of pose or sound rarely changes the choice.
 The terms are the distance of the movement to the lexeme to play, -2 log(d / d_0) with d_0 that to its nearest lexeme;
 braking in time with the onsets (`in_time`); the seam (`jolt`); hands in the body (`depth`); a head that moves when the
 hands do (`apart_from_hands`); a trunk that goes with the pitch (`with_pitch`); and the distance of height, speed and
-radius of the hands from their controls, in standard deviations. A candidate in which a hand or an elbow is faster than
-people's is rejected, unless all are: one frame in a thousand of the corpus has such a jump.
+radius of the hands from their controls, in standard deviations; and how far an arm goes beyond what people's do
+(`beyond`). A candidate in which a hand or an elbow is faster than people's is rejected, unless all are: one frame in a
+thousand of the corpus has such a jump.
 
 Most candidates share the arms of the first (`systems.movement`); the choice is then of torso and head. What timing
 loses by that is more than made up for by `retimings` of the block that was chosen. The onsets are those at which beats
@@ -14,6 +15,7 @@ are placed (`data_module.speech.onsets`); evaluation of timing uses two other de
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
 
@@ -37,6 +39,15 @@ _STILL = 3.0
 """b0: summed braking of hands that hardly move, m/s^2 over a block's frames."""
 FASTEST = 3.5
 """Speed limit of a hand, m/s: in the real takes, hands stay under 3.1 in 99 of 100 seconds."""
+_SWIVELS, _ACCELERATES = math.radians(230.0), (24.0, 12.5)
+"""Rad/s of an elbow about the line from its shoulder to its wrist, and m/s^2 of a wrist and of an elbow: what people
+exceed in one frame of a thousand."""
+_BENT, _REACHES = 0.08, 0.2
+"""Metres: an elbow that is nearer to that line, or a wrist to its shoulder, has no swivel to speak of."""
+_BEHIND = 0.03, 0.05
+"""Metres that an arm may be behind the trunk, and those over which that becomes as bad as twice another limit."""
+_WORST = 10.0
+"""Excess beyond people's from which on candidates count as alike."""
 _SEAM = 0.02
 """Seconds at the start of a block in which braking does not count: a jolt at the seam is not a beat."""
 _BEFORE = 4
@@ -63,7 +74,7 @@ _SHIFTS, _STAYS = np.linspace(-1.0, 1.0, 7), 0.1
 """Shares of the most shift of a block's middle that are tried; and what the whole of it must be worth in timing."""
 
 
-LEXEME, SEAM, BODY, TOGETHER, PITCH, CONTROLS = 2.0, 0.25, 16.0, 1.0, 1.5, 2.0
+LEXEME, SEAM, BODY, TOGETHER, PITCH, CONTROLS, NATURAL = 2.0, 0.25, 16.0, 1.0, 1.5, 2.0, 2.0
 """The weights of the terms, relative to timing; chosen on the validation split."""
 
 
@@ -126,7 +137,8 @@ class CandidateChooser:
         allowed = slow_enough(motion.shown[:, :, :4], times)
         hands = places[allowed, :, :2]
         score = -LEXEME * np.log(apart[allowed].astype(np.float64))
-        score -= BODY * depth(places[allowed, _BEFORE:])
+        score -= BODY * depth(places[allowed, _BEFORE:]) + NATURAL * np.minimum(
+            beyond(motion.shown[allowed], times), _WORST)
         if len(speech.onsets) > 0:
             score += in_time(hands, times, speech.start, speech.onsets)
         score -= TOGETHER * apart_from_hands(poses[allowed][..., self._head], hands, times)
@@ -148,15 +160,12 @@ class CandidateChooser:
         worth = in_time(hands, self._times(speech, len(block)), speech.start, speech.onsets) - _STAYS * np.abs(_SHIFTS)
         return np.asarray(blocks[int(worth.argmax())], dtype=block.dtype)
 
-    def too_fast(self, speech: SpeechBlock, motion: CandidateMotion) -> bool:
-        """Whether a hand or an elbow is faster than `FASTEST` in every candidate, as it is shown."""
+    def natural(self, speech: SpeechBlock, motion: CandidateMotion) -> bool:
+        """Whether, as they are shown, arms stay within what people do in some candidate, slower than `FASTEST` in one,
+        and not before the face in one."""
         times = self._times(speech, motion.poses.shape[1] - _BEFORE)
-        return bool((fastest(motion.shown[:, :, :4], times) > FASTEST).all())
-
-    @staticmethod
-    def before_face(motion: CandidateMotion) -> bool:
-        """Whether an arm comes before the face in every candidate."""
-        return bool((_to_face(motion.places[:, _BEFORE:]).min((1, 2)) < _BEFORE_FACE).all())
+        return bool((fastest(motion.shown[:, :, :4], times) <= FASTEST).any() and not beyond(motion.shown, times).all()
+                    and (_to_face(motion.places[:, _BEFORE:]).min((1, 2)) >= _BEFORE_FACE).any())
 
     def _poses(self, past: Floating, blocks: Floating, shift: Floating | None = None) -> Array:
         """[C, T, D_m] as of `CandidateMotion`; see `motion` for the arguments."""
@@ -212,6 +221,40 @@ def slow_enough(hands: Array, times: Array) -> NDArray[np.int64]:
     speeds = fastest(hands, times)
     slow = np.flatnonzero(speeds <= FASTEST)
     return slow if len(slow) else np.array([speeds.argmin()])
+
+
+def beyond(places: Array, times: Array) -> Array:
+    """[C] by how much the arms of each block go beyond people's, 0 for not: the excess of the greatest swivel of an
+    elbow, of the greatest accelerations of wrists and elbows, each over its limit, and of the place behind the trunk.
+    places: [C, T, 8, 3] as of `CandidateMotion`, at times [T] seconds."""
+    velocity = np.diff(places[:, :, :4], axis=1) / np.diff(times)[:, None, None]
+    between = 0.5 * (times[2:] - times[:-2])
+    acceleration = np.linalg.norm(np.diff(velocity, axis=1) / between[:, None, None], axis=-1)[:, _BEFORE - 2:]
+    limits = np.repeat(_ACCELERATES, 2)
+    behind = (behind_trunk(places[:, _BEFORE:]).max((1, 2)) - _BEHIND[0]) / _BEHIND[1]
+    turned = swivel(places[:, _BEFORE - 1:]) / np.diff(times[_BEFORE - 1:])[:, None]
+    hasty = acceleration.max(1) / limits - 1.0
+    return np.asarray(np.maximum(behind, 0.0) + np.maximum(turned.max((1, 2)) / _SWIVELS - 1.0, 0.0)
+                      + np.maximum(hasty[:, :2].max(1), 0.0) + np.maximum(hasty[:, 2:].max(1), 0.0))
+
+
+def swivel(places: Array) -> Array:
+    """[C, T - 1, 2] radians that each elbow turns about the line from its shoulder to its wrist, from frame to frame; 0
+    where the arm is straight or folded. places: [C, T, 8, 3] as of `CandidateMotion`."""
+    wrist, elbow, shoulder = (places[:, :, k:k + 2] for k in (0, 2, 4))
+    line, upper = wrist - shoulder, elbow - shoulder
+    far = np.linalg.norm(line, axis=-1, keepdims=True)
+    line = line / np.maximum(far, 1e-9)
+    out = upper - (upper * line).sum(-1, keepdims=True) * line
+    off = np.linalg.norm(out, axis=-1, keepdims=True)
+    clear = ((off > _BENT) & (far > _REACHES))[..., 0]
+    before, after, axis = out[:, :-1], out[:, 1:], cross(line[:, :-1], line[:, 1:])
+    # Carried along by the smallest rotation from one line to the next, so that what is left is the swivel.
+    cosine = (line[:, :-1] * line[:, 1:]).sum(-1, keepdims=True)
+    carried = (cosine * before + cross(axis, before)
+               + axis * (axis * before).sum(-1, keepdims=True) / np.maximum(1.0 + cosine, 1e-6))
+    sine, along = (cross(carried, after) * line[:, 1:]).sum(-1), (carried * after).sum(-1)
+    return np.abs(np.arctan2(sine, along)) * (clear[:, 1:] & clear[:, :-1])
 
 
 def depth(places: Array) -> Array:

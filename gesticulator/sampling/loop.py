@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 
 from data_module.controls import Controls, Levels
 from data_module.layers_run import Floats
+from data_module.motion.skeletons import CHARACTERS
 from data_module.types import Array, Blocks
-from gesticulator.body.life import normal
+from gesticulator.body.life import SIDES, normal
 from gesticulator.body.rest import Rest, RestKnots
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import Flags, Span, SpeechBlock, SpeechFeatures, control_rows, representation_of
@@ -49,10 +50,17 @@ CONTIGUOUS = 1e-3
 _MILLISECONDS = 100
 """Milliseconds between independent numbers: half of the shortest block."""
 _MOTION, _CHOICE = 0, 1
-_POSE, _PLAN, _ACTIVITY = 1 << 20, (1 << 20) + 1, (1 << 20) + 2
-"""Kinds of numbers: of the motion, of the choice of lexemes, of first poses, of the planner and of activity."""
+_POSE, _PLAN, _ACTIVITY, _POSTURE, _VOICE = range(1 << 20, (1 << 20) + 5)
+"""Kinds of numbers: of the motion, of the choice of lexemes, of first poses, of the planner, of activity, of posture,
+and of what the sound decides."""
 _WAXES = 3000
 """Milliseconds between independent numbers of activity: people's gestures wax and wane over a few seconds."""
+_LEANS = 4000
+"""Milliseconds between independent numbers of posture."""
+ELBOW, _ELBOW_EASES = (math.radians(6.0), math.radians(140.0)), math.radians(10.0)
+"""Least and greatest bend of an elbow, and the last part of either, in which it is slowed, radians."""
+_ENLARGED = 4.0
+"""How much of a unit of a number that the sound decides one deviation of its spectrum's shape makes."""
 _CHANNELS = 1 << 32
 """The first channel of `life.mixed` here; the idle motion and the choice of phrases use lower ones."""
 
@@ -98,6 +106,19 @@ class Keys:
     def activity(self, time: float) -> float:
         """A standard normal number that changes over seconds: how lively the gestures are at `time`."""
         return float(self._normal(_ACTIVITY, time, 1, _WAXES)[0])
+
+    def posture(self, time: float) -> Array:
+        """[3] standard normal numbers that change over seconds: how the trunk leans, turns and tilts at `time`."""
+        return self._normal(_POSTURE, time, 3, _LEANS)
+
+    def of_voice(self, spectrum: Array, count: int) -> Array:
+        """[count] numbers in 0 to 1, about uniform over voices, from the shape of a spectrum [B] in decibels or the
+        like: they change gradually with it, and not with its level."""
+        shape = spectrum - spectrum.mean()
+        mix = self._normal(_VOICE, 0.0, count * len(shape)).reshape(count, -1)
+        # Voices are alike, so what differs is enlarged, and folded to stay in range without a jump.
+        numbers = _ENLARGED * (mix @ shape) / math.sqrt(float(shape @ shape) + 1e-9)
+        return np.asarray(np.abs(numbers % 2.0 - 1.0))
 
     def _normal(self, kind: int, time: float, count: int, apart: int = _MILLISECONDS) -> Array:
         """[count] standard normal numbers at a time in seconds; times within a millisecond are the same. apart:
@@ -333,9 +354,10 @@ def opened(probability: float, activity: float) -> bool:
     return activity > 0 and probability >= 1 - activity
 
 
-def resting(bundle: Bundle, setup: Setup, state: State, request: Request, features: BlockFeatures, still: Flags | None
-            ) -> Resting:
-    """Decide whether the hands rest: by the gate, by pauses and phrases, and in the frames `still` [K]."""
+def resting(bundle: Bundle, setup: Setup, state: State, request: Request, features: BlockFeatures,
+            still: Flags | None = None, held: bool = False) -> Resting:
+    """Decide whether the hands rest: by the gate, by pauses and phrases, and in the frames `still` [K]; held: or hold
+    a gesture throughout."""
     # At activity 0 the hands rest whatever the gate says.
     closed, probability, gate = setup.activity == 0, math.nan, state.gate
     if gate is not None:
@@ -344,7 +366,9 @@ def resting(bundle: Bundle, setup: Setup, state: State, request: Request, featur
     if state.rest is None:
         return Resting(closed or (still is not None and bool(still.mean() >= 0.5)), probability, gate, None)
     rest = state.rest.fork()
-    return Resting(rest.analyse(request.speech.span, probability, still), probability, gate, rest)
+    if held:
+        still = np.ones(len(request.speech.quiet), bool)
+    return Resting(rest.analyse(request.speech.span, probability, still, held), probability, gate, rest)
 
 
 def scores_of(bundle: Bundle, setup: Setup, state: State, features: BlockFeatures) -> tuple[Scores, Any, Any]:
@@ -378,9 +402,24 @@ def shown(bundle: Bundle, rest: Rest | None, block: Floats, offset: Floats | Non
         return block, block
     if offset is not None:
         block = block + offset
+    block = _hinged(bundle, rest.speaker, block)
     # Rest shapes what the generator continues from; idle motion is only laid over what is shown.
     past = rest.step(block).astype(np.float32)
     return past, rest.alive(past).astype(np.float32)
+
+
+def _hinged(bundle: Bundle, speaker: int, block: Floats) -> Floats:
+    """A block [K, D_m] whose elbows bend as people's do: neither backwards nor until the hand is at the shoulder."""
+    statistics, names = bundle.statistics, CHARACTERS[bundle.config.motion.joints].names
+    columns = [3 * names.index(side + "ForeArm") + 1 for side in SIDES]
+    signs, scale, mean = np.array([1.0, -1.0]), statistics.deviation[columns], statistics.mean_pose[speaker][columns]
+    bends = signs * (block[:, columns] * scale + mean)
+    (low, high), ease = ELBOW, _ELBOW_EASES
+    inside = np.clip(bends, low + ease, high - ease)
+    bent = inside + ease * np.tanh((bends - inside) / ease)
+    out = block.copy()
+    out[:, columns] = (signs * bent - mean) / scale
+    return out
 
 
 def decided(speech: SpeechBlock, lexeme: int, scores: Scores, keys: Keys, gate: float = math.nan) -> Block:
