@@ -354,20 +354,19 @@ def opened(probability: float, activity: float) -> bool:
     return activity > 0 and probability >= 1 - activity
 
 
-def resting(bundle: Bundle, setup: Setup, state: State, request: Request, features: BlockFeatures,
-            still: Flags | None = None, held: bool = False) -> Resting:
-    """Decide whether the hands rest: by the gate, by pauses and phrases, and in the frames `still` [K]; held: or hold
-    a gesture throughout."""
+def resting(bundle: Bundle, setup: Setup, state: State, request: Request, features: BlockFeatures, held: bool = False
+            ) -> Resting:
+    """Decide whether the hands rest: by the gate, by pauses and phrases, and where it is requested; held: they hold a
+    gesture throughout."""
     # At activity 0 the hands rest whatever the gate says.
-    closed, probability, gate = setup.activity == 0, math.nan, state.gate
+    closed, probability, gate, still = setup.activity == 0, math.nan, state.gate, request.still
     if gate is not None:
         probability, gate = bundle.runners["gate"].step(gate, features)
         closed = not opened(probability, setup.activity)
     if state.rest is None:
         return Resting(closed or (still is not None and bool(still.mean() >= 0.5)), probability, gate, None)
     rest = state.rest.fork()
-    if held:
-        still = np.ones(len(request.speech.quiet), bool)
+    still = np.ones(len(request.speech.quiet), bool) if held else still
     return Resting(rest.analyse(request.speech.span, probability, still, held), probability, gate, rest)
 
 

@@ -167,7 +167,7 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
         features = replace(features, past=state.generated)
 
     # 2. Rest: whether they move at all.
-    rested = resting(bundle, setup, state, request, features, request.still, holds(bundle, state, request, unit))
+    rested = resting(bundle, setup, state, request, features, holds(bundle, state, request, unit))
     rest = rested.rest
 
     # 3. The lexeme: which movement, given the phase.
@@ -268,8 +268,8 @@ AFRESH = 1.6
 """Seconds of strokes after which the next one is prepared anew."""
 _LOWEST, _HIGHEST = 0.55, -0.45
 """How far towards the resting pose an arm's first pose may be, as a share of the way from the mean pose."""
-_BEGINS = 1.5
-"""How much wider their range is where a performance begins: people begin anywhere."""
+_BEGINS = 0.6
+"""Deviation from there where a performance begins, in deviations of the arms' joints: people begin anywhere."""
 _TRUNK = "Hips", "Spine"
 """What the names of the joints that posture bends begin with."""
 _POSTURE = 0.8
@@ -316,16 +316,17 @@ def _first_of(bundle: Bundle, setup: Setup, chances: Array, posture: Array) -> F
 
 
 def begun(bundle: Bundle, setup: Setup, state: State, speech: SpeechBlock) -> State:
-    """The state before a first block in which somebody speaks: in a pose that the sound decides, so that not every
-    recording begins in the same one."""
-    from scipy.special import ndtri
+    """The state before a first block in which somebody speaks: in a pose that the sound decides."""
+    from scipy.special import ndtr, ndtri
 
     assert state.rest is not None
-    frames = bundle.frames
+    frames, names = bundle.frames, CHARACTERS[bundle.config.motion.joints].names
+    arms = np.repeat([name.endswith("Arm") for name in names], 3)
     # The spectrum of this block and, if it is known, the next one, without the energy in the last column.
     heard = bundle.statistics.low.apply(speech.low)[frames:(2 if speech.foreseen else 3) * frames, :-1].mean(0)
-    arms, posture = np.split(state.keys.of_voice(heard, len(SIDES) + 3), [len(SIDES)])
-    pose = _first_of(bundle, setup, 1.0 - _BEGINS * arms, np.asarray(ndtri(np.clip(posture, 0.02, 0.98))))
+    numbers = np.asarray(ndtri(np.clip(state.keys.of_voice(heard, 5 + arms.sum()), 0.02, 0.98)))
+    pose = _first_of(bundle, setup, np.asarray(ndtr(numbers[:2])), numbers[2:5])
+    pose[arms] += _BEGINS * numbers[5:].astype(np.float32)
     rest = state.rest.fork()
     rest.begin_in(pose.astype(np.float64))
     past = np.repeat(pose[None], frames, axis=0)
