@@ -53,10 +53,8 @@ _MOTION, _CHOICE = 0, 1
 _POSE, _PLAN, _ACTIVITY, _POSTURE, _VOICE = range(1 << 20, (1 << 20) + 5)
 """Kinds of numbers: of the motion, of the choice of lexemes, of first poses, of the planner, of activity, of posture,
 and of what the sound decides."""
-_WAXES = 3000
-"""Milliseconds between independent numbers of activity: people's gestures wax and wane over a few seconds."""
-_LEANS = 4000
-"""Milliseconds between independent numbers of posture."""
+_WAXES, _LEANS = 3000, 4000
+"""Milliseconds between independent numbers of activity and of posture: both wax and wane over a few seconds."""
 ELBOW, _ELBOW_EASES = (math.radians(6.0), math.radians(140.0)), math.radians(10.0)
 """Least and greatest bend of an elbow, and the last part of either, in which it is slowed, radians."""
 _ENLARGED = 4.0

@@ -167,7 +167,9 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
         features = replace(features, past=state.generated)
 
     # 2. Rest: whether they move at all.
-    rested = resting(bundle, setup, state, request, features, holds(bundle, state, request, unit))
+    # A requested gesture is shown whatever the phase: only silent lexemes can be held.
+    held = unit is not None and unit.holds and (request.lexeme is None or request.lexeme in bundle.silent)
+    rested = resting(bundle, setup, state, request, features, held)
     rest = rested.rest
 
     # 3. The lexeme: which movement, given the phase.
@@ -243,13 +245,6 @@ def within_phase(bundle: Bundle, scores: Scores, unit: UnitDecision | None) -> S
     return within - (np.logaddexp.reduce(within) - np.logaddexp.reduce(scores))
 
 
-def holds(bundle: Bundle, state: State, request: Request, unit: UnitDecision | None) -> bool:
-    """Whether the hands hold by the planner. A requested gesture is shown whatever the phase: only silent lexemes can
-    be held."""
-    return (unit is not None and unit.holds and state.rest is not None
-            and (request.lexeme is None or request.lexeme in bundle.silent))
-
-
 # ------------------------------------------------------------------------------------------------- each gesture afresh
 
 # People decide stroke by stroke: a preparation begins where the hand happens to be, but what is prepared does not
@@ -309,10 +304,8 @@ def first_pose(chances: Array, posture: Array, names: Sequence[str], rest: Array
 
 def _first_of(bundle: Bundle, setup: Setup, chances: Array, posture: Array) -> Floats:
     """[D_m] `first_pose` of the speaker, within the training data."""
-    statistics, speaker = bundle.statistics, setup.speaker
-    names = CHARACTERS[bundle.config.motion.joints].names
-    pose = first_pose(chances, posture, names, statistics.normalise(statistics.rest_pose[speaker], speaker))
-    return np.clip(pose, *statistics.bounds.astype(np.float32))
+    names, rest = CHARACTERS[bundle.config.motion.joints].names, bundle.rest_feature(setup.speaker)
+    return np.clip(first_pose(chances, posture, names, rest), *bundle.statistics.bounds.astype(np.float32))
 
 
 def begun(bundle: Bundle, setup: Setup, state: State, speech: SpeechBlock) -> State:
