@@ -158,7 +158,6 @@ class Stream:
         self._begun = self._committed = 0.0  # media time at which the utterance begins, and of the last knot
         self._past_blocks = 0
         rest = bundle.rest_feature(setup.speaker).reshape(1, -1)
-        # The resting pose at time 0 is the knot from which the first frames come.
         self._shown = deque([(RestKnots(np.zeros(1), rest, np.zeros((1, 3, 2))), rest)])
 
     # ------------------------------------------------------------------------------------------------------- state
@@ -507,7 +506,10 @@ class Stream:
         turned = self._turns(times)
         if turned is not None:
             features = (features + turned * self._scale).astype(np.float32)
-        self._shown.append((loop.knots_of(self._performance, times), features))
+        knots = loop.knots_of(self._performance, times)
+        if self._committed == 0.0:  # the first frames come from the first knot (`MotionPath`)
+            self._shown = deque([(RestKnots(np.zeros(1), knots.poses[:1], knots.gains[:1]), features[:1])])
+        self._shown.append((knots, features))
         while self._shown[0][0].times[-1] < times[-1] - self._path.history:
             self._shown.popleft()
         self._committed = float(times[-1])

@@ -278,7 +278,7 @@ def test_a_hold_keeps_the_arms_about_where_they_stopped_and_leaves_the_trunk_alo
     times, poses = np.concatenate([span.times for span in asked]), np.concatenate(shown)
     awake = times > 0.41
     assert poses[awake, spine] == pytest.approx(np.sin(times[awake]), abs=0.1), "the trunk goes on"
-    stopped = (times > 2.0 + LONGEST_STOP) & (times < 3.5)
+    poses[:, spine], stopped = 0.0, (times > 2.0 + LONGEST_STOP) & (times < 3.5)
     at = positions_of(from_vector(statistics().denormalise(poses, 0), 25.0))[stopped][:, HANDS[0]]
     free = positions_of(from_vector(statistics().denormalise(gestures(times), 0), 25.0))[stopped][:, HANDS[0]]
     drifts = np.linalg.norm(np.ptp(at, axis=0))
