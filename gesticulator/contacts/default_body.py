@@ -7,12 +7,14 @@ until they are on the surface.
 A hand is always moved ahead, never around: with p its place across the body, the front of trunk and face is a height
 field z(p) of limited slope, which falls behind the body on the hand's side only. The correction max(z(p) - z, 0) then
 changes at most `STEEPEST` times as fast as the hand moves, so that a hand that would shoot through the body passes in
-front of it without a jump; the direction out of a closed shape would turn round at its middle. With d the depth and e =
-`SOFT`, a hand is moved by 0 for d < -e, (d + e)^2 / 4e for -e < d < e, and d beyond, which leaves no kink in its path.
-An elbow that the trunk would hide swings outward about the line from shoulder to wrist, by the same rule and a plane
-behind the trunk that recedes beside it; the hand stays. Everything depends on the pose alone; a pose that needs no
-correction stays the same bit for bit. The thighs of a body that sits (`gesticulator.contacts.lap`) are a third surface,
-from which hands are lifted.
+front of it without a jump; the direction out of a closed shape would turn round at its middle. With d the depth and
+e = `SOFT`, a hand is moved by 0 for d < -e, (d + e)^2 / 4e for -e < d < e, and d beyond, which leaves no kink in its
+path. An elbow that the trunk would hide swings outward about the line from shoulder to wrist, by the same rule and a
+plane behind the trunk that recedes beside it; the hand stays. A hand at its shoulder, where the models fold an elbow
+further than a person can, stays where only the slope of the field would move it: there a centimetre of the hand is ten
+of the elbow, which would turn round within a frame. It turns about its wrist if its knuckles are in the trunk.
+Everything depends on the pose alone; a pose that needs no correction stays the same bit for bit. The thighs of a body
+that sits (`gesticulator.contacts.lap`) are a third surface, from which hands are lifted.
 """
 
 from __future__ import annotations
@@ -32,6 +34,7 @@ from gesticulator.contacts.limbs import (
     LEAST,
     OURS,
     POLE_OF_ELBOW,
+    SOFT,
     Pose,
     bent,
     combined,
@@ -62,6 +65,12 @@ there on, and metres over which an elbow is slowed. In two takes of people who t
 elbow is ever there; in the clips of gestures that the corpus is made of, up to a tenth of the time."""
 OUTWARD = (0.95, 0.3)
 """Direction in which an elbow leaves it, outward and ahead: more to the front, it would flip round a raised hand."""
+FOLDED, BESIDE = (0.13, 0.20), (0.12, 0.17)
+"""Metres from a wrist to its shoulder, and across the trunk: a hand that is nearer than the first pair and farther
+across than the second is at its shoulder beside the trunk, and stays. Elbows that are bent by 152 and 136 degrees bring
+it there; people bend theirs by up to 150."""
+TIP_SOFT, FARTHEST_TIP = 0.01, 0.8
+"""Metres over which a hand is turned that stays at its shoulder with its knuckles in the trunk; radians at most."""
 HEAD_MIDDLE = np.array([0.0, 0.085, 0.025])
 """Middle of the face relative to the joint of the head, metres: the joint is at the top of the neck."""
 HEAD_RADIUS = 0.13
@@ -109,8 +118,9 @@ def _bend_arm(rotations: Array, skeleton: Skeleton, body_of: tuple[Pose, bool], 
     bones = upper, lower = places[name + "ForeArm"] - shoulder, wrist - places[name + "ForeArm"]
     # The hand does not turn with the arm.
     palm = np.array([places[name + part] - wrist for part in (*_HAND, *FINGERTIPS) if name + part in places])
+    share = 1.0 - body.at_shoulder(wrist, shoulder, sign)
     for _ in range(_STEPS_SEATED if sits else _STEPS):
-        push = body.push(shoulder + upper + lower + palm, sign)
+        push = body.push(shoulder + upper + lower + palm, sign) * share
         inside = length(push) > LEAST
         if not inside.any():
             break
@@ -129,7 +139,29 @@ def _bend_arm(rotations: Array, skeleton: Skeleton, body_of: tuple[Pose, bool], 
     chain = [skeleton.index(name + part) for part in ("Arm", "ForeArm", "Hand")]
     for node, before, after in zip(chain, bones, (upper, lower), strict=False):
         turns[node] = swing(before, after) @ turns[node]
+    if len(palm) > 1:
+        turns[chain[2]] = _tipped(turns[chain[2]], (shoulder + upper + lower, palm[1]), body, sign)
     write_turns(rotations, skeleton, turns, chain, at)
+
+
+def _tipped(turn: Array, hand: tuple[Array, Array], body: _Body, sign: float) -> Array:
+    """The turn [T, 3, 3] of a hand, about its wrist where its knuckles are still in the trunk: of a hand that stays at
+    its shoulder. hand: [T, 3] the wrist, and the knuckles from there; sign: 1 for the left hand, -1 for the right."""
+    wrist, palm = hand
+    push = body.out_of_trunk(wrist + palm, sign, TIP_SOFT)
+    at = length(push)[:, 0] > LEAST
+    if not at.any():
+        return turn
+    before, after = palm[at], (palm + push)[at]
+    before, after = before / length(before), after / np.maximum(length(after), 1e-9)
+    axis = rotation.cross(before, after)
+    sine = length(axis)
+    # The arctangent is exact for small angles, where an arccosine loses half of its digits.
+    angle = np.minimum(np.arctan2(sine, np.sum(before * after, axis=-1, keepdims=True)), FARTHEST_TIP)
+    tipped = rotation.from_exponential_map(axis / np.maximum(sine, 1e-9) * angle)
+    turn = turn.copy()
+    turn[at] = rotation.to_matrix(tipped) @ turn[at]
+    return turn
 
 
 def cleared_poses(poses: Array, representation: Representation, sits: bool = False) -> Array:
@@ -163,7 +195,7 @@ class _Body:
         """[..., T, 3] the displacement of a hand whose P points [..., P, T, 3] are in the body, fingertips only in the
         thighs; sign: 1 for the left hand, -1 for the right, or an array of them."""
         hand = points[..., :len(_HAND), :, :]
-        moves = [self._out_of_trunk(hand, sign), self._off_face(hand)]
+        moves = [self.out_of_trunk(hand, sign, SOFT), self._off_face(hand)]
         return combined(np.concatenate([*moves, *(thigh.push(points) for thigh in self._thighs)], axis=-3))
 
     def hidden(self, elbow: Array, sign: Sign) -> Array:
@@ -174,10 +206,15 @@ class _Body:
         out = OUTWARD[0] * self._axes[:, 0]
         return depth * (np.asarray(sign)[..., None] * out + OUTWARD[1] * self._axes[:, 2])
 
-    def _out_of_trunk(self, point: Array, sign: Sign) -> Array:
-        """[..., T, 3] the displacement of a point of a hand in the trunk."""
+    def at_shoulder(self, hand: Array, shoulder: Array, sign: float) -> Array:
+        """[T, 1] how much a hand [T, 3] is at its shoulder [T, 3] and beside the trunk, 0 to 1."""
+        across = sign * np.sum(self._axes[:, 0] * hand, axis=-1, keepdims=True)
+        return np.asarray((1.0 - _ramp(length(hand - shoulder), FOLDED)) * _ramp(across, BESIDE))
+
+    def out_of_trunk(self, point: Array, sign: Sign, over: float) -> Array:
+        """[..., T, 3] the displacement of a point of a hand in the trunk; over: metres in which it is rounded."""
         across, along, ahead = self._from_hips(point)
-        return self._axes[:, 2] * soft(shirt_at(across * sign, along, self._length) - ahead)[..., None]
+        return self._axes[:, 2] * soft(shirt_at(across * sign, along, self._length) - ahead, over)[..., None]
 
     def _from_hips(self, point: Array) -> Array:
         """[3, ..., T] metres across, along and ahead of a point [..., T, 3]."""

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module import controls
-from data_module.motion.kinematics import chains, positions_of_some
+from data_module.motion.kinematics import chains, positions_of_some, swivel
 from data_module.motion.rotation import cross, from_exponential_map
 from data_module.types import Array, Motion
 from gesticulator.body.life import HEAD
@@ -212,30 +212,14 @@ def beyond(places: Array, times: Array) -> Array:
     acceleration = np.linalg.norm(np.diff(velocity, axis=1) / between[:, None, None], axis=-1)[:, _BEFORE - 2:]
     most = (acceleration / np.repeat(_ACCELERATES, 2)).max(1)
     behind = (behind_trunk(places[:, _BEFORE:]).max((1, 2)) - _BEHIND[0]) / _BEHIND[1]
-    turned = swivel(places[:, _BEFORE - 1:]) / np.diff(times[_BEFORE - 1:])[:, None]
+    wrist, elbow, shoulder = (np.swapaxes(places[:, _BEFORE - 1:, k:k + 2], 1, 2) for k in (0, 2, 4))
+    turns, off = swivel(shoulder, elbow, wrist)
+    clear = (off > _BENT) & (np.linalg.norm(wrist - shoulder, axis=-1) > _REACHES)
+    turned = np.abs(turns) / np.diff(times[_BEFORE - 1:]) * (clear[..., 1:] & clear[..., :-1])
     speed = np.linalg.norm(velocity[:, _BEFORE - 1:], axis=-1)
     shares = [1.0 + behind, speed.max((1, 2)) / FASTEST, turned.max((1, 2)) / _SWIVELS, most[:, :2].max(1),
               most[:, 2:].max(1)]
     return np.asarray(sum(np.maximum(share - 1.0, 0.0) for share in shares))
-
-
-def swivel(places: Array) -> Array:
-    """[C, T - 1, 2] radians that each elbow turns about the line from its shoulder to its wrist, from frame to frame; 0
-    where the arm is straight or folded. places: [C, T, 8, 3] as of `CandidateMotion`."""
-    wrist, elbow, shoulder = (places[:, :, k:k + 2] for k in (0, 2, 4))
-    line, upper = wrist - shoulder, elbow - shoulder
-    far = np.linalg.norm(line, axis=-1, keepdims=True)
-    line = line / np.maximum(far, 1e-9)
-    out = upper - (upper * line).sum(-1, keepdims=True) * line
-    off = np.linalg.norm(out, axis=-1, keepdims=True)
-    clear = ((off > _BENT) & (far > _REACHES))[..., 0]
-    before, after, axis = out[:, :-1], out[:, 1:], cross(line[:, :-1], line[:, 1:])
-    # Carried along by the smallest rotation from one line to the next, so that what is left is the swivel.
-    cosine = (line[:, :-1] * line[:, 1:]).sum(-1, keepdims=True)
-    carried = (cosine * before + cross(axis, before)
-               + axis * (axis * before).sum(-1, keepdims=True) / np.maximum(1.0 + cosine, 1e-6))
-    sine, along = (cross(carried, after) * line[:, 1:]).sum(-1), (carried * after).sum(-1)
-    return np.abs(np.arctan2(sine, along)) * (clear[:, 1:] & clear[:, :-1])
 
 
 def depth(places: Array) -> Array:
