@@ -506,10 +506,7 @@ class Stream:
         turned = self._turns(times)
         if turned is not None:
             features = (features + turned * self._scale).astype(np.float32)
-        knots = loop.knots_of(self._performance, times)
-        if self._committed == 0.0:  # the first frames come from the first knot (`MotionPath`)
-            self._shown = deque([(RestKnots(np.zeros(1), knots.poses[:1], knots.gains[:1]), features[:1])])
-        self._shown.append((knots, features))
+        self._shown.append((loop.knots_of(self._performance, times), features))
         while self._shown[0][0].times[-1] < times[-1] - self._path.history:
             self._shown.popleft()
         self._committed = float(times[-1])

@@ -51,8 +51,8 @@ BREAKS_OFF = 0.18
 STILL_HOLD, STILL_SINKING = 1.6, 0.065
 """The same seconds and greatest speed where the hands are asked to hold still."""
 HELD_MOVES, HELD_RETURNS, _HELD_EASES = 0.35, 0.8, 0.3
-"""Share of the generated movement that a held hand makes, the seconds in which that fades, and those in which it sets
-in: a hand that a person holds drifts by one to three centimetres and beats a little."""
+"""Share of the generated movement that a held hand makes, and seconds in which that fades and sets in: a hand that a
+person holds drifts by one to three centimetres."""
 LETS_DOWN, HANGS = 0.24, 1.15
 """Seconds after an interrupting word at which the hands start down, still slow at 0.3 s, and at which they hang: as
 late as a limit of 1.2 s allows after smoothing, because a raised hand has 0.4 m to travel."""
@@ -433,7 +433,6 @@ class Rest:
         hands = pause if gestured else np.ones_like(pause)
         self._rests = [pause, hands, hands if still is None else hands | still]
         self._asked = still is not None and bool(still.any())
-        # The movement that is left at a hold ends with the voice.
         self._moves = HELD_MOVES if held and not hands.any() else 0.0
         return bool(self._rests[-1].mean() >= 0.5)
 

@@ -154,11 +154,10 @@ class CandidateChooser:
         return np.asarray(blocks[int(worth.argmax())], dtype=block.dtype)
 
     def natural(self, speech: SpeechBlock, motion: CandidateMotion) -> bool:
-        """Whether, as they are shown, arms stay within what people do in some candidate, and are not before the face in
-        one."""
+        """Whether arms stay within what people do in some candidate, and are not before the face in one."""
         times = self._times(speech, motion.poses.shape[1] - _BEFORE)
-        return bool(not beyond(motion.shown, times).all()
-                    and (_to_face(motion.places[:, _BEFORE:]).min((1, 2)) >= _BEFORE_FACE).any())
+        nearest = _to_face(motion.places[:, _BEFORE:]).min((1, 2))
+        return bool(not beyond(motion.shown, times).all() and (nearest >= _BEFORE_FACE).any())
 
     def _poses(self, past: Floating, blocks: Floating, shift: Floating | None = None) -> Array:
         """[C, T, D_m] as of `CandidateMotion`; see `motion` for the arguments."""
@@ -203,9 +202,8 @@ class CandidateChooser:
 
 
 def beyond(places: Array, times: Array) -> Array:
-    """[C] by how much the arms of each block go beyond people's, 0 for not: the excess of the greatest speed, of the
-    greatest swivel of an elbow, of the greatest accelerations of wrists and elbows, each over its limit, and of the
-    place behind the trunk.
+    """[C] by how much the arms of each block go beyond people's, 0 for not: the sum of what speed, swivel of the elbow,
+    accelerations of wrist and elbow, and place behind the trunk exceed their limits by.
     places: [C, T, 8, 3] as of `CandidateMotion`, at times [T] seconds."""
     velocity = np.diff(places[:, :, :4], axis=1) / np.diff(times)[:, None, None]
     between = 0.5 * (times[2:] - times[:-2])
@@ -216,9 +214,8 @@ def beyond(places: Array, times: Array) -> Array:
     turns, off = swivel(shoulder, elbow, wrist)
     clear = (off > _BENT) & (np.linalg.norm(wrist - shoulder, axis=-1) > _REACHES)
     turned = np.abs(turns) / np.diff(times[_BEFORE - 1:]) * (clear[..., 1:] & clear[..., :-1])
-    speed = np.linalg.norm(velocity[:, _BEFORE - 1:], axis=-1)
-    shares = [1.0 + behind, speed.max((1, 2)) / FASTEST, turned.max((1, 2)) / _SWIVELS, most[:, :2].max(1),
-              most[:, 2:].max(1)]
+    shares = [np.linalg.norm(velocity[:, _BEFORE - 1:], axis=-1).max((1, 2)) / FASTEST, 1.0 + behind,
+              turned.max((1, 2)) / _SWIVELS, most[:, :2].max(1), most[:, 2:].max(1)]
     return np.asarray(sum(np.maximum(share - 1.0, 0.0) for share in shares))
 
 

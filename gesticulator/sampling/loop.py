@@ -55,7 +55,7 @@ _POSE, _PLAN, _ACTIVITY, _POSTURE, _VOICE = range(1 << 20, (1 << 20) + 5)
 and of what the sound decides."""
 _WAXES, _LEANS = 3000, 4000
 """Milliseconds between independent numbers of activity and of posture: both wax and wane over a few seconds."""
-ELBOW, _ELBOW_EASES = (math.radians(6.0), math.radians(140.0)), math.radians(10.0)
+ELBOW = np.radians((6.0, 140.0, 10.0))
 """Least and greatest bend of an elbow, and the last part of either, in which it is slowed, radians."""
 _ENLARGED = 4.0
 """How much of a unit of a number that the sound decides one deviation of its spectrum's shape makes."""
@@ -357,14 +357,14 @@ def resting(bundle: Bundle, setup: Setup, state: State, request: Request, featur
     """Decide whether the hands rest: by the gate, by pauses and phrases, and where it is requested; held: they hold a
     gesture throughout."""
     # At activity 0 the hands rest whatever the gate says.
-    closed, probability, gate, still = setup.activity == 0, math.nan, state.gate, request.still
+    closed, probability, gate = setup.activity == 0, math.nan, state.gate
+    still = np.ones(bundle.frames, bool) if held else request.still
     if gate is not None:
         probability, gate = bundle.runners["gate"].step(gate, features)
         closed = not opened(probability, setup.activity)
     if state.rest is None:
         return Resting(closed or (still is not None and bool(still.mean() >= 0.5)), probability, gate, None)
     rest = state.rest.fork()
-    still = np.ones(len(request.speech.quiet), bool) if held else still
     return Resting(rest.analyse(request.speech.span, probability, still, held), probability, gate, rest)
 
 
@@ -411,11 +411,9 @@ def _hinged(bundle: Bundle, speaker: int, block: Floats) -> Floats:
     columns = [3 * names.index(side + "ForeArm") + 1 for side in SIDES]
     signs, scale, mean = np.array([1.0, -1.0]), statistics.deviation[columns], statistics.mean_pose[speaker][columns]
     bends = signs * (block[:, columns] * scale + mean)
-    (low, high), ease = ELBOW, _ELBOW_EASES
-    inside = np.clip(bends, low + ease, high - ease)
-    bent = inside + ease * np.tanh((bends - inside) / ease)
-    out = block.copy()
-    out[:, columns] = (signs * bent - mean) / scale
+    low, high, ease = ELBOW
+    inside, out = np.clip(bends, low + ease, high - ease), block.copy()
+    out[:, columns] = (signs * (inside + ease * np.tanh((bends - inside) / ease)) - mean) / scale
     return out
 
 

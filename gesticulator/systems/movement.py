@@ -265,8 +265,6 @@ _LOWEST, _HIGHEST = 0.55, -0.45
 """How far towards the resting pose an arm's first pose may be, as a share of the way from the mean pose."""
 _BEGINS = 0.6
 """Deviation from there where a performance begins, in deviations of the arms' joints: people begin anywhere."""
-_TRUNK = "Hips", "Spine"
-"""What the names of the joints that posture bends begin with."""
 _POSTURE = 0.8
 """Deviation of the trunk's first pose in lean, turn and tilt, in deviations of each joint."""
 
@@ -295,7 +293,7 @@ def first_pose(chances: Array, posture: Array, names: Sequence[str], rest: Array
     """[D_m] h of a preparation, normalised: each arm is somewhere between the mean and the resting pose, or a little
     above the mean pose, by the chances [2] from 0 to 1, and the trunk in a posture [3], deviations of lean, turn and
     tilt. names: of the J joints; rest: [D_m] the normalised resting pose, three numbers a joint; 0 is the mean pose."""
-    pose = np.where([[name.startswith(_TRUNK)] for name in names], _POSTURE * posture, 0.0).ravel()
+    pose = np.where([[name.startswith(("Hips", "Spine"))] for name in names], _POSTURE * posture, 0.0).ravel()
     arms = [np.repeat([name.startswith(side) for name in names], 3) for side in SIDES]
     for columns, chance in zip(arms, chances, strict=True):
         pose[columns] = (_HIGHEST + (_LOWEST - _HIGHEST) * chance) * rest[columns]
