@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from data_module.motion.kinematics import swivel
 from data_module.types import Array
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of
@@ -21,6 +20,7 @@ from gesticulator.sampling.candidates import (
     depth,
     in_time,
     retimings,
+    swivel,
 )
 from tests.untrained import MOVING, PLAIN, untrained
 

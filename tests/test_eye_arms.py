@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_module.motion.kinematics import swivel
 from data_module.types import Array
 from eval.acceptance.bounds import table
 from eval.metrics.eye import arms
 from eval.metrics.eye.body import HZ, SIDES, CommonBody
+from gesticulator.sampling.candidates import swivel
 
 SECONDS = 20.0
 TIME = np.arange(round(SECONDS * HZ)) / HZ

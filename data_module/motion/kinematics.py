@@ -155,18 +155,3 @@ def quintic_offset(before: Array, target: Array, times: Array, fade: float, fps:
     v, a = (gap[2] - gap[1]) * fps, (gap[2] - 2.0 * gap[1] + gap[0]) * fps * fps
     place, velocity, acceleration = fade_weights(np.clip((times - times[0] + 1.0 / fps) / fade, 0.0, 1.0)[:, None])
     return gap[2] * place + v * fade * velocity + a * fade * fade * acceleration
-
-
-def swivel(shoulder: Array, elbow: Array, wrist: Array) -> tuple[Array, Array]:
-    """[..., T - 1] radians that an elbow turns about the line from its shoulder to its wrist from frame to frame, and
-    [..., T] metres that it is off that line; places [..., T, 3]."""
-    line, upper = wrist - shoulder, elbow - shoulder
-    line = line / np.maximum(np.linalg.norm(line, axis=-1, keepdims=True), 1e-9)
-    out = upper - (upper * line).sum(-1, keepdims=True) * line
-    one, other, before, after = line[..., :-1, :], line[..., 1:, :], out[..., :-1, :], out[..., 1:, :]
-    # Carried along by the smallest rotation from one line to the next, so that what is left is the swivel.
-    axis, cosine = rotation.cross(one, other), (one * other).sum(-1, keepdims=True)
-    carried = (cosine * before + rotation.cross(axis, before)
-               + axis * (axis * before).sum(-1, keepdims=True) / np.maximum(1.0 + cosine, 1e-6))
-    sine = (rotation.cross(carried, after) * other).sum(-1)
-    return np.arctan2(sine, (carried * after).sum(-1)), np.asarray(np.linalg.norm(out, axis=-1))

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module import controls
-from data_module.motion.kinematics import chains, positions_of_some, swivel
+from data_module.motion.kinematics import chains, positions_of_some
 from data_module.motion.rotation import cross, from_exponential_map
 from data_module.types import Array, Motion
 from gesticulator.body.life import HEAD
@@ -42,7 +42,7 @@ _SWIVELS, _ACCELERATES = math.radians(230.0), (24.0, 12.5)
 """Rad/s of an elbow about the line from its shoulder to its wrist, and m/s^2 of a wrist and of an elbow: what people
 exceed in one frame of a thousand."""
 _BENT, _REACHES = 0.08, 0.2
-"""Metres: an elbow that is nearer to that line, or a wrist to its shoulder, has no swivel to speak of."""
+"""Metres: an elbow nearer to that line, or a wrist nearer to its shoulder, has no swivel to speak of."""
 _BEHIND = 0.03, 0.05
 """Metres that an arm may be behind the trunk, and those over which that becomes as bad as twice another limit."""
 _SEAM = 0.02
@@ -217,6 +217,21 @@ def beyond(places: Array, times: Array) -> Array:
     shares = [np.linalg.norm(velocity[:, _BEFORE - 1:], axis=-1).max((1, 2)) / FASTEST, 1.0 + behind,
               turned.max((1, 2)) / _SWIVELS, most[:, :2].max(1), most[:, 2:].max(1)]
     return np.asarray(sum(np.maximum(share - 1.0, 0.0) for share in shares))
+
+
+def swivel(shoulder: Array, elbow: Array, wrist: Array) -> tuple[Array, Array]:
+    """[..., T - 1] radians that an elbow turns about the line from its shoulder to its wrist from frame to frame, and
+    [..., T] metres that it is off that line; places [..., T, 3]."""
+    line, upper = wrist - shoulder, elbow - shoulder
+    line = line / np.maximum(np.linalg.norm(line, axis=-1, keepdims=True), 1e-9)
+    out = upper - (upper * line).sum(-1, keepdims=True) * line
+    one, other, before, after = line[..., :-1, :], line[..., 1:, :], out[..., :-1, :], out[..., 1:, :]
+    # Carried along by the smallest rotation from one line to the next, so that what is left is the swivel.
+    axis, cosine = cross(one, other), (one * other).sum(-1, keepdims=True)
+    carried = (cosine * before + cross(axis, before)
+               + axis * (axis * before).sum(-1, keepdims=True) / np.maximum(1.0 + cosine, 1e-6))
+    sine = (cross(carried, after) * other).sum(-1)
+    return np.arctan2(sine, (carried * after).sum(-1)), np.asarray(np.linalg.norm(out, axis=-1))
 
 
 def depth(places: Array) -> Array:

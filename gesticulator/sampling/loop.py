@@ -58,7 +58,7 @@ _WAXES, _LEANS = 3000, 4000
 ELBOW = np.radians((6.0, 140.0, 10.0))
 """Least and greatest bend of an elbow, and the last part of either, in which it is slowed, radians."""
 _ENLARGED = 4.0
-"""How much of a unit of a number that the sound decides one deviation of its spectrum's shape makes."""
+"""Units of a number for a deviation of a spectrum's shape: voices are alike, so what differs is enlarged."""
 _CHANNELS = 1 << 32
 """The first channel of `life.mixed` here; the idle motion and the choice of phrases use lower ones."""
 
@@ -112,7 +112,6 @@ class Keys:
         like: they change gradually with it, and not with its level."""
         shape = spectrum - spectrum.mean()
         mix = self._normal(_VOICE, 0.0, count * len(shape)).reshape(count, -1)
-        # Voices are alike, so what differs is enlarged, and folded to stay in range without a jump.
         numbers = _ENLARGED * (mix @ shape) / math.sqrt(float(shape @ shape) + 1e-9)
         return np.asarray(np.abs(numbers % 2.0 - 1.0))
 

@@ -17,6 +17,7 @@ speed of the hands, then by timing and smooth joins.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -308,16 +309,15 @@ def _first_of(bundle: Bundle, setup: Setup, chances: Array, posture: Array) -> F
 
 def begun(bundle: Bundle, setup: Setup, state: State, speech: SpeechBlock) -> State:
     """The state before a first block in which somebody speaks: in a pose that the sound decides."""
-    from scipy.special import ndtr, ndtri
-
     assert state.rest is not None
     frames, names = bundle.frames, CHARACTERS[bundle.config.motion.joints].names
     arms = np.repeat([name.endswith("Arm") for name in names], 3)
     # The spectrum of this block and, if it is known, the next one, without the energy in the last column.
     heard = bundle.statistics.low.apply(speech.low)[frames:(2 if speech.foreseen else 3) * frames, :-1].mean(0)
-    numbers = np.asarray(ndtri(np.clip(state.keys.of_voice(heard, 5 + arms.sum()), 0.02, 0.98)))
-    pose = _first_of(bundle, setup, np.asarray(ndtr(numbers[:2])), numbers[2:5])
-    pose[arms] += _BEGINS * numbers[5:].astype(np.float32)
+    numbers = state.keys.of_voice(heard, 5 + arms.sum())
+    deviations = math.sqrt(12.0) * (numbers[2:] - 0.5)
+    pose = _first_of(bundle, setup, numbers[:2], deviations[:3])
+    pose[arms] += _BEGINS * deviations[3:].astype(np.float32)
     rest = state.rest.fork()
     rest.begin_in(pose.astype(np.float64))
     past = np.repeat(pose[None], frames, axis=0)

@@ -35,12 +35,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from data_module.motion.kinematics import swivel
 from data_module.motion.phases import Phase, phases_of, runs
 from data_module.types import Array
 from eval.metrics.eye.body import HZ, SIDES, CommonBody, bend
 from eval.metrics.eye.hands import HANGS
 from eval.metrics.eye.trunk import smoothed_speed
+from gesticulator.sampling.candidates import swivel
 
 LIMITS = {"wrist": (23.5, 469.0), "elbow": (12.5, 238.0), "swivel": 257.0, "arc": 0.111}
 """m/s^2 and m/s^3, degrees a second, metres in .2 s: 99.9th percentiles of 3.9 minutes of three people who talk (a
