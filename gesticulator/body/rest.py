@@ -276,10 +276,6 @@ class RestingPart:
         self._join = None
         return out
 
-    def begin_in(self, pose: Array) -> None:
-        """Begin awake in a pose [D], standing still."""
-        self._stop, self._last = None, [(-1.0, pose), (0.0, pose)]
-
     def break_off(self, last: list[tuple[float, Array]], word: float) -> None:
         """Stop and go to rest at once from the last two times and poses (later motion is discarded). word: time of the
         interruption in seconds, a little earlier."""
@@ -415,7 +411,7 @@ class Rest:
         """Begin in a pose [D_m] instead of at rest."""
         self._pauses = Pauses(resting=False)
         for columns, part in self._parts:
-            part.begin_in(pose[columns])
+            part._stop, part._last = None, [(-1.0, pose[columns]), (0.0, pose[columns])]
         self._life.go_back(np.zeros((len(self._parts), 2)), pose)
 
     def stand_as(self, other: Rest) -> None:

@@ -39,8 +39,7 @@ _STILL = 3.0
 FASTEST = 3.5
 """Speed limit of a hand or an elbow, m/s: in the real takes, hands stay under 3.1 in 99 of 100 seconds."""
 _SWIVELS, _ACCELERATES = math.radians(230.0), (24.0, 12.5)
-"""Rad/s of an elbow about the line from its shoulder to its wrist, and m/s^2 of a wrist and of an elbow: what people
-exceed in one frame of a thousand."""
+"""Rad/s of an elbow about its arm's line, and m/s^2 of a wrist and of an elbow: people exceed it in 1 of 1000 frames."""
 _BENT, _REACHES = 0.08, 0.2
 """Metres: an elbow nearer to that line, or a wrist nearer to its shoulder, has no swivel to speak of."""
 _BEHIND = 0.03, 0.05
@@ -85,14 +84,6 @@ class CandidateMotion:
     places: Array
     shown: Array
 
-    def __len__(self) -> int:
-        return len(self.poses)
-
-    def joined(self, other: CandidateMotion) -> CandidateMotion:
-        """Those and more."""
-        return CandidateMotion(*(np.concatenate(pair) for pair in (
-            (self.poses, other.poses), (self.places, other.places), (self.shown, other.shown))))
-
 
 class CandidateChooser:
     """Chooses among the candidates of a block for one speaker."""
@@ -128,8 +119,7 @@ class CandidateChooser:
         times = self._times(speech, poses.shape[1] - _BEFORE)
         hands = places[:, :, :2]
         score = -LEXEME * np.log(apart.astype(np.float64))
-        # Only this term is about what is shown: a shift depends on how the hands came here, so two takes that parted
-        # would go on choosing differently while it fades.
+        # Only this is about what is shown: by a shift, two takes that parted would choose differently while it fades.
         score -= NATURAL * beyond(motion.shown, times)
         score -= BODY * depth(places[:, _BEFORE:])
         if len(speech.onsets) > 0:
@@ -191,8 +181,7 @@ class CandidateChooser:
     def _control_error(self, hands: Array, times: Array, control: Floating) -> Array:
         """[C] distance of each candidate's hands [C, T, 2, 3] from the controlled features, in standard deviations."""
         levels, width, inside = self._statistics.levels, len(controls.FEATURES), hands[:, _BEFORE:]
-        if levels is None:
-            return np.zeros(len(hands))
+        assert levels is not None, "there are no controls without levels"
         # The same definition as of the training data (`data_module.controls`), mean over the block.
         steps = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1).mean(-1)
         measured = np.stack([inside[:, :, 0, 1].mean(1), steps.sum(1) / (times[-1] - times[_BEFORE - 1]),
@@ -226,7 +215,7 @@ def swivel(shoulder: Array, elbow: Array, wrist: Array) -> tuple[Array, Array]:
     line = line / np.maximum(np.linalg.norm(line, axis=-1, keepdims=True), 1e-9)
     out = upper - (upper * line).sum(-1, keepdims=True) * line
     one, other, before, after = line[..., :-1, :], line[..., 1:, :], out[..., :-1, :], out[..., 1:, :]
-    # Carried along by the smallest rotation from one line to the next, so that what is left is the swivel.
+    # Carried along by the smallest rotation from line to line.
     axis, cosine = cross(one, other), (one * other).sum(-1, keepdims=True)
     carried = (cosine * before + cross(axis, before)
                + axis * (axis * before).sum(-1, keepdims=True) / np.maximum(1.0 + cosine, 1e-6))

@@ -51,8 +51,7 @@ _MILLISECONDS = 100
 """Milliseconds between independent numbers: half of the shortest block."""
 _MOTION, _CHOICE = 0, 1
 _POSE, _PLAN, _ACTIVITY, _POSTURE, _VOICE = range(1 << 20, (1 << 20) + 5)
-"""Kinds of numbers: of the motion, of the choice of lexemes, of first poses, of the planner, of activity, of posture,
-and of what the sound decides."""
+"""Kinds of numbers: of motion, choice of lexemes, first poses, planner, activity, posture and what sound decides."""
 _WAXES, _LEANS = 3000, 4000
 """Milliseconds between independent numbers of activity and of posture: both wax and wane over a few seconds."""
 ELBOW = np.radians((6.0, 140.0, 10.0))
@@ -251,12 +250,11 @@ def begin(bundle: Bundle, setup: Setup, text: bool = False, keys: Keys | None = 
 
 def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
     """The next block, and the state after it."""
-    take = bundle.system.step
-    block, after = take(bundle, setup, state, request)
+    block, after = bundle.system.step(bundle, setup, state, request)
     if state.varied is None:
         return block, after
     # The lexeme is given, so both states hear the same decisions and move otherwise.
-    varied, varied_after = take(bundle, setup, state.varied, replace(request, lexeme=block.lexeme))
+    varied, varied_after = bundle.system.step(bundle, setup, state.varied, replace(request, lexeme=block.lexeme))
     return varied, replace(after, varied=varied_after)
 
 
@@ -344,26 +342,15 @@ class Resting:
     rest: Rest | None
 
 
-def opened(probability: float, activity: float) -> bool:
-    """Whether a block may have a gesture: probability >= 1 - activity, and never at activity 0. activity: 0 for no
-    gestures, 0.5 for gestures that are more likely than not, 1 for a gesture on every block. Raising either number
-    never closes the gate. ValueError for a number outside 0 to 1."""
-    if not (0 <= probability <= 1 and 0 <= activity <= 1):
-        raise ValueError(f"probability {probability} and activity {activity} must lie in 0 to 1")
-    # At activity 0 a certain gesture (probability 1) would pass the comparison.
-    return activity > 0 and probability >= 1 - activity
-
-
 def resting(bundle: Bundle, setup: Setup, state: State, request: Request, features: BlockFeatures, held: bool = False
             ) -> Resting:
     """Decide whether the hands rest: by the gate, by pauses and phrases, and where it is requested; held: they hold a
     gesture throughout."""
-    # At activity 0 the hands rest whatever the gate says.
     closed, probability, gate = setup.activity == 0, math.nan, state.gate
     still = np.ones(bundle.frames, bool) if held else request.still
     if gate is not None:
         probability, gate = bundle.runners["gate"].step(gate, features)
-        closed = not opened(probability, setup.activity)
+        closed = closed or probability < 1 - setup.activity
     if state.rest is None:
         return Resting(closed or (still is not None and bool(still.mean() >= 0.5)), probability, gate, None)
     rest = state.rest.fork()

@@ -481,7 +481,7 @@ class FlowSampler:
                 further.append(self._drawn(base, context, pull, steps, np.roll(noise, -1, 0), same))
             coefficients = np.concatenate([coefficients, *(each for each, _ in further)])
             blocks = np.concatenate([blocks, *(each for _, each in further)])
-            motion = motion.joined(self.chooser.motion(past, blocks[len(motion):], block.shift))
+            motion = self.chooser.motion(past, blocks, block.shift)
         distances = self.lexicon.distances(coefficients)
         apart = distances[:, block.lexeme] / np.maximum(distances.min(-1), np.float32(_NEAREST))
         best = self.chooser.choose(speech, motion, apart, block.features.control)
