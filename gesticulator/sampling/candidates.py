@@ -39,7 +39,7 @@ _STILL = 3.0
 FASTEST = 3.5
 """Speed limit of a hand or an elbow, m/s: in the real takes, hands stay under 3.1 in 99 of 100 seconds."""
 _SWIVELS, _ACCELERATES = math.radians(230.0), (24.0, 12.5)
-"""Rad/s of an elbow about its arm's line, and m/s^2 of a wrist and of an elbow: people exceed it in 1 of 1000 frames."""
+"""Rad/s of an elbow about its arm's line, and m/s^2 of a wrist and of an elbow: people exceed it in .1 % of frames."""
 _BENT, _REACHES = 0.08, 0.2
 """Metres: an elbow nearer to that line, or a wrist nearer to its shoulder, has no swivel to speak of."""
 _BEHIND = 0.03, 0.05
