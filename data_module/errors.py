@@ -20,7 +20,7 @@ EXIT_PIPE = 141
 EXIT_STOPPED = 130
 """Exit code of a program ended by SIGINT (2): 128 + 2."""
 # Extra of each package that is imported without a check before (`registry.Requirement`).
-EXTRAS = {"matplotlib": "figures", "av": "video", "PIL": "video", **dict.fromkeys(("torch", "librosa", "sklearn"), "train")}
+EXTRAS = {"torch": "train", "librosa": "train", "sklearn": "train", "matplotlib": "figures", "PIL": "video"}
 # Control characters, which can clear a terminal or change its title, and those that hide text or change its direction.
 _INVISIBLE = re.compile("[\x00-\x1f\x7f-\x9f\u200b\u200e\u200f\u2028-\u202e\u2060\u2066-\u2069\ufeff\ud800-\udfff]")
 

@@ -29,11 +29,10 @@ PROJECT = "gesticulator"
 
 def install_line(extra: str) -> str:
     """The command that installs an extra from where this distribution came from, as pip noted it (PEP 610): a folder,
-    a wheel or a repository; without a note from the package index."""
+    a wheel or a repository; without a note from the package index. With "-e" where pip had it."""
     with contextlib.suppress(PackageNotFoundError):
         if note := distribution(PROJECT).read_text("direct_url.json"):
             url, about = (origin := json.loads(note))["url"], origin.get("vcs_info") or {}
-            # Without "-e", a folder that is edited would be copied.
             return f'pip install -e "{url.removeprefix("file://")}[{extra}]"' if "editable" in note else \
                 f'pip install "{PROJECT}[{extra}] @ {about.get("vcs", "")}{"+" if about else ""}{url}"'
     return f'pip install "{PROJECT}[{extra}]"'
