@@ -221,7 +221,8 @@ def test_the_figures_of_the_papers_bundle_are_those_that_are_stored() -> None:
     stored, found = tables("paper_motion.json"), shown_rows("paper.md")
     kept = stored["Acceptance of the motion"].notes[0].removesuffix(" clauses hold.")
     assert found["bounds that are kept"][0] == kept
-    for name, of_result in (("Fréchet distance of motion windows from real recordings", "window Frechet to the reference"),
+    far = "Fréchet distance of motion windows from real recordings"
+    for name, of_result in ((far, "window Frechet to the reference"),
                             ("stroke amplitude, median, cm", "stroke amplitude, median, cm"),
                             ("chest travel, cm/s", "chest travel, cm/s"),
                             ("raised hand held, % of speech", "raised hand held, of speech, %")):
