@@ -31,6 +31,8 @@ _SQUARE = np.radians(8.0)
 """A body that faces within this angle of an axis of the file faces along it: shoulders are never exactly level."""
 _BENT = np.radians(15.0)
 """A joint bent by more than this in the bind pose defines the axis of its hinge."""
+_TURNED = np.radians(3.0)
+"""Turn of hips or shoulders in the bind pose above which it is that of a movement."""
 _LENGTH = 0.6
 """Distance from hips to head of an adult, metres."""
 _SUNK = 0.2
@@ -279,7 +281,10 @@ class _Rig:
     def trunk(self) -> list[BoneSegment]:
         """Hips, spine, neck and head, by their position between hips, chest and head."""
         joints, bind = self.joints, self.bind
-        out = [BoneSegment(joints["Hips"], "Hips", bind[joints["Hips"]])]
+        low, high = self._straightening(joints["Hips"], "UpLeg"), np.zeros(3)
+        if self.mapping.spine:
+            high = self._straightening(self.mapping.spine[-1], "Shoulder")
+        out = [BoneSegment(joints["Hips"], "Hips", Rotation.from_rotvec(low).as_matrix() @ bind[joints["Hips"]])]
         # By length, not by number: some rigs have a short first spine bone.
         shares = self._shares([joints["Hips"], *self.mapping.spine])
         source = ("Hips", "Spine", "Spine1", "Spine2", "Spine3")
@@ -287,14 +292,23 @@ class _Rig:
         for node, share in zip(self.mapping.spine, shares[1:], strict=True):
             if node != self.mapping.spine[-1] and self._carries_legs(node):
                 share = 0.0  # a node that carries the legs moves with the hips
-            out.append(BoneSegment(node, *_place_among(source, steps / steps[-1], share, bind[node])))
-        chain = [*self.mapping.neck, joints["Head"]]
-        shares = self._shares(chain)
-        for node, low, high in zip(self.mapping.neck, shares, shares[1:], strict=False):
+            straight = Rotation.from_rotvec((1.0 - share) * low + share * high).as_matrix() @ bind[node]
+            out.append(BoneSegment(node, *_place_among(source, steps / steps[-1], share, straight)))
+        shares = self._shares([*self.mapping.neck, joints["Head"]])
+        for node, begin, end in zip(self.mapping.neck, shares, shares[1:], strict=False):
             # A neck of one joint bends like the average of our two, taken at the middle of its bone.
-            out.append(BoneSegment(node, *_place_among(("Neck", "Neck1"), np.array([0.25, 0.75]), (low + high) / 2.0,
+            out.append(BoneSegment(node, *_place_among(("Neck", "Neck1"), np.array([0.25, 0.75]), (begin + end) / 2.0,
                                                    bind[node])))
         return [*out, BoneSegment(joints["Head"], "Head", bind[joints["Head"]])]
+
+    def _straightening(self, node: int, part: str) -> Array:
+        """[3] rotation vector that makes a node of the trunk face ahead, whose line between both sides' `part` turns in
+        the bind pose, as in a frame of a walk: limbs are at mirrored places of such a node. Zero if it does not."""
+        ways = [self.way(node, self.joints[side + part]) for side in SIDES if side + part in self.joints]
+        if len(ways) < 2 or ways[0] is None or ways[1] is None or np.linalg.norm(ways[0] - ways[1]) < 1e-6:
+            return np.zeros(3)
+        turn = Rotation.from_matrix(_turn(self.bind[node] @ (ways[0] - ways[1]), np.array([1.0, 0.0, 0.0]))).as_rotvec()
+        return turn if np.linalg.norm(turn) > _TURNED else np.zeros(3)
 
     def _carries_legs(self, node: int) -> bool:
         return any(self.way(node, self.joints[side + "UpLeg"]) is not None for side in SIDES

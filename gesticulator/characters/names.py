@@ -77,8 +77,11 @@ _CLEAR = {
 _DOUBLE = {"shoulder": ("Shoulder", "Arm"), "arm": ("Arm", "ForeArm"), "leg": ("Leg", "UpLeg"),
            "hip": ("HipJoint", "UpLeg"),  # a node above the thigh in some tools
            "foot": ("Foot", "ToeBase"), "forefoot": ("Foot", "ToeBase"), "hand": ("Hand",), "palm": ("Hand",)}
-_FINGERS = {"thumb": "Thumb", "index": "Index", "pointer": "Index", "mid": "Middle", "middle": "Middle",
-            "ring": "Ring", "pinky": "Pinky", "little": "Pinky", "pinkie": "Pinky", "small": "Pinky"}
+_FINGERS = {short: finger for finger, words in {
+    "Thumb": "thumb thmb thb", "Index": "index indx idx pointer", "Middle": "middle mid mdl", "Ring": "ring rng",
+    "Pinky": "pinky pnky pinkie little small"}.items() for short in words.split()}
+# A finger's name beside words for hands and fingers; a letter behind it numbers the phalanges.
+_FINGER = re.compile(rf"(?:in)?(?:hand|finger|fing|fng|f)?({'|'.join(_FINGERS)})(?:finger|fing|fng)?([a-d]?)")
 _PARTS = {spelling: (part,) for part, spellings in _CLEAR.items() for spelling in spellings}
 _KINDS = {"meta": "Metacarpal", "metacarpal": "Metacarpal", "proximal": "1", "intermediate": "2", "distal": "3",
           "carpal": "Metacarpal"}
@@ -167,10 +170,9 @@ def label(name: str, noise: frozenset[str] = frozenset()) -> Label:
         if len(after) == 2 and after[0] in "12345":  # MakeHuman: the thumb is finger 1, its joints 1-1, 1-2 and 1-3
             which = str(int(after[0]) - 1) + after[1]
         return Label((tuple(dict.fromkeys(_FINGERS.values()))[min(int(which[0]), 4)],), side, which[1:], tip, aid)
-    for short, finger in _FINGERS.items():
-        # A finger without a side is an ornament or part of a glove.
-        if side and key in (short, "hand" + short, short + "finger", "finger" + short, "f" + short, "in" + short):
-            return Label((finger,), side, number, tip, aid)
+    # A finger without a side is an ornament or part of a glove.
+    if side and (finger := _FINGER.fullmatch(key)):
+        return Label((_FINGERS[finger[1]],), side, number or finger[2], tip, aid)
     # Ambiguous names first: the search decides by bone lengths which meaning fits.
     parts = _DOUBLE.get(key, ()) if side else ()
     parts = parts or _PARTS.get(key, ())

@@ -21,7 +21,7 @@ from gesticulator.export.gltf import (
 )
 from gesticulator.face.motion import FaceMotion
 from gesticulator.face.rig import find_face
-from gesticulator.face.shapes import vrm
+from gesticulator.face.shapes import lacking, vrm
 
 
 class FaceWarning(UserWarning):
@@ -36,6 +36,9 @@ def tracks_of(gltf: GltfDocument, character: Character, arms: tuple[int, int], f
     rig = find_face(character)
     if not rig.can_speak:
         warnings.warn(FaceWarning(f"{name}: has neither mouth shapes nor a jaw bone, so its mouth stays as it is"),
+                      stacklevel=3)
+    elif missing := lacking(rig.curves | ({"jawOpen"} if rig.jaw is not None else set())):
+        warnings.warn(FaceWarning(f"{name}: lacks {', '.join(missing)}, so its mouth shows less of what is said"),
                       stacklevel=3)
     places = character.world_matrices()[:, :3, 3]
     left = places[arms[0]] - places[arms[1]]

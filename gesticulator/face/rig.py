@@ -16,7 +16,7 @@ from data_module.types import Array
 from gesticulator.characters.gltf_file import AGAIN, GltfFile, read_gltf
 from gesticulator.characters.rig import Character
 from gesticulator.face.motion import FaceMotion
-from gesticulator.face.shapes import VRM, VRM_0, curves, find_shapes, is_lips, jaw_angles
+from gesticulator.face.shapes import ARKIT, VRM, VRM_0, curves, find_shapes, is_lips, jaw_angles
 
 _EYES = {"Left": re.compile(r"(left[ _.]?eye|eye[ _.]?left|eye[_.]l|l[_.]eye|cc_base_l_eye|facial_l_eye)", re.I),
          "Right": re.compile(r"(right[ _.]?eye|eye[ _.]?right|eye[_.]r|r[_.]eye|cc_base_r_eye|facial_r_eye)", re.I)}
@@ -39,7 +39,12 @@ class FaceRig:
     @property
     def can_speak(self) -> bool:
         """True if a shape or a jaw moves the mouth."""
-        return self.jaw is not None or any(is_lips(curve) for rows in self.morphs.values() for _, curve, _ in rows)
+        return self.jaw is not None or any(map(is_lips, self.curves))
+
+    @property
+    def curves(self) -> set[str]:
+        """The curves that drive its shapes."""
+        return {curve for rows in self.morphs.values() for _, curve, _ in rows}
 
     def weights(self, face: FaceMotion) -> dict[int, Array]:
         """Node of the file -> [T, targets] weights over time."""
@@ -115,7 +120,8 @@ def _found(file: GltfFile, character: Character) -> FaceRig:
         morphs = {node: [row for row in rows if not re.match("eyeLook|vrm_look", row[1])]
                   for node, rows in morphs.items()}
     morphs = {node: rows for node, rows in morphs.items() if rows}
-    opens = any(is_lips(curve) for rows in morphs.values() for _, curve, _ in rows)
+    opens = any(is_lips(curve) and (curve == "jawOpen" or curve not in ARKIT)
+                for rows in morphs.values() for _, curve, _ in rows)
     return FaceRig({node: tuple(rows) for node, rows in morphs.items()}, base, eyes,
                    None if opens else _jaw(character))
 

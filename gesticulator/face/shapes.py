@@ -111,13 +111,23 @@ def vrm(face: FaceMotion) -> dict[str, Array]:
 
 # --------------------------------------------------------------------------------------------------- finding shapes
 
-# Words of MetaHuman for shapes of ARKit; a name or a curve without a side is for both.
-_METAHUMAN = {
+# Words of MetaHuman, Meta, SRanipal and VRCFaceTracking for shapes of ARKit; a name or a curve without a side is for
+# both.
+_OF_ARKIT = {
     "eyeLookLeftLeft": "eyeLookOutLeft", "eyeLookRightLeft": "eyeLookInLeft", "eyeLookLeftRight": "eyeLookInRight",
     "eyeLookRightRight": "eyeLookOutRight", "browRaiseIn": "browInnerUp", "browRaiseOuter": "browOuterUp",
     "mouthCornerPull": "mouthSmile", "mouthCornerDepress": "mouthFrown", "mouthLowerLipDepress": "mouthLowerDown",
     "mouthUpperLipRaise": "mouthUpperUp", "mouthFunnelD": "mouthFunnel", "mouthFunnelU": "mouthFunnel",
-    "mouthLipsPurseD": "mouthPucker", "mouthLipsPurseU": "mouthPucker", "mouthLipsPress": "mouthPress"}
+    "mouthLipsPurseD": "mouthPucker", "mouthLipsPurseU": "mouthPucker", "mouthLipsPress": "mouthPress",
+    "mouthUpperLipRollIn": "mouthRollUpper", "mouthLowerLipRollIn": "mouthRollLower", "jawDrop": "jawOpen",
+    "lipPressor": "mouthPress", "lipStretcher": "mouthStretch", "lipCornerPuller": "mouthSmile",
+    "lipCornerDepressor": "mouthFrown", "lowerLipDepressor": "mouthLowerDown", "upperLipRaiser": "mouthUpperUp",
+    "innerBrowRaiser": "browInnerUp", "outerBrowRaiser": "browOuterUp", "browLowerer": "browDown",
+    "mouthPout": "mouthPucker", "mouthOShape": "mouthFunnel", "eyeClosed": "eyeBlink",
+    **{f"lipFunneler{part}": "mouthFunnel" for part in ("LB", "LT", "RB", "RT")},
+    **{f"lip{word}{part}": f"mouth{word}" for word in ("Pucker", "Funnel") for part in ("", "Upper", "Lower")},
+    **{f"lipSuck{part}": f"mouthRoll{row}" for row, parts in (
+        ("Upper", ("Upper", "LT", "RT")), ("Lower", ("Lower", "LB", "RB"))) for part in parts}}
 # Those of Reallusion's Character Creator, Mixamo (Fuse), VRChat, VRoid, Unity-chan, and Japanese ones.
 _TOOLS = {
     "vOpen": "viseme_aa", "vExplosive": "viseme_PP", "vDentalLip": "viseme_FF", "vTongueCurlU": "viseme_RR",
@@ -150,18 +160,18 @@ def _spelled(table: Mapping[str, str]) -> dict[str, str]:
 
 
 _NAMES = {
-    "arkit": _spelled(_METAHUMAN | {name: name for name in ARKIT}),
+    "arkit": _spelled(_OF_ARKIT | {name: name for name in ARKIT}),
     "visemes": {prefix + name.lower(): f"viseme_{name}" for name in VISEMES for prefix in ("viseme", "v")}
     | {"visemei": "viseme_ih", "visemeo": "viseme_oh", "visemeu": "viseme_ou"},
     "tools": _spelled(_TOOLS)}
 """Kind of shapes -> a name's last words in lower case, joined -> the curve."""
 _VOWELS = {name: f"vrm_{vowel}" for vowel, names in {
-    "aa": "a aa ah あ", "ih": "i ih い", "ou": "u ou uu う", "ee": "e ee え", "oh": "o oh お"}.items()
+    "aa": "a aa aah ah あ", "ih": "i ih い", "ou": "u ou ooh uu う", "ee": "e ee え", "oh": "o oh お"}.items()
            for name in names.split()}
 _PHONES = {name: f"viseme_{viseme}" for viseme, names in {
     "PP": "pp mbp bmp m p", "FF": "ff fv f v", "TH": "th", "DD": "dd td d t", "kk": "kk k g", "CH": "ch sh",
-    "SS": "ss s z", "nn": "nn n", "RR": "rr er", "aa": "aa a ai ah", "E": "e eh", "ih": "ih i ee iy", "oh": "oh o ow",
-    "ou": "ou u oo uw wq w"}.items() for name in names.split()}
+    "SS": "ss s z", "nn": "nn n l", "RR": "rr er", "aa": "aa a ai ah aah", "E": "e eh uh", "ih": "ih i ee iy",
+    "oh": "oh o ow", "ou": "ou u oo ooh uw wq w"}.items() for name in names.split()}
 _RHUBARB = {"a": "viseme_PP", "b": "viseme_SS", "c": "viseme_E", "d": "viseme_aa", "e": "viseme_oh", "f": "viseme_ou",
             "g": "viseme_FF", "h": "viseme_nn"}
 """The mouths of Preston Blair's series, which Rhubarb and 2-D animators call A to H."""
@@ -187,7 +197,7 @@ def find_shapes(names: Iterable[str]) -> dict[str, tuple[str, float]]:
     ways: dict[str, dict[str, tuple[str, float]]] = {kind: {} for kind in (*_NAMES, "vowels")}
     groups: dict[str, dict[str, str]] = {}
     for name in dict.fromkeys(names):
-        words = [_SAME.get(word.lower(), word.lower()) for word in _WORD.findall(name)]
+        words = [_SAME.get(word.lower(), word.lower()) for word in _WORD.findall(re.sub("_max$", "", name))]
         tails = ["".join(words[first:]) for first in range(len(words))]
         tail = next((tail for tail in tails if _known(tail)), "")
         before = words[:tails.index(tail)] if tail else words[:-1]
@@ -207,9 +217,10 @@ def find_shapes(names: Iterable[str]) -> dict[str, tuple[str, float]]:
         if len(known) >= _FEWEST_LETTERS or not prefix:
             ways[kind] |= {name: (curve, 1.0) for curve, name in known.items()}
     # A character often has shapes of several kinds; driving two of them at once would open the mouth twice.
-    mouth = next((way for way, least in _CHOICE if len(
-        lips := {curve for curve, _ in ways[way].values() if is_lips(curve)}) >= least
-        and (way != "arkit" or least == 1 or "jawOpen" in lips)), "arkit")
+    lips = {way: {curve for curve, _ in rows.values() if is_lips(curve) and (curve not in ARKIT or curve in SPEECH)}
+            for way, rows in ways.items()}
+    mouth = next((way for way, least in _CHOICE if len(lips[way]) >= least
+                  and (way != "arkit" or least == 1 or "jawOpen" in lips[way])), "arkit")
     chosen = {name: driver for name, driver in ways[mouth].items() if is_lips(driver[0])}
     # Lids and brows come from whatever kind has them: those do not add up with the mouth.
     for way in ways.values():
@@ -218,14 +229,23 @@ def find_shapes(names: Iterable[str]) -> dict[str, tuple[str, float]]:
     return {name: driver for name, driver in chosen.items() if not (sided and driver[0] == "vrm_blink")}
 
 
-_CHOICE = (("arkit", 3), ("visemes", 5), ("tools", 3), ("vowels", 3), ("tools", 1), ("vowels", 1), ("arkit", 1))
-"""Kinds of mouths in the order of their worth, and the least different curves of the lips that each takes."""
+_CHOICE = (("arkit", 3), ("visemes", 3), ("tools", 3), ("vowels", 3), ("tools", 1), ("vowels", 1), ("arkit", 1))
+"""Kinds of mouths in the order of their worth, and the least different curves that each takes of those that speech
+moves."""
 _FEWEST_LETTERS = 3
 """Least different names of one or two letters behind one prefix that are taken for sounds."""
 
 
 def _known(words: str) -> bool:
     return any(words in table for table in _NAMES.values())
+
+
+def lacking(found: Iterable[str]) -> list[str]:
+    """ARKit's shapes that speech moves and that are not among the curves of a mouth of ARKit's shapes; none of other
+    mouths."""
+    stems = {re.sub("(Left|Right)$", "", curve): curve in ARKIT for curve in found if is_lips(curve)}
+    wanted = dict.fromkeys(re.sub("(Left|Right)$", "", curve) for curve in SPEECH)
+    return [stem for stem in wanted if stem not in stems] if stems and all(stems.values()) else []
 
 
 def is_lips(curve: str) -> bool:
