@@ -127,6 +127,7 @@ def measure(character: Character, mapping: RigMapping) -> Body:
 
 
 _SOURCE = {name: WHOLE_BODY.offsets[index] for index, name in enumerate(WHOLE_BODY.names)}
+_LEFT = np.array([1.0, 0.0, 0.0])
 _ANKLE = 0.08
 """Height of the default skeleton's ankle above the floor, metres."""
 
@@ -239,6 +240,11 @@ def _turn(a: Array, b: Array) -> Array:
     return rotation.to_matrix(rotation.between(a, b))
 
 
+def _turned_by(turn: Array) -> Array:
+    """[3, 3] the rotation of a rotation vector."""
+    return rotation.to_matrix(rotation.from_exponential_map(turn))
+
+
 def _angle(a: Array, b: Array) -> float:
     return float(np.arccos(np.clip(a @ b / (np.linalg.norm(a) * np.linalg.norm(b)), -1.0, 1.0)))
 
@@ -276,18 +282,17 @@ class _Rig:
     def trunk(self) -> list[BoneSegment]:
         """Hips, spine, neck and head, by their position between hips, chest and head."""
         joints, bind = self.joints, self.bind
-        low, high = self._straightening(joints["Hips"], "UpLeg"), np.zeros(3)
-        if self.mapping.spine:
-            high = self._straightening(self.mapping.spine[-1], "Shoulder")
-        out = [BoneSegment(joints["Hips"], "Hips", Rotation.from_rotvec(low).as_matrix() @ bind[joints["Hips"]])]
+        chain = [joints["Hips"], *self.mapping.spine]
+        low, high = self._straightening(chain[0], "UpLeg"), self._straightening(chain[-1], "Shoulder")
+        out = [BoneSegment(joints["Hips"], "Hips", _turned_by(low) @ bind[joints["Hips"]])]
         # By length, not by number: some rigs have a short first spine bone.
-        shares = self._shares([joints["Hips"], *self.mapping.spine])
+        shares = self._shares(chain)
         source = ("Hips", "Spine", "Spine1", "Spine2", "Spine3")
         steps = np.cumsum([0.0, *(np.linalg.norm(_SOURCE[name]) for name in source[1:])])
         for node, share in zip(self.mapping.spine, shares[1:], strict=True):
             if node != self.mapping.spine[-1] and self._carries_legs(node):
                 share = 0.0  # a node that carries the legs moves with the hips
-            straight = Rotation.from_rotvec((1.0 - share) * low + share * high).as_matrix() @ bind[node]
+            straight = _turned_by((1.0 - share) * low + share * high) @ bind[node]
             out.append(BoneSegment(node, *_place_among(source, steps / steps[-1], share, straight)))
         shares = self._shares([*self.mapping.neck, joints["Head"]])
         for node, begin, end in zip(self.mapping.neck, shares, shares[1:], strict=False):
@@ -300,9 +305,9 @@ class _Rig:
         """[3] rotation vector that makes a node of the trunk face ahead, whose line between both sides' `part` turns in
         the bind pose, as in a frame of a walk: limbs are at mirrored places of such a node. Zero if it does not."""
         ways = [self.way(node, self.joints[side + part]) for side in SIDES if side + part in self.joints]
-        if len(ways) < 2 or ways[0] is None or ways[1] is None or np.linalg.norm(ways[0] - ways[1]) < 1e-6:
+        if len(ways) < 2 or ways[0] is None or ways[1] is None or np.allclose(ways[0], ways[1]):
             return np.zeros(3)
-        turn = Rotation.from_matrix(_turn(self.bind[node] @ (ways[0] - ways[1]), np.array([1.0, 0.0, 0.0]))).as_rotvec()
+        turn = rotation.to_exponential_map(rotation.between(self.bind[node] @ (ways[0] - ways[1]), _LEFT))
         return turn if np.linalg.norm(turn) > _TURNED else np.zeros(3)
 
     def _carries_legs(self, node: int) -> bool:
@@ -419,9 +424,8 @@ class _Rig:
             upper, lower = self.bone(side + "UpLeg", side + "Leg"), self.bone(side + "Leg", side + "Foot")
             hinge = np.cross(upper, lower) if _angle(upper, lower) > _BENT else None
             # Knees bend backwards, about the character's left.
-            axis = np.array([1.0, 0.0, 0.0])
-            out += [self._segment(side + "UpLeg", _change(upper, hinge, _SOURCE[side + "Leg"], axis)),
-                    self._segment(side + "Leg", _change(lower, hinge, _SOURCE[side + "Foot"], axis))]
+            out += [self._segment(side + "UpLeg", _change(upper, hinge, _SOURCE[side + "Leg"], _LEFT)),
+                    self._segment(side + "Leg", _change(lower, hinge, _SOURCE[side + "Foot"], _LEFT))]
             turn = np.eye(3)
             if side + "ToeBase" in self.joints:
                 toes = self.bone(side + "Foot", side + "ToeBase")

@@ -43,7 +43,7 @@ def english(name: str) -> str:
     return "".join(letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
 
 
-_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+")
 _SIDES = {"l": "Left", "left": "Left", "lf": "Left", "lft": "Left", "r": "Right", "right": "Right", "rt": "Right",
           "rgt": "Right"}
 _NOISE = {"mixamorig", "bip", "j", "c", "cc", "base", "def", "org", "character", "bone", "joint", "jnt", "jt", "bn",
@@ -161,8 +161,8 @@ def label(name: str, noise: frozenset[str] = frozenset()) -> Label:
     aid = any(word in _AIDS for word in tokens)
     # Unity and VRM name phalanges instead of numbering them.
     kind = next((_KINDS[word] for word in tokens if word in _KINDS), "")
-    digits = [word for word in tokens if _is_number(word)]
-    key = "".join(word for word in tokens if not _is_number(word) and word not in _TIPS | _AIDS and word not in _KINDS)
+    digits = [word for word in tokens if word.isdigit()]
+    key = "".join(word for word in tokens if not word.isdigit() and word not in _TIPS | _AIDS and word not in _KINDS)
     number = kind or (digits[-1] if digits else "")
     if key in ("finger", "handfinger") and digits and side:  # Biped: finger 0 is the thumb, its joints 0, 01 and 02
         which = digits[-1]
@@ -179,10 +179,6 @@ def label(name: str, noise: frozenset[str] = frozenset()) -> Label:
     if parts and (parts[0] in ("Hips", "Spine", "Neck", "Head")) == bool(side):
         parts = ()  # a spine with a side is a muscle, an arm without a side is a prop
     return Label(parts, side, number, tip, aid)
-
-
-def _is_number(word: str) -> bool:
-    return word.isascii() and word.isdigit()  # "\u00b2".isdigit(), but int() does not read it
 
 
 def _glued_side(parts: list[str]) -> tuple[str, list[str]]:

@@ -111,8 +111,7 @@ def vrm(face: FaceMotion) -> dict[str, Array]:
 
 # --------------------------------------------------------------------------------------------------- finding shapes
 
-# Words of MetaHuman, Meta, SRanipal and VRCFaceTracking for shapes of ARKit; a name or a curve without a side is for
-# both.
+# Words of MetaHuman, Meta and SRanipal for shapes of ARKit; a name or a curve without a side is for both.
 _OF_ARKIT = {
     "eyeLookLeftLeft": "eyeLookOutLeft", "eyeLookRightLeft": "eyeLookInLeft", "eyeLookLeftRight": "eyeLookInRight",
     "eyeLookRightRight": "eyeLookOutRight", "browRaiseIn": "browInnerUp", "browRaiseOuter": "browOuterUp",
@@ -165,6 +164,7 @@ _NAMES = {
     | {"visemei": "viseme_ih", "visemeo": "viseme_oh", "visemeu": "viseme_ou"},
     "tools": _spelled(_TOOLS)}
 """Kind of shapes -> a name's last words in lower case, joined -> the curve."""
+_KNOWN = {name for table in _NAMES.values() for name in table}
 _VOWELS = {name: f"vrm_{vowel}" for vowel, names in {
     "aa": "a aa aah ah あ", "ih": "i ih い", "ou": "u ou ooh uu う", "ee": "e ee え", "oh": "o oh お"}.items()
            for name in names.split()}
@@ -199,10 +199,10 @@ def find_shapes(names: Iterable[str]) -> dict[str, tuple[str, float]]:
     for name in dict.fromkeys(names):
         words = [_SAME.get(word.lower(), word.lower()) for word in _WORD.findall(re.sub("_max$", "", name))]
         tails = ["".join(words[first:]) for first in range(len(words))]
-        tail = next((tail for tail in tails if _known(tail)), "")
+        tail = next((tail for tail in tails if tail in _KNOWN), "")
         before = words[:tails.index(tail)] if tail else words[:-1]
         ends = range(len(before) + 1)
-        if tail and any(_known("".join(before[first:last])) for last in ends for first in range(last)):
+        if tail and any("".join(before[first:last]) in _KNOWN for last in ends for first in range(last)):
             continue  # a correction, of two shapes at once
         for kind, table in _NAMES.items():
             if tail in table:
@@ -234,10 +234,6 @@ _CHOICE = (("arkit", 3), ("visemes", 3), ("tools", 3), ("vowels", 3), ("tools", 
 moves."""
 _FEWEST_LETTERS = 3
 """Least different names of one or two letters behind one prefix that are taken for sounds."""
-
-
-def _known(words: str) -> bool:
-    return any(words in table for table in _NAMES.values())
 
 
 def lacking(found: Iterable[str]) -> list[str]:
