@@ -240,11 +240,6 @@ def _turn(a: Array, b: Array) -> Array:
     return rotation.to_matrix(rotation.between(a, b))
 
 
-def _turned_by(turn: Array) -> Array:
-    """[3, 3] the rotation of a rotation vector."""
-    return rotation.to_matrix(rotation.from_exponential_map(turn))
-
-
 def _angle(a: Array, b: Array) -> float:
     return float(np.arccos(np.clip(a @ b / (np.linalg.norm(a) * np.linalg.norm(b)), -1.0, 1.0)))
 
@@ -284,7 +279,7 @@ class _Rig:
         joints, bind = self.joints, self.bind
         chain = [joints["Hips"], *self.mapping.spine]
         low, high = self._straightening(chain[0], "UpLeg"), self._straightening(chain[-1], "Shoulder")
-        out = [BoneSegment(joints["Hips"], "Hips", _turned_by(low) @ bind[joints["Hips"]])]
+        out = [BoneSegment(joints["Hips"], "Hips", rotation.to_matrix(low) @ bind[joints["Hips"]])]
         # By length, not by number: some rigs have a short first spine bone.
         shares = self._shares(chain)
         source = ("Hips", "Spine", "Spine1", "Spine2", "Spine3")
@@ -292,7 +287,7 @@ class _Rig:
         for node, share in zip(self.mapping.spine, shares[1:], strict=True):
             if node != self.mapping.spine[-1] and self._carries_legs(node):
                 share = 0.0  # a node that carries the legs moves with the hips
-            straight = _turned_by((1.0 - share) * low + share * high) @ bind[node]
+            straight = rotation.to_matrix(rotation.partway(low, high, share)) @ bind[node]
             out.append(BoneSegment(node, *_place_among(source, steps / steps[-1], share, straight)))
         shares = self._shares([*self.mapping.neck, joints["Head"]])
         for node, begin, end in zip(self.mapping.neck, shares, shares[1:], strict=False):
@@ -302,13 +297,14 @@ class _Rig:
         return [*out, BoneSegment(joints["Head"], "Head", bind[joints["Head"]])]
 
     def _straightening(self, node: int, part: str) -> Array:
-        """[3] rotation vector that makes a node of the trunk face ahead, whose line between both sides' `part` turns in
-        the bind pose, as in a frame of a walk: limbs are at mirrored places of such a node. Zero if it does not."""
+        """[4] rotation that makes a node of the trunk face ahead whose line between both sides' `part` turns in the
+        bind pose, as in a frame of a walk: limbs are at mirrored places of such a node. Else the identity."""
         ways = [self.way(node, self.joints[side + part]) for side in SIDES if side + part in self.joints]
+        still = np.array([1.0, 0.0, 0.0, 0.0])
         if len(ways) < 2 or ways[0] is None or ways[1] is None or np.allclose(ways[0], ways[1]):
-            return np.zeros(3)
-        turn = rotation.to_exponential_map(rotation.between(self.bind[node] @ (ways[0] - ways[1]), _LEFT))
-        return turn if np.linalg.norm(turn) > _TURNED else np.zeros(3)
+            return still
+        turn = rotation.between(self.bind[node] @ (ways[0] - ways[1]), _LEFT)
+        return turn if rotation.angle_between(turn, still) > _TURNED else still
 
     def _carries_legs(self, node: int) -> bool:
         return any(self.way(node, self.joints[side + "UpLeg"]) is not None for side in SIDES

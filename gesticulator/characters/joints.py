@@ -189,12 +189,11 @@ def _found(search: Search) -> RigMapping:
         if side + "Hand" in joints:
             fingers = _fingers(search, side, joints[side + "Hand"])
             joints |= fingers
-            unknown = [node for node in np.flatnonzero(search.character.under([joints[side + "Hand"]]))
-                       if search.character.skinned[node] and not (
-                           search.labels[node].parts or search.labels[node].aid or search.labels[node].tip)]
-            if len(unknown) > _UNKNOWN and len({name[:-1] for name in fingers}) < len(FINGERS) - 1:
-                doubts.append(f"its {side.lower()} hand has {len(unknown)} bones that may be fingers and have no known "
-                              "names: name them in a mapping")
+            under = search.character.under([joints[side + "Hand"]]) & search.character.skinned
+            unknown = sum(not (search.labels[node].parts or search.labels[node].aid or search.labels[node].tip)
+                          for node in np.flatnonzero(under))
+            if unknown > _UNKNOWN and len({name[:-1] for name in fingers}) < len(FINGERS) - 1:
+                doubts.append(f"its {side.lower()} hand has {unknown} bones of unknown names, which may be fingers")
     joints = _turned_round(search, joints, any(search.labels[node].side for name, node in ends.items()
                                                if name != "Head"), doubts)
     confidence = _confidence(search, joints, sure, doubts)

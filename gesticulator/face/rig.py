@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from data_module.types import Array
 from gesticulator.characters.gltf_file import AGAIN, GltfFile, read_gltf
 from gesticulator.characters.rig import Character
 from gesticulator.face.motion import FaceMotion
-from gesticulator.face.shapes import ARKIT, VRM, VRM_0, curves, find_shapes, is_lips, jaw_angles
+from gesticulator.face.shapes import VRM, VRM_0, curves, find_shapes, is_lips, jaw_angles, lacking
 
 _EYES = {"Left": re.compile(r"(left[ _.]?eye|eye[ _.]?left|eye[_.]l|l[_.]eye|cc_base_l_eye|facial_l_eye)", re.I),
          "Right": re.compile(r"(right[ _.]?eye|eye[ _.]?right|eye[_.]r|r[_.]eye|cc_base_r_eye|facial_r_eye)", re.I)}
@@ -118,11 +118,9 @@ def _found(file: GltfFile, character: Character) -> FaceRig:
     if eyes:
         morphs = {node: [row for row in rows if not re.match("eyeLook|vrm_look", row[1])]
                   for node, rows in morphs.items()}
-    morphs = {node: rows for node, rows in morphs.items() if rows}
-    opens = any(is_lips(curve) and (curve == "jawOpen" or curve not in ARKIT)
-                for rows in morphs.values() for _, curve, _ in rows)
-    return FaceRig({node: tuple(rows) for node, rows in morphs.items()}, base, eyes,
-                   None if opens else _jaw(character))
+    rig = FaceRig({node: tuple(rows) for node, rows in morphs.items() if rows}, base, eyes)
+    opens = rig.can_speak and "jawOpen" not in lacking(rig.curves)
+    return rig if opens else replace(rig, jaw=_jaw(character))
 
 
 def _target_names(mesh: Mapping[str, Any]) -> list[Any]:

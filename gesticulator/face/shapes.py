@@ -112,30 +112,26 @@ def vrm(face: FaceMotion) -> dict[str, Array]:
 # --------------------------------------------------------------------------------------------------- finding shapes
 
 # Words of MetaHuman, Meta and SRanipal for shapes of ARKit; a name or a curve without a side is for both.
-_OF_ARKIT = {
-    "eyeLookLeftLeft": "eyeLookOutLeft", "eyeLookRightLeft": "eyeLookInLeft", "eyeLookLeftRight": "eyeLookInRight",
-    "eyeLookRightRight": "eyeLookOutRight", "browRaiseIn": "browInnerUp", "browRaiseOuter": "browOuterUp",
-    "mouthCornerPull": "mouthSmile", "mouthCornerDepress": "mouthFrown", "mouthLowerLipDepress": "mouthLowerDown",
-    "mouthUpperLipRaise": "mouthUpperUp", "mouthFunnelD": "mouthFunnel", "mouthFunnelU": "mouthFunnel",
-    "mouthLipsPurseD": "mouthPucker", "mouthLipsPurseU": "mouthPucker", "mouthLipsPress": "mouthPress",
-    "mouthUpperLipRollIn": "mouthRollUpper", "mouthLowerLipRollIn": "mouthRollLower", "jawDrop": "jawOpen",
-    "lipPressor": "mouthPress", "lipStretcher": "mouthStretch", "lipCornerPuller": "mouthSmile",
-    "lipCornerDepressor": "mouthFrown", "lowerLipDepressor": "mouthLowerDown", "upperLipRaiser": "mouthUpperUp",
-    "innerBrowRaiser": "browInnerUp", "outerBrowRaiser": "browOuterUp", "browLowerer": "browDown",
-    "mouthPout": "mouthPucker", "mouthOShape": "mouthFunnel", "eyeClosed": "eyeBlink",
-    **{f"lipFunneler{part}": "mouthFunnel" for part in ("LB", "LT", "RB", "RT")},
-    **{f"lip{word}{part}": f"mouth{word}" for word in ("Pucker", "Funnel") for part in ("", "Upper", "Lower")},
-    **{f"lipSuck{part}": f"mouthRoll{row}" for row, parts in (
-        ("Upper", ("Upper", "LT", "RT")), ("Lower", ("Lower", "LB", "RB"))) for part in parts}}
+_OF_ARKIT = {name: curve for curve, names in {
+    "eyeLookOutLeft": "eyeLookLeftLeft", "eyeLookInLeft": "eyeLookRightLeft", "eyeLookInRight": "eyeLookLeftRight",
+    "eyeLookOutRight": "eyeLookRightRight", "browInnerUp": "browRaiseIn innerBrowRaiser",
+    "browOuterUp": "browRaiseOuter outerBrowRaiser", "browDown": "browLowerer", "eyeBlink": "eyeClosed",
+    "jawOpen": "jawDrop", "mouthSmile": "mouthCornerPull lipCornerPuller", "mouthStretch": "lipStretcher",
+    "mouthFrown": "mouthCornerDepress lipCornerDepressor", "mouthPress": "mouthLipsPress lipPressor",
+    "mouthLowerDown": "mouthLowerLipDepress lowerLipDepressor", "mouthUpperUp": "mouthUpperLipRaise upperLipRaiser",
+    "mouthRollUpper": "mouthUpperLipRollIn lipSuckUpper lipSuckLT lipSuckRT",
+    "mouthRollLower": "mouthLowerLipRollIn lipSuckLower lipSuckLB lipSuckRB",
+    "mouthPucker": "mouthLipsPurseD mouthLipsPurseU mouthPout lipPucker lipPuckerUpper lipPuckerLower",
+    "mouthFunnel": "mouthFunnelD mouthFunnelU mouthOShape lipFunnel lipFunnelUpper lipFunnelLower lipFunnelerLB "
+                   "lipFunnelerLT lipFunnelerRB lipFunnelerRT"}.items() for name in names.split()}
 # Those of Reallusion's Character Creator, Mixamo (Fuse), VRChat, VRoid, Unity-chan, and Japanese ones.
-_TOOLS = {
-    "vOpen": "viseme_aa", "vExplosive": "viseme_PP", "vDentalLip": "viseme_FF", "vTongueCurlU": "viseme_RR",
-    "vTightO": "viseme_ou", "vAffricate": "viseme_CH", "vWide": "viseme_ih", "vLipOpen": "viseme_DD",
-    "vTight": "viseme_SS", "mouthOpen": "opening", "mouthNarrow": "mouthPucker", "mouthSmile": "mouthSmile",
-    "smileLeft": "mouthSmileLeft", "smileRight": "mouthSmileRight", "browRaiseInner": "browInnerUp",
-    "browRaiseOuter": "browOuterUp", "browsUp": "browOuterUp",
-    **dict.fromkeys(("blink", "eyeBlink", "eyesBlink", "eyeClose", "eyesClose", "eyesClosed"), "eyeBlink"),
-    "eyeDefC": "vrm_blink", "まばたき": "vrm_blink"}
+_TOOLS = {name: curve for curve, names in {
+    "viseme_aa": "vOpen", "viseme_PP": "vExplosive", "viseme_FF": "vDentalLip", "viseme_RR": "vTongueCurlU",
+    "viseme_ou": "vTightO", "viseme_CH": "vAffricate", "viseme_ih": "vWide", "viseme_DD": "vLipOpen",
+    "viseme_SS": "vTight", "opening": "mouthOpen", "mouthPucker": "mouthNarrow", "mouthSmile": "mouthSmile",
+    "mouthSmileLeft": "smileLeft", "mouthSmileRight": "smileRight", "browInnerUp": "browRaiseInner",
+    "browOuterUp": "browRaiseOuter browsUp", "vrm_blink": "eyeDefC まばたき",
+    "eyeBlink": "blink eyeBlink eyesBlink eyeClose eyesClose eyesClosed"}.items() for name in names.split()}
 _HALF = ("vtonguecurlu", "vtight")
 """Names of `_TOOLS` whose shape is twice as strong as its curve."""
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[^\W\d_a-zA-Z]+")
