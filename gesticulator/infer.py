@@ -8,10 +8,12 @@ command is an `InputError`; an error of one recording is stored in its `Job`, so
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -42,22 +44,25 @@ def run(args: argparse.Namespace) -> int:
 
 def _run_all(jobs: Sequence[Job], settings: RunSettings) -> int:
     """Process recordings and print a summary of each; the number of those that succeeded."""
-    if len(jobs) == 1:
+    alone, done, begin = len(jobs) == 1, 0, time.perf_counter()
+    if alone:
         check_job(jobs[0])  # before the models are loaded
-    worker, done = _worker(jobs, settings), 0
-    for job in jobs:
-        try:
-            with limited_threads(settings.threads):
-                _, summary = worker.perform(job)
-        except (InputError, OSError) as error:
-            # The error of a single recording is that of the command: exit code 2, and no summary.
-            if len(jobs) == 1:
-                raise
-            complain(f"{PROGRAM}: {one_line(error)}")
-            continue
-        done += 1
-        if not settings.quiet:
-            print(summary, flush=True)
+    with progress(jobs[0].name, alone and not settings.quiet) as show:
+        worker = replace(_worker(jobs, settings), show=show, begin=begin if alone else None)
+        for job in jobs:
+            try:
+                with limited_threads(settings.threads):
+                    _, summary = worker.perform(job)
+            except (InputError, OSError) as error:
+                # The error of a single recording is that of the command: exit code 2, and no summary.
+                if alone:
+                    raise
+                complain(f"{PROGRAM}: {one_line(error)}")
+                continue
+            done += 1
+            if not settings.quiet:
+                show("")
+                print(summary, flush=True)
     if done < len(jobs):
         complain(f"{PROGRAM}: {done} of {len(jobs)} recordings done, {len(jobs) - done} failed")
     # One line at the end, because lines of single recordings scroll away.
@@ -140,12 +145,37 @@ def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> R
     return retargeter
 
 
+@contextmanager
+def progress(name: str, shown: bool, logs: bool = True) -> Iterator[Callable[..., None]]:
+    """A function that shows what is done with a recording: on a terminal in a line of standard error that is blank in
+    the end, elsewhere in lines of standard output, but for what moves on. The import of tqdm would take a fortieth of a
+    short recording. shown: at all; logs: also without a terminal."""
+    terminal = sys.stderr is not None and sys.stderr.isatty()
+
+    def show(doing: str, moves: bool = False) -> None:
+        line, width = f"{name}: {doing}" if doing else "", shutil.get_terminal_size().columns - 1
+        if shown and terminal:
+            # Back to its start, so that a warning is written over it.
+            print(f"\r{line[:width]:<{width}}\r", end="", file=sys.stderr, flush=True)
+        elif shown and logs and line and not moves:
+            print(line, flush=True)
+
+    show("loading the models", moves=True)
+    try:
+        yield show
+    finally:
+        show("")
+
+
 @dataclass(frozen=True)
 class Worker:
-    """What the jobs of a command are processed with. retargeter: None for the default skeleton."""
+    """What the jobs of a command are processed with. retargeter: None for the default skeleton; show: see `progress`;
+    begin: of a command for one recording, by `time.perf_counter`."""
 
     gesticulator: Gesticulator
     retargeter: Retargeter | None = None
+    show: Callable[..., None] = lambda doing, moves=False: None
+    begin: float | None = None
 
     def perform(self, job: Job) -> tuple[float, str]:
         """Process one recording: read it, generate its gestures and write the files. Returns seconds of sound, and the
@@ -155,13 +185,15 @@ class Worker:
         # Without reading: the factor compares computing with the duration.
         begin = time.perf_counter()
         performance = self._laid_out(job, self.performed(job, speech))
-        factor = (time.perf_counter() - begin) / speech.duration
+        timing = f"{speech.duration / (time.perf_counter() - begin):.1f} times as fast as real time"
         # Files appear whole, so what is there after an error can be used.
         written = [performance.save(target) for target in job.targets]
         pages = [f"open {page} in a browser to watch it" for page in written if page.suffix.lower() == ".html"]
+        if self.begin is not None:
+            timing += f" ({time.perf_counter() - self.begin:.1f} s in all, {begin - self.begin:.1f} s of it to start)"
         lexemes = performance.lexemes.tolist()
         line = (f"{job.name}: {speech.duration:.1f} s, {len(lexemes) - 1} beats, {len(set(lexemes))} of "
-                f"{len(self.gesticulator.bundle.vectors)} lexemes, real-time factor {factor:.3f} -> "
+                f"{len(self.gesticulator.bundle.vectors)} lexemes, {timing} -> "
                 f"{printable(', '.join(map(str, written)))}")
         return speech.duration, "\n  ".join([line, *performance.decided.notes, *pages])
 
@@ -170,7 +202,11 @@ class Worker:
         # Legs cost time, so they are generated only where something shows them.
         stands = self.retargeter is not None and self.retargeter.mapping.legs and self.retargeter.legs
         options: dict[str, Any] = {**vars(job.options), "legs": job.options.legs or stands}
+        doing = f"{speech.duration:.1f} s of sound, generating gestures"
+        self.show(doing)
+        self.gesticulator.on_block = lambda done, total: self.show(f"{doing}, block {done} of {total}", moves=True)
         performance = self.gesticulator(speech, text=job.text, **options)
+        self.gesticulator.on_block = None
         return performance.labelled(job.name, performance.decided.notes)
 
     def _laid_out(self, job: Job, performance: Performance) -> Performance:
