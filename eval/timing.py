@@ -3,7 +3,6 @@ performer's motion to what is played, one step of the pipeline at a time; and of
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -62,10 +61,6 @@ def _steps(bundle: Bundle, piece: Recording) -> dict[str, Motion]:
         fps = piece.motion.fps
         return representation.motion(block_module.denormalise(poses, first, blocks, fps, smoothing), fps)
 
-    def played(lead: float) -> Motion:
-        ahead = replace(config, selection=replace(config.selection, lead=lead))
-        return Gesticulator(replace(bundle, config=ahead))(piece.speech, speaker=name, seed=0).motion
-
     vectors = lexicon.vectors[lexicon.label(true)]
     speech = Gesticulator(bundle).encode_speech(piece.speech, blocks)
     low = np.stack([statistics.low.apply(speech.block(i).low) for i in range(len(true))]).astype(np.float32)
@@ -76,4 +71,4 @@ def _steps(bundle: Bundle, piece: Recording) -> dict[str, Motion]:
             "lexicon, not quantised": back(lexicon.decode(lexicon.latents(true))),
             "lexemes, decoded": back(lexicon.decode(vectors)),
             "generator, true lexemes, zero codes": back(generated[0]),
-            "chosen lexemes and codes": played(0.0), "played": played(config.selection.lead)}
+            "played": Gesticulator(bundle)(piece.speech, speaker=name, seed=0).motion}
