@@ -49,7 +49,7 @@ class Gesticulator:
         self.keeps_generations = False
         """Whether performances keep the state before each block (`Performance.generation`), from which edits start."""
         self.on_block: OnBlock | None = None
-        """Called with the number of finished blocks of a recording and with that of all, after each."""
+        """For recordings, while they are generated."""
         self._front_end = front_end_for(bundle.config, bundle.runners.get("encoder"))
         self._names: tuple[LexemeName, ...] | None = None
 

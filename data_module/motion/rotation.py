@@ -10,27 +10,9 @@ import numpy as np
 
 from data_module.types import Array
 
-__all__ = [
-    "angle_between",
-    "between",
-    "conjugate",
-    "continuous",
-    "cross",
-    "from_axes",
-    "from_euler",
-    "from_exponential_map",
-    "from_matrix",
-    "interpolate",
-    "mean",
-    "multiply",
-    "normalise",
-    "remove_yaw",
-    "rotate",
-    "to_euler",
-    "to_exponential_map",
-    "to_matrix",
-    "yaw_of",
-]
+__all__ = ["angle_between", "between", "conjugate", "continuous", "cross", "from_axes", "from_euler",
+           "from_exponential_map", "from_matrix", "interpolate", "multiply", "normalise", "remove_yaw", "rotate",
+           "to_euler", "to_exponential_map", "to_matrix", "yaw_of"]
 
 _EPS = 1e-12
 _DIAGONAL = np.array([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1.0, 1.0]])
@@ -157,11 +139,6 @@ def from_axes(rest: tuple[Array, Array], first: Array, second: Array) -> Array:
     """[..., 4] rotations from two orthogonal unit vectors `rest`, [3] each, to `first` and `second`, [..., 3] each."""
     before = np.stack([*rest, np.cross(*rest)], axis=-1)
     return from_matrix(np.stack([first, second, np.cross(first, second)], axis=-1) @ before.T)
-
-
-def mean(q: Array) -> Array:
-    """[4] the mean of rotations [N, 4]: the one with the least squared distance to them as matrices."""
-    return np.linalg.eigh(q.T @ q)[1][:, -1]
 
 
 def to_matrix(q: Array) -> Array:
