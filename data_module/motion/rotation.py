@@ -11,8 +11,8 @@ import numpy as np
 from data_module.types import Array
 
 __all__ = ["angle_between", "between", "conjugate", "continuous", "cross", "from_axes", "from_euler",
-           "from_exponential_map", "from_matrix", "interpolate", "multiply", "normalise", "remove_yaw", "rotate",
-           "to_euler", "to_exponential_map", "to_matrix", "yaw_of"]
+           "from_exponential_map", "from_matrix", "interpolate", "multiply", "normalise", "partway", "remove_yaw",
+           "rotate", "to_euler", "to_exponential_map", "to_matrix", "yaw_of"]
 
 _EPS = 1e-12
 _DIAGONAL = np.array([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1.0, 1.0]])
