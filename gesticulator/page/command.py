@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_module.errors import InputError, complain
-from data_module.files import write_text
+from data_module.files import opened, write_text
 from gesticulator.cli import Command, limited_threads, our_warnings
 from gesticulator.infer import Worker, load, progress
 from gesticulator.jobs import Job, RunSettings, performance_arguments, run_settings_of, settings_of
@@ -56,11 +56,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _job(args: argparse.Namespace) -> Job:
     """The recording; `InputError` for errors that can be found before loading anything."""
-    from data_module.speech.audio import check_file
-
     if args.character is not None and Path(args.character).suffix.lower() not in SHOWN:
         raise InputError(args.character, "cannot be shown by the page", f"give one of {', '.join(SHOWN)}")
-    check_file(args.speech, any_length=True)
+    opened(args.speech).close()
     return replace(settings_of(args), source=args.speech, text=None if args.text is None else Path(args.text))
 
 
