@@ -48,8 +48,7 @@ class Gesticulator:
         self.resolver = SetupResolver(bundle)
         self.keeps_generations = False
         """Whether performances keep the state before each block (`Performance.generation`), from which edits start."""
-        self.on_block: OnBlock | None = None
-        """For recordings, while they are generated."""
+        self.on_block: OnBlock | None = None  # of the recording that is being generated
         self._front_end = front_end_for(bundle.config, bundle.runners.get("encoder"))
         self._names: tuple[LexemeName, ...] | None = None
 

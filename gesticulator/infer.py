@@ -8,16 +8,14 @@ command is an `InputError`; an error of one recording is stored in its `Job`, so
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line, printable
+from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line, printable, status
 from data_module.files import opened
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
 from gesticulator.jobs import CharacterRequest, Job, RunSettings, infer_arguments, jobs_of, run_settings_of
@@ -47,25 +45,26 @@ def run(args: argparse.Namespace) -> int:
 
 def _run_all(jobs: Sequence[Job], settings: RunSettings) -> int:
     """Process recordings and print a summary of each; the number of those that succeeded."""
-    alone, done, begin = len(jobs) == 1, 0, time.perf_counter()
-    if alone:
+    begin, shown, done = time.perf_counter(), len(jobs) == 1 and not settings.quiet, 0
+    if len(jobs) == 1:
         check_job(jobs[0])  # before the models are loaded
-    with progress(jobs[0].name, alone and not settings.quiet) as show:
-        worker = replace(_worker(jobs, settings), show=show, begin=begin if alone else None)
-        for job in jobs:
-            try:
-                with limited_threads(settings.threads):
-                    _, summary = worker.perform(job)
-            except (InputError, OSError) as error:
-                # The error of a single recording is that of the command: exit code 2, and no summary.
-                if alone:
-                    raise
-                complain(f"{PROGRAM}: {one_line(error)}")
-                continue
-            done += 1
-            if not settings.quiet:
-                show("")
-                print(summary, flush=True)
+    if shown:
+        status(f"{jobs[0].name}: loading the models")
+    worker = replace(_worker(jobs, settings), begin=begin if shown else None)
+    for job in jobs:
+        try:
+            with limited_threads(settings.threads):
+                _, summary = worker.perform(job)
+        except (InputError, OSError) as error:
+            # The error of a single recording is that of the command: exit code 2, and no summary.
+            if len(jobs) == 1:
+                raise
+            complain(f"{PROGRAM}: {one_line(error)}")
+            continue
+        done += 1
+        if not settings.quiet:
+            status("")
+            print(summary, flush=True)
     if done < len(jobs):
         complain(f"{PROGRAM}: {done} of {len(jobs)} recordings done, {len(jobs) - done} failed")
     # One line at the end, because lines of single recordings scroll away.
@@ -146,36 +145,13 @@ def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> R
     return retargeter
 
 
-@contextmanager
-def progress(name: str, shown: bool, logs: bool = True) -> Iterator[Callable[..., None]]:
-    """A function that shows what is done with a recording: on a terminal in a line of standard error that is blank in
-    the end, elsewhere in lines of standard output, but for what moves on. The import of tqdm would take a fortieth of a
-    short recording. shown: at all; logs: also without a terminal."""
-    terminal = sys.stderr is not None and sys.stderr.isatty()
-
-    def show(doing: str, moves: bool = False) -> None:
-        line, width = f"{name}: {doing}" if doing else "", shutil.get_terminal_size().columns - 1
-        if shown and terminal:
-            # Back to its start, so that a warning is written over it.
-            print(f"\r{line[:width]:<{width}}\r", end="", file=sys.stderr, flush=True)
-        elif shown and logs and line and not moves:
-            print(line, flush=True)
-
-    show("loading the models", moves=True)
-    try:
-        yield show
-    finally:
-        show("")
-
-
 @dataclass(frozen=True)
 class Worker:
-    """What the jobs of a command are processed with. retargeter: None for the default skeleton; show: see `progress`;
-    begin: of a command for one recording, by `time.perf_counter`."""
+    """What the jobs of a command are processed with. retargeter: None for the default skeleton; begin: of a command
+    that shows what it does with one recording, by `time.perf_counter`."""
 
     gesticulator: Gesticulator
     retargeter: Retargeter | None = None
-    show: Callable[..., None] = lambda doing, moves=False: None
     begin: float | None = None
 
     def perform(self, job: Job) -> tuple[float, str]:
@@ -203,11 +179,11 @@ class Worker:
         # Legs cost time, so they are generated only where something shows them.
         stands = self.retargeter is not None and self.retargeter.mapping.legs and self.retargeter.legs
         options: dict[str, Any] = {**vars(job.options), "legs": job.options.legs or stands}
-        doing = f"{speech.duration:.1f} s of sound, generating gestures"
-        self.show(doing)
-        self.gesticulator.on_block = lambda done, total: self.show(f"{doing}, block {done} of {total}", moves=True)
+        if self.begin is not None:
+            doing = f"{job.name}: {speech.duration:.1f} s of sound, generating gestures"
+            status(doing, logged=True)
+            self.gesticulator.on_block = lambda done, total: status(f"{doing}, block {done} of {total}")
         performance = self.gesticulator(speech, text=job.text, **options)
-        self.gesticulator.on_block = None
         return performance.labelled(job.name, performance.decided.notes)
 
     def _laid_out(self, job: Job, performance: Performance) -> Performance:

@@ -94,6 +94,13 @@ def test_any_matrix_becomes_the_nearest_rotation(matrices: Array) -> None:
     np.testing.assert_allclose(found, Rotation.from_matrix(matrices).as_matrix(), atol=1e-9)
 
 
+def test_the_mean_is_scipys() -> None:
+    q = rotation.multiply(random_turns(1), rotation.from_exponential_map(
+        np.random.default_rng(1).normal(size=(50, 3))))
+    q[::3] *= -1
+    assert apart(rotation.mean(q)[None], as_scipy(q).mean().as_quat(scalar_first=True)[None]) < 1e-12
+
+
 @given(vectors, st.floats(0.5, 12.0), st.integers(0, 4))
 def test_unrolling_follows_a_joint_through_any_number_of_turns(axis: Array, reach: float, turns_before: int) -> None:
     length = np.linalg.norm(axis)

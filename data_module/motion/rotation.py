@@ -11,8 +11,8 @@ import numpy as np
 from data_module.types import Array
 
 __all__ = ["angle_between", "between", "conjugate", "continuous", "cross", "from_axes", "from_euler",
-           "from_exponential_map", "from_matrix", "interpolate", "multiply", "normalise", "partway", "remove_yaw",
-           "rotate", "to_euler", "to_exponential_map", "to_matrix", "yaw_of"]
+           "from_exponential_map", "from_matrix", "interpolate", "mean", "multiply", "normalise", "partway",
+           "remove_yaw", "rotate", "to_euler", "to_exponential_map", "to_matrix", "yaw_of"]
 
 _EPS = 1e-12
 _DIAGONAL = np.array([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1.0, 1.0]])
@@ -141,6 +141,11 @@ def from_axes(rest: tuple[Array, Array], first: Array, second: Array) -> Array:
     return from_matrix(np.stack([first, second, np.cross(first, second)], axis=-1) @ before.T)
 
 
+def mean(q: Array) -> Array:
+    """[4] the mean of rotations [N, 4]: the one with the least squared distance to them as matrices."""
+    return np.linalg.eigh(q.T @ q)[1][:, -1]
+
+
 def to_matrix(q: Array) -> Array:
     """Unit quaternions [..., 4] to rotation matrices [..., 3, 3], whose columns are the turned axes."""
     w, x, y, z = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
@@ -188,10 +193,7 @@ def unroll(v: Array) -> Array:
 
 def yaw_of(q: Array, axis: int = 1) -> Array:
     """The twist of [..., 4] about a coordinate axis (by default Y), as unit quaternions [..., 4]."""
-    twist = np.zeros_like(q)
-    twist[..., 0] = q[..., 0]
-    twist[..., 1 + axis] = q[..., 1 + axis]
-    return normalise(twist)
+    return normalise(np.where(np.isin(np.arange(4), (0, 1 + axis)), q, 0.0))
 
 
 def remove_yaw(q: Array) -> Array:
@@ -214,9 +216,7 @@ def between(a: Array, b: Array, otherwise: Array | None = None) -> Array:
 
 def angle_between(a: Array, b: Array) -> Array:
     """Angle in radians, [...], between rotations [..., 4]."""
-    relative = multiply(conjugate(a), b)
-    # arctan2 stays accurate for tiny angles, where arccos of w loses half of its digits.
-    return 2.0 * np.arctan2(np.linalg.norm(relative[..., 1:], axis=-1), np.abs(relative[..., 0]))
+    return np.asarray(np.linalg.norm(to_exponential_map(multiply(conjugate(a), b)), axis=-1))
 
 
 def interpolate(q: Array, positions: Array) -> Array:

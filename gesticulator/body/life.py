@@ -101,10 +101,7 @@ def noise(seed: int, channels: NDArray[np.int64], times: Array, steps: Array) ->
     u = where - first
     # The four cubic B-spline weights at the fraction u between two coefficients.
     weights = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]) / 6.0
-    # Neighbouring times share their coefficients: each is drawn once.
-    low = first.min(axis=0) - 1
-    drawn = normal(seed, channels, low + np.arange(int(np.ptp(first, axis=0).max()) + 4)[:, None])
-    values = np.take_along_axis(drawn[None], first - low + np.arange(-1, 3)[:, None, None], axis=1)
+    values = normal(seed, channels, first + np.arange(-1, 3)[:, None, None])
     return (weights * values).sum(axis=0) / _SPLINE_SPREAD
 
 

@@ -171,9 +171,7 @@ class Retargeter:
         sockets = [body.place(turns, self.mapping.joints[side + "UpLeg"]) for side in SIDES]
         width = float(np.linalg.norm(sockets[0] - sockets[1], axis=-1).mean())
         ratio = min(body.leg_ratio * _SOCKETS / max(width, 1e-6), _MOST_TILT)
-        quaternions = rotation.from_matrix(hips_turns)
-        # The rotation with the least squared distance to all of them, as matrices.
-        mean = rotation.to_matrix(np.linalg.eigh(quaternions.T @ quaternions)[1][:, -1])
+        mean = rotation.to_matrix(rotation.mean(rotation.from_matrix(hips_turns)))
         # About the mean, so that a constant lean stays as it is.
         log = rotation.to_exponential_map(rotation.from_matrix(mean.T @ hips_turns))
         scaled = mean @ rotation.to_matrix(rotation.from_exponential_map(log * [1.0, ratio, ratio]))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from data_module.errors import InputError, complain
 from data_module.files import opened, write_text
 from gesticulator.cli import Command, limited_threads, our_warnings
-from gesticulator.infer import Worker, load, progress
+from gesticulator.infer import Worker, load
 from gesticulator.jobs import Job, RunSettings, performance_arguments, run_settings_of, settings_of
 
 if TYPE_CHECKING:
@@ -79,9 +79,7 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings) -> None:
     if job.options.plan is None:
         job = _with_saved_edits(gesticulator, job)
     job = replace(job, options=replace(job.options, legs=job.options.legs or stands))
-    # Its output begins with the address: a program that starts it reads that.
-    with progress(job.name, not settings.quiet, logs=False) as show:
-        performance = Worker(gesticulator, show=show).performed(job, load(job))
+    performance = Worker(gesticulator).performed(job, load(job))
     session = EditSession(gesticulator, performance)
     scene = performance.scene()
     live = {"token": server.token, "renderings": [session.opened(performance)],

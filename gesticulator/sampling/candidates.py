@@ -107,11 +107,9 @@ class CandidateChooser:
         """The motion of candidates. past: [P, D_m] features of the motion up to the block's start; blocks: [C, K, D_m]
         the candidates; shift: [P + K, D_m] that is added to what is shown (`systems.movement.Offset`), or None."""
         poses = self._poses(past, blocks)
-        if shift is None:
-            places = shown = self._places(poses)
-        else:
-            places, shown = np.split(self._places(np.concatenate([poses, self._poses(past, blocks, shift)])), 2)
-        return CandidateMotion(poses, places, shown)
+        places = self._places(poses)
+        return CandidateMotion(poses, places, places if shift is None else self._places(
+            self._poses(past, blocks, shift)))
 
     def choose(self, speech: SpeechBlock, motion: CandidateMotion, apart: Floating, control: Floating | None = None
                ) -> int:
