@@ -58,10 +58,18 @@ def expressions_of(word: Word) -> tuple[str, ...]:
     return tuple(filter(None, map(expression_of_mark, word.marks)))
 
 
-def with_mark_cues(options: InferenceOptions, words: Sequence[Word]) -> InferenceOptions:
-    """The options with a cue for each mark of the words. Warns (`MarkWarning`), once, of marks that name no gesture."""
+def with_mark_cues(options: InferenceOptions, words: Sequence[Word], duration: float) -> InferenceOptions:
+    """The options with a cue for each mark of the words, up to as many as a plan of these seconds may have. Warns
+    (`MarkWarning`), once, of marks that name no gesture, and of those that are left out."""
     warn_of_unknown(name for word in words for name in word.marks)
-    return replace(options, cues=(*options.cues, *mark_cues(words)))
+    cues, most = mark_cues(words), max(ALLOWED_CUES, int(CUES_PER_SECOND * duration))
+    if len(options.cues) > most:
+        raise InputError("cues", f"are {len(options.cues)} in {duration:.1f} s", f"give {most} at most")
+    room = most - len(options.cues)
+    if len(cues) > room:
+        warnings.warn(MarkWarning(f"{len(cues)} gestures are marked, and {duration:.1f} s have room for {room}: "
+                                  "the others are left out"), stacklevel=3)
+    return replace(options, cues=(*options.cues, *cues[:room]))
 
 
 def mark_cues(words: Sequence[Word]) -> tuple[GestureCue, ...]:
