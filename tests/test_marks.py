@@ -356,10 +356,7 @@ def test_the_server_makes_marks_and_echoes_words_without_them(system: Any) -> No
 
 def test_a_text_with_more_marks_than_a_plan_may_have_gives_a_plan_that_can_be_read() -> None:
     words = [Word(f"word{n}", 0.01 * n, 0.01 * n + 0.01, ("shrug",)) for n in range(201)]
-    with pytest.warns(MarkWarning, match="201 gestures are marked, and 2.2 s have room for 99"):
+    with pytest.warns(MarkWarning, match="202 gestures are asked for, and the first 100 are"):
         options = with_mark_cues(InferenceOptions(cues=(GestureCue("nod", time=0.1),)), words, 2.2)
     assert len(options.cues) == 100 and options.cues[0].gesture == "nod"
-    with pytest.raises(InputError, match="give 100 at most"):
-        with_mark_cues(InferenceOptions(cues=(GestureCue("nod", time=0.1),) * 101), words, 2.2)
-    long = with_mark_cues(InferenceOptions(), words[:150], 60.0)
-    assert len(long.cues) == 150
+    assert len(with_mark_cues(InferenceOptions(), words[:150], 60.0).cues) == 150

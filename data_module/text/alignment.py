@@ -4,7 +4,7 @@ The aligner is pocketsphinx (extra `align`). The recording is cut at pauses into
 piece is decoded along the chain of the remaining words. If words are left over, the whole recording is aligned with a
 wide beam. If that fails too, they are left out where the others fit the sound, because the text goes on after it; else
 all words are spread over the loud frames by their length, and the result says so. It also says where the speech goes on
-after the text, and if much of the sound up to there has no word.
+after the text.
 """
 
 from __future__ import annotations
@@ -36,9 +36,6 @@ SHORTEST_PAUSE = 0.15
 """Shortest pause at which the sound is cut, seconds."""
 LONGEST_WIDE = 180.0
 """Longest recording for the wide beam, seconds: it takes about 0.15 s per second, more for longer recordings."""
-LEAST_COVERED = 0.85
-"""Least share of the loud frames up to the last word within words for a matching transcript: at least 0.96 in English
-readings with their text, at most 0.8 with another one."""
 GOES_ON, LEAST_FIT = 0.5, -1.25
 """Seconds of loud frames after the last word from which on the speech has more words than its text; and the least
 likelihood of the words of a matching text, log10 a frame: -0.5 to -0.8 in readings with their text, -1.0 with noise at
@@ -117,18 +114,17 @@ def alignment(speech: Speech, transcript: str) -> tuple[tuple[Word, ...], str, s
     if len(spans) < len(plain) and end <= LONGEST_WIDE:
         spans = _whole(samples, plain) or spans
     timed = tuple(Word(word, min(a, end), min(b, end)) for (word, _), (a, b, _) in zip(words, spans, strict=False))
-    covered, after = _covered(samples, spans)
-    fits = sum(fit for *_, fit in spans) * FRAME >= LEAST_FIT * sum(b - a for a, b, _ in spans)
-    if len(timed) < len(words) and (covered < LEAST_COVERED or not fits):
-        return shared_out(speech, [word for word, _ in words]), "the transcript does not follow the recording", ""
+    fits = sum(fit for *_, fit in spans) * FRAME >= LEAST_FIT * sum(b - a for a, b, _ in spans) and timed
     # A text of something else is squeezed in somewhere, with times that mean nothing.
-    doubt = f"the transcript covers only {covered:.0%} of the speech" if covered < LEAST_COVERED else \
-        "" if fits else "its words are not those of the speech"
+    doubt = "" if fits else "the transcript does not follow the recording"
     if len(timed) < len(words):
-        return timed, doubt, (f"the recording ends before word {len(timed) + 1} of {len(words)}, "
-                              f"{words[len(timed)][0][:40]!r}: the text is left out from there on")
-    goes_on = f"the speech goes on after the last word of the text, {timed[-1].text[:40]!r} at {timed[-1].end:.1f} s"
-    return timed, doubt, goes_on if after > GOES_ON else ""
+        missing = (f"the recording ends before word {len(timed) + 1} of {len(words)}, {words[len(timed)][0][:40]!r}, "
+                   "and the text is left out from there on")
+        return (timed, "", missing) if fits else (shared_out(speech, [word for word, _ in words]), doubt, "")
+    if _loud(samples)[round(spans[-1][1] / FRAME):].sum() * FRAME <= GOES_ON:
+        return timed, doubt, ""
+    last = f"{timed[-1].text[:40]!r} at {timed[-1].end:.1f} s"
+    return timed, doubt, f"the speech goes on after the last word of the text, {last}"
 
 
 def shared_out(speech: Speech, words: Sequence[str]) -> tuple[Word, ...]:
@@ -289,12 +285,3 @@ def _whole(samples: NDArray[np.int16], words: Sequence[str]) -> list[_Span]:
     decoder.set_align_text(" ".join(words))
     decoded = _decode(decoder, samples)
     return decoded if len(decoded) == len(words) else []
-
-
-def _covered(samples: NDArray[np.int16], spans: Sequence[_Span]) -> tuple[float, float]:
-    """The share of the loud frames up to the last word that lie in words, and seconds of loud frames after it."""
-    loud = _loud(samples)
-    spoken, last = np.zeros(len(loud), dtype=bool), round(spans[-1][1] / FRAME) if spans else 0
-    for start, end, _ in spans:
-        spoken[round(start / FRAME):round(end / FRAME)] = True
-    return float((loud & spoken).sum() / max(1, loud[:last].sum())), float(loud[last:].sum() * FRAME)

@@ -59,17 +59,14 @@ def expressions_of(word: Word) -> tuple[str, ...]:
 
 
 def with_mark_cues(options: InferenceOptions, words: Sequence[Word], duration: float) -> InferenceOptions:
-    """The options with a cue for each mark of the words, up to as many as a plan of these seconds may have. Warns
-    (`MarkWarning`), once, of marks that name no gesture, and of those that are left out."""
+    """The options with a cue for each mark of the words, as many as a plan of these seconds may have. Warns, once, of
+    marks that name no gesture, and if some are left out."""
     warn_of_unknown(name for word in words for name in word.marks)
-    cues, most = mark_cues(words), max(ALLOWED_CUES, int(CUES_PER_SECOND * duration))
-    if len(options.cues) > most:
-        raise InputError("cues", f"are {len(options.cues)} in {duration:.1f} s", f"give {most} at most")
-    room = most - len(options.cues)
-    if len(cues) > room:
-        warnings.warn(MarkWarning(f"{len(cues)} gestures are marked, and {duration:.1f} s have room for {room}: "
-                                  "the others are left out"), stacklevel=3)
-    return replace(options, cues=(*options.cues, *cues[:room]))
+    cues = (*options.cues, *mark_cues(words))
+    most = max(ALLOWED_CUES, int(CUES_PER_SECOND * duration), len(options.cues))
+    if len(cues) > most:
+        warnings.warn(MarkWarning(f"{len(cues)} gestures are asked for, and the first {most} are made"), stacklevel=3)
+    return replace(options, cues=cues[:most])
 
 
 def mark_cues(words: Sequence[Word]) -> tuple[GestureCue, ...]:
