@@ -14,6 +14,7 @@ import pytest
 import soundfile
 
 from data_module.errors import InputError
+from data_module.registry import install_line
 from data_module.speech.audio import (
     SAMPLE_RATE,
     SampleFeed,
@@ -334,7 +335,7 @@ def test_videos_that_cannot_be_used_are_one_line(tmp_path: Path, monkeypatch: py
     fast = (tmp_path / "whole.mov").read_bytes()
     refused(put(tmp_path, "fast.mov", fast[:len(fast) // 2]), "is cut short", "of the 4.00 s")
     monkeypatch.setitem(sys.modules, "av", None)
-    refused(put(tmp_path, "a.mkv", whole), "PyAV", "pip install 'gesticulator[video]'")
+    refused(put(tmp_path, "a.mkv", whole), "PyAV", install_line("video"))
 
 
 # ---------------------------------------------------------------------------------------------------- level

@@ -17,14 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
+from data_module.registry import Requirement
 
 if TYPE_CHECKING:
     from typing_extensions import Buffer
 
 PIECE = 1 << 18
 """Samples that are decoded at a time, over all channels: 1 MiB."""
-PYAV = "pip install 'gesticulator[video]'"
-"""Command that installs the decoder of containers."""
 
 # Late start of a video's sound, seconds, above which it is shifted: half a frame of film.
 _OFFSET = 0.02
@@ -188,11 +187,9 @@ def _of_sndfile(file: Any) -> Iterator[NDArray[np.float32]]:
 def container(raw: BinaryIO, kind: str, name: object) -> Iterator[Sound]:
     """Decode the first sound in a container, with silence for a late start; kind: FFmpeg's name of the format.
     InputError if PyAV is not installed or there is no sound."""
-    try:
-        import av
-    except ImportError:
-        raise InputError(name, f"needs the decoder PyAV (a video, or a codec in {kind}), which is not installed",
-                         f"{PYAV}, or convert it to WAV") from None
+    Requirement("av", f"PyAV (for a video, or a codec in {kind}; or convert it to WAV)", "video").check(name)
+    import av
+
     try:
         file: Any = av.open(raw, mode="r", format=kind.split(",")[0])
     except (av.error.FFmpegError, ValueError) as error:
