@@ -163,7 +163,7 @@ class Gesticulator:
         if any(word.marks for word in speech.words or ()):
             from gesticulator.directing.marks import with_mark_cues
 
-            options = with_mark_cues(options, speech.words or ())
+            options = with_mark_cues(options, speech.words or (), speech.duration)
         setup = self._setup(speech, options)
         generated, generation = self._looped(speech, options, setup, encoded)
         performance = self.assemble(Assembler(self.bundle, speech, options, setup), generated)

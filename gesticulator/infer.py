@@ -198,8 +198,7 @@ def load(job: Job) -> Speech:
     from data_module.speech.audio import amplified, load_speech
 
     speech = load_speech(job.source or sys.stdin.buffer)
-    note = level_note(amplified(speech, job.options.gain))
-    if note is not None:
+    if (note := level_note(amplified(speech, job.options.gain))) is not None:
         complain(f"{PROGRAM}: warning: {job.name}: {note}")
     return speech
 
@@ -209,15 +208,13 @@ def level_note(speech: Speech) -> str | None:
     from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, TYPICAL_LEVEL, frame_levels, loudness
 
     frames = loudness(frame_levels(speech.samples, speech.sample_rate))
-    levels = frames.levels
-    if levels.max() <= FAINTEST_SPEECH:
-        return f"all of it is silence (its loudest 10 ms are at {levels.max():.0f} dBFS); record it again"
-    loud = levels > (frames.floor + MARGIN).clip(FAINTEST_SPEECH)
-    level = float(levels[loud].mean() if loud.any() else levels.max())
-    if level >= LOW_LEVEL:
-        return None
+    if (loudest := float(frames.levels.max())) <= FAINTEST_SPEECH:
+        return f"all of it is silence (its loudest 10 ms are at {loudest:.0f} dBFS); record it again"
+    loud = frames.levels[frames.levels > (frames.floor + MARGIN).clip(FAINTEST_SPEECH)]
+    level = float(loud.mean()) if len(loud) else loudest
     gain = round(TYPICAL_LEVEL - level)
-    return f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
+    return None if level >= LOW_LEVEL else \
+        f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
 
 
 COMMAND = Command(
