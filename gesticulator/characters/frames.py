@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_module.errors import InputError
-from data_module.motion import skeletons
+from data_module.motion import rotation, skeletons
 from data_module.motion.skeletons import FINGERS, WHOLE_BODY
 from data_module.types import Array
 from gesticulator.characters import shape
