@@ -149,10 +149,8 @@ def opened_manifest(path: Path) -> Iterator[Manifest]:
 
 def estimated_seconds(row: ManifestRow) -> float:
     """Duration of a recording, estimated from its size; 0 if it cannot be read."""
-    try:
-        return Path(row.input).stat().st_size / _BYTES_PER_SECOND
-    except OSError:
-        return 0.0
+    path = Path(row.input)
+    return path.stat().st_size / _BYTES_PER_SECOND if path.is_file() else 0.0
 
 
 def parse_shard(text: str | None) -> tuple[int, int]:

@@ -18,7 +18,6 @@ from data_module.registry import install_line
 from data_module.speech.audio import (
     SAMPLE_RATE,
     SampleFeed,
-    SoundWarning,
     amplified,
     as_speech,
     load_speech,
@@ -215,12 +214,6 @@ def test_the_channel_with_the_speech_is_taken_where_a_mean_would_lose_it(tmp_pat
     assert all(f"channel {(taken or 0) + 1} is taken of {len(columns)}," in line for line in lines)
 
 
-def test_the_centre_of_vorbis_is_its_second_channel(tmp_path: Path) -> None:
-    sound = np.stack([voice(2, 1), voice(), voice(2, 2), *3 * [0 * HUM]], axis=1)
-    with pytest.warns(SoundWarning, match="channel 2 is taken of 6"):
-        load_speech(put(tmp_path, "a.ogg", encoded(sound, 48000, "OGG", "VORBIS")))
-
-
 # ---------------------------------------------------------------------------------------------------- streams
 
 @pytest.mark.parametrize(("suffix", "kind", "subtype"), FORMATS)
@@ -302,13 +295,6 @@ def test_a_codec_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytes
     data = contained(tone(48000), "wav", "flac")
     monkeypatch.setitem(sys.modules, "av", None)
     refused(put(tmp_path, "a.wav", data), "codec", "PyAV")
-
-
-@pytest.mark.parametrize(("suffix", "law"), [("ul", "ULAW"), ("al", "ALAW")])
-def test_telephone_sound_without_a_header_is_told_by_its_suffix(tmp_path: Path, suffix: str, law: str) -> None:
-    speech = load_speech(put(tmp_path, f"a.{suffix}", encoded(tone(8000), 8000, "RAW", law)))
-    assert abs(speech.duration - 2.0) < 0.002
-    check_tone(speech, 0.03)
 
 
 @pytest.mark.parametrize(("suffix", "kind", "codec", "picture"), [
