@@ -245,12 +245,12 @@ CONTAINERS = [("m4a", "mp4", "aac"), ("mp4", "mp4", "aac"), ("mov", "mov", "pcm_
               ("mkv", "matroska", "flac"), ("avi", "avi", "pcm_s16le"), ("aac", "adts", "aac")]
 
 
-def contained(samples: Samples, kind: str, codec: str, rate: int = 48000, picture: bool = False, late: float = 0.0
-              ) -> bytes:
+def contained(samples: Samples, kind: str, codec: str, rate: int = 48000, picture: bool = False, late: float = 0.0,
+              **options: str) -> bytes:
     """Mono sound in a container, with a video of black pictures when asked."""
     av = pytest.importorskip("av", reason="PyAV is in the extra 'video'")
     memory = io.BytesIO()
-    with av.open(memory, "w", format=kind) as file:
+    with av.open(memory, "w", format=kind, options=options) as file:
         if picture:
             video = file.add_stream("mpeg4", rate=25)
             video.width, video.height, video.pix_fmt = 64, 48, "yuv420p"
@@ -289,6 +289,23 @@ def test_sound_is_found_by_content_whatever_holds_it_and_whenever_its_clock_star
     speech = load_speech(put(tmp_path, "a.sound", data))
     assert abs(speech.duration - 2.0) < 0.09
     check_tone(speech, 0.1)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.7])
+def test_what_a_browser_records_has_no_length_and_is_read_to_its_end_or_a_cut(tmp_path: Path, share: float) -> None:
+    """WebM without a duration, in clusters of unknown size."""
+    data = contained(tone(48000, 6.0), "webm", "libopus", live="1")
+    assert b"\x44\x89" not in data[:400]  # no Duration
+    speech = load_speech(put(tmp_path, "rec.webm", data[:round(share * len(data))]))
+    assert speech.duration == pytest.approx(6.0 * share, abs=0.1 if share == 1.0 else 0.3)
+    check_tone(speech, 0.05)
+
+
+@pytest.mark.parametrize("rate", [8000, 11025, 16000, 22050, 24000, 44100, 48000, 96000])
+@pytest.mark.parametrize("seconds", [0.3, 0.31, 1.7, 59.99])
+def test_a_recording_lasts_as_long_at_every_rate(tmp_path: Path, rate: int, seconds: float) -> None:
+    speech = load_speech(put(tmp_path, "a.wav", encoded(tone(rate, seconds), rate)))
+    assert speech.duration == pytest.approx(seconds, abs=1e-3)
 
 
 def test_a_codec_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
