@@ -205,7 +205,7 @@ def motion_of(bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> ND
 
 # ----------------------------------------------------------------------------------------- the planner of gesture units
 
-HOLD = 1.2
+HOLD = 1.7
 """Added to the logit of a hold after a stroke: what is generated holds less than people do."""
 GOES_ON_PAUSING = 0.5
 """Added to the logit of a hold in a pause that goes on: people hold at the ends of phrases."""
@@ -303,7 +303,7 @@ def first_pose(chances: Array, posture: Array, names: Sequence[str], rest: Array
 
 def _first_of(bundle: Bundle, setup: Setup, chances: Array, posture: Array) -> Floats:
     """[D_m] `first_pose` of the speaker, within the training data."""
-    names, rest = CHARACTERS[bundle.config.motion.joints].names, bundle.rest_feature(setup.speaker)
+    names, rest = CHARACTERS[bundle.config.motion.joints].names, bundle.rest_feature(setup.speaker).astype(float)
     return np.clip(first_pose(chances, posture, names, rest), *bundle.statistics.bounds.astype(np.float32))
 
 
@@ -368,8 +368,8 @@ WAXING = 0.8
 """Deviation of the style codes' own rise and fall over seconds."""
 LIVELINESS = (1.0, 0.5, 0.5, 0.0)
 """The direction of a style code (`interpreters.planner_run.CODE`) in which gestures become livelier."""
-_OUTWARDS = (0.0, 0.0, 0.0, 1.0)
-"""The direction of a style code in which hands are farther from the body."""
+_OUTWARDS = (0.0, 0.4, 0.7, 1.0)
+"""The direction of a style code in which hands are farther from the body, higher, and make larger strokes."""
 FAST_STEPS = 2
 """Steps of the Adams method for a block at lower cost; a single step would give the mean instead of a sample."""
 _CALM = 0.5
