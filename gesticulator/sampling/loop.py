@@ -53,7 +53,7 @@ _MOTION, _CHOICE = 0, 1
 _POSE, _PLAN, _ACTIVITY, _POSTURE, _VOICE = range(1 << 20, (1 << 20) + 5)
 """Kinds of numbers: of motion, choice of lexemes, first poses, planner, activity, posture and what sound decides."""
 _WAXES, _LEANS, _RETURNS = 3000, 4000, 12_000
-"""Milliseconds between independent numbers of activity, of posture, and of where hands set out: people come back there."""
+"""Milliseconds between independent numbers of activity, of posture, and of where hands set out and come back to."""
 ELBOW = np.radians((6.0, 136.0, 10.0))
 """Least and greatest bend of an elbow, and the last part of either, in which it is slowed, radians."""
 _ENLARGED = 4.0
