@@ -368,8 +368,8 @@ WAXING = 0.8
 """Deviation of the style codes' own rise and fall over seconds."""
 LIVELINESS = (1.0, 0.5, 0.5, 0.0)
 """The direction of a style code (`interpreters.planner_run.CODE`) in which gestures become livelier."""
-_OUTWARDS = (0.0, 0.0, 0.7, 1.0)
-"""The direction of a style code in which hands are farther from the body, and higher."""
+_OUTWARDS = (0.0, 0.0, 0.0, 1.0)
+"""The direction of a style code in which hands are farther from the body."""
 FAST_STEPS = 2
 """Steps of the Adams method for a block at lower cost; a single step would give the mean instead of a sample."""
 _CALM = 0.5
