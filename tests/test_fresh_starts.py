@@ -32,13 +32,11 @@ def test_an_offset_begins_with_the_pose_and_velocity_shown_and_ends_at_rest(begi
 
 def test_first_poses_lie_between_the_speakers_pose_and_rest_each_arm_for_itself() -> None:
     keys = Keys(1)
-    poses = np.stack([first_pose(keys.uniform(12.0 * n, 2), keys.posture(12.0 * n), NAMES, REST) for n in range(2000)])
+    poses = np.stack([first_pose(keys.uniform(0.2 * n, 2), keys.posture(0.2 * n), NAMES, REST) for n in range(2000)])
     shares = poses[:, [3, 6]] / REST[[3, 6]]
     assert shares.min() > -0.45 and shares.max() < 0.55
     assert stats.kstest(shares.ravel(), stats.uniform(-0.45, 1.0).cdf).pvalue > 0.01
     assert abs(stats.spearmanr(*shares.T).statistic) < 0.1
-    near = np.stack([keys.uniform(12.0 * n + later, 2) for n in range(500) for later in (0.0, 2.0)]).reshape(500, 2, 2)
-    assert np.abs(near[:, 1] - near[:, 0]).mean() < 0.15, "much the same two seconds later"
 
 
 def test_the_trunk_wanders_over_seconds_by_the_seed() -> None:

@@ -52,8 +52,8 @@ _MILLISECONDS = 100
 _MOTION, _CHOICE = 0, 1
 _POSE, _PLAN, _ACTIVITY, _POSTURE, _VOICE = range(1 << 20, (1 << 20) + 5)
 """Kinds of numbers: of motion, choice of lexemes, first poses, planner, activity, posture and what sound decides."""
-_WAXES, _LEANS, _RETURNS = 3000, 4000, 12_000
-"""Milliseconds between independent numbers of activity, of posture, and of where hands set out and come back to."""
+_WAXES, _LEANS = 3000, 4000
+"""Milliseconds between independent numbers of activity and of posture: both wax and wane over a few seconds."""
 ELBOW = np.radians((6.0, 136.0, 10.0))
 """Least and greatest bend of an elbow, and the last part of either, in which it is slowed, radians."""
 _ENLARGED = 4.0
@@ -96,7 +96,7 @@ class Keys:
 
     def uniform(self, time: float, count: int) -> Array:
         """[count] numbers in (0, 1) for the preparation that begins at `time` seconds."""
-        return np.exp(_log_normal(self._normal(_POSE, time, count, _RETURNS)))
+        return np.exp(_log_normal(self._normal(_POSE, time, count)))
 
     def activity(self, time: float) -> float:
         """A standard normal number that changes over seconds: how lively the gestures are at `time`."""
