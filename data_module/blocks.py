@@ -229,12 +229,9 @@ class KnotPath:
             return self._values[:0]
         # The slope at the newest knot depends on the next one, so the path is certain up to the knot before.
         limit = self._times[-1] if self.prompt else self._times[-2]
-        certain = self._certain(float(limit), float(self._times[-1]))
+        # Frames before the limit and the last knot, at which the recording may end, less half of the kernel.
+        certain = min(math.ceil(float(limit) * self.fps - 1e-9), round(float(self._times[-1]) * self.fps)) - self._half
         return self._given(max(certain if until is None else min(certain, until), self.next))
-
-    def _certain(self, limit: float, last: float) -> int:
-        """The number of frames before the limit and the end of a recording at the last knot, less half the kernel."""
-        return min(math.ceil(limit * self.fps - 1e-9), round(last * self.fps)) - self._half
 
     def finish(self, duration: float) -> Array:
         """[T, D] the remaining frames of a recording of `duration` seconds."""

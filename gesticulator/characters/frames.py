@@ -15,12 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_module.errors import InputError
-from data_module.motion import rotation, skeletons
+from data_module.motion import skeletons
 from data_module.motion.skeletons import FINGERS, WHOLE_BODY
 from data_module.types import Array
 from gesticulator.characters import shape
 from gesticulator.characters.mapping import SIDES, RigMapping, ancestors
 from gesticulator.characters.rig import UPS, Character
+from gesticulator.contacts.limbs import swing
 
 _UPRIGHT = np.radians(30.0)
 """An axis of the file within this angle of the direction from hips to head is up; otherwise the body lies or hangs."""
@@ -204,7 +205,7 @@ def _upright(character: Character, axes: Array) -> Array:
     if known is None or axes[1] @ known > 1.0 - 1e-12:
         return axes
     if axes[1] @ known > 0.5:
-        return np.asarray(axes @ _turn(axes[1], known).T)
+        return np.asarray(axes @ swing(axes[1], known).T)
     # VRM 0.x characters face -Z, all others +Z, so their left is -X.
     left = np.array([-1.0 if character.vrm == "0.x" else 1.0, 0.0, 0.0])
     return np.stack([left, known, np.cross(left, known)])
@@ -230,11 +231,6 @@ def frame(along: Array, across: Array) -> Array:
     second = across - (across @ first) * first
     second = second / np.linalg.norm(second)
     return np.stack([first, second, np.cross(first, second)], axis=-1)
-
-
-def _turn(a: Array, b: Array) -> Array:
-    """[3, 3] the shortest rotation from direction a to b."""
-    return rotation.to_matrix(rotation.between(a, b))
 
 
 def _angle(a: Array, b: Array) -> float:
@@ -325,7 +321,7 @@ class _Rig:
             else:
                 fore = _change(lower, hinge, source_lower, down)
                 # A hand without fingers has the roll of its forearm.
-                hand = _turn(fore @ along, source_along) @ fore
+                hand = swing(fore @ along, source_along) @ fore
             out += [self._segment(side + "ForeArm", fore), self._segment(side + "Hand", hand)]
             out += self._fingers(side, along, back, source_back, hand)
         return out
@@ -378,7 +374,7 @@ class _Rig:
                 if way is None:
                     out.append(self._segment(name, hand))
                 elif back is None:
-                    out.append(self._segment(name, _turn(hand @ way, source) @ hand))
+                    out.append(self._segment(name, swing(hand @ way, source) @ hand))
                 else:
                     out.append(self._segment(name, _change(way, back, source, source_back)))
         return out
@@ -416,7 +412,7 @@ class _Rig:
                 # The foot turns about the vertical alone; on a very high heel the toes point down and give no
                 # direction.
                 if np.linalg.norm(level) > 0.3 * np.linalg.norm(toes) and level[2] > 0.0:
-                    turn = _turn(level, _SOURCE[side + "ToeBase"] * [1.0, 0.0, 1.0])
+                    turn = swing(level, _SOURCE[side + "ToeBase"] * [1.0, 0.0, 1.0])
             out.append(self._segment(side + "Foot", turn))
             if side + "ToeBase" in self.joints:
                 out.append(self._segment(side + "ToeBase", turn))
@@ -429,7 +425,7 @@ def _change(bone: Array, across: Array | None, source: Array, source_across: Arr
     # A hinge nearly parallel to the bone (cosine above 0.95) does not define its roll.
     if across is None or np.linalg.norm(across) < 1e-9 or abs(np.cos(_angle(bone, across))) > 0.95 \
             or abs(np.cos(_angle(source, source_across))) > 0.95:
-        return _turn(bone, source)
+        return swing(bone, source)
     return frame(source, source_across) @ frame(bone, across).T
 
 
