@@ -50,7 +50,7 @@ BREAKS_OFF = 0.18
 """Duration of the stop after an interruption, seconds: within 0.3 s of the word, including motion already generated."""
 STILL_HOLD, STILL_SINKING = 1.6, 0.065
 """The same seconds and greatest speed where the hands are asked to hold still."""
-HELD_MOVES, HELD_RETURNS, _HELD_EASES = 0.18, 0.8, 0.3
+HELD_MOVES, HELD_RETURNS, _HELD_EASES = 0.22, 0.8, 0.3
 """Share of the generated movement that a held hand makes, and seconds in which that fades and sets in: a hand that a
 person holds drifts by one to three centimetres."""
 LETS_DOWN, HANGS = 0.24, 1.15

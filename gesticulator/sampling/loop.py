@@ -54,7 +54,7 @@ _POSE, _PLAN, _ACTIVITY, _POSTURE, _VOICE = range(1 << 20, (1 << 20) + 5)
 """Kinds of numbers: of motion, choice of lexemes, first poses, planner, activity, posture and what sound decides."""
 _WAXES, _LEANS = 3000, 4000
 """Milliseconds between independent numbers of activity and of posture: both wax and wane over a few seconds."""
-ELBOW = np.radians((6.0, 136.0, 10.0))
+ELBOW = np.radians((6.0, 140.0, 10.0))
 """Least and greatest bend of an elbow, and the last part of either, in which it is slowed, radians."""
 _ENLARGED = 4.0
 """Units of a number for a deviation of a spectrum's shape: voices are alike, so what differs is enlarged."""

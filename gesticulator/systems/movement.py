@@ -205,7 +205,7 @@ def motion_of(bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> ND
 
 # ----------------------------------------------------------------------------------------- the planner of gesture units
 
-HOLD = 1.7
+HOLD = 1.2
 """Added to the logit of a hold after a stroke: what is generated holds less than people do."""
 GOES_ON_PAUSING = 0.5
 """Added to the logit of a hold in a pause that goes on: people hold at the ends of phrases."""
