@@ -42,7 +42,8 @@ def test_another_level_is_the_same_take(decibels: float) -> None:
 def test_short_recordings_give_takes_of_their_own_and_of_their_length() -> None:
     """Shorter than what the models see at once."""
     samples, made = example(6.0).samples, []
-    for start, seconds, fps in ((0.0, 0.3, 60.0), (0.0, 1.4, 29.97), (1.4, 1.4, 30.0), (2.8, 1.4, 24.0), (4.2, 1.7, 120)):
+    pieces = ((0.0, 0.3, 60.0), (0.0, 1.4, 29.97), (1.4, 1.4, 30.0), (2.8, 1.4, 24.0), (4.2, 1.7, 120.0))
+    for start, seconds, fps in pieces:
         piece = samples[round(start * 16000):round((start + seconds) * 16000)]
         performance = system()(piece, 16000, fps=fps, seed=0)
         assert abs((len(performance.motion) - 1) / fps - seconds) <= 1.0 / fps
