@@ -145,26 +145,14 @@ def test_a_cut_file_is_refused_where_its_header_says_so_and_else_read_as_far_as_
         assert load_speech(cut).duration == pytest.approx(4.0 * share, abs=0.01 if suffix == "wav" else 0.5)
 
 
-def open_ended(kind: str) -> bytes:
-    """A sound of 2 s as a recorder writes it that cannot go back to fill in the length."""
-    if kind == "flac":
-        data = bytearray(encoded(tone(16000), 16000, "FLAC"))
-        data[21] &= 0xF0
-        data[22:26] = bytes(4)
-    else:
-        data = bytearray(encoded(tone(16000), 16000))
-        place = data.find(b"data") + 4
-        data[place:place + 4] = {"zero": bytes(4), "ones": b"\xff" * 4, "sox": b"\xdb\xff\xff\x7f"}[kind]
-    return bytes(data)
+def test_a_flac_without_a_length_is_read_to_its_end(tmp_path: Path) -> None:
+    data = bytearray(encoded(tone(16000), 16000, "FLAC"))
+    data[21] &= 0xF0
+    data[22:26] = bytes(4)
+    assert np.allclose(load_speech(put(tmp_path, "a.flac", bytes(data))).samples, tone(16000), atol=1e-4)
 
 
-@pytest.mark.parametrize("kind", ["zero", "ones", "sox", "flac"])
-def test_a_length_left_open_is_that_of_the_file(tmp_path: Path, kind: str) -> None:
-    speech = load_speech(put(tmp_path, f"a.{'flac' if kind == 'flac' else 'wav'}", open_ended(kind)))
-    assert np.allclose(speech.samples, tone(16000), atol=1e-4)
-
-
-@pytest.mark.parametrize("size", [0, 0x7FFFFFFF, 0xFFFFFFFF, 2_000_000_000, 200_000])
+@pytest.mark.parametrize("size", [0, 0x7FFFFFDB, 0x7FFFFFFF, 0xFFFFFFFF, 2_000_000_000, 200_000])
 @pytest.mark.parametrize(("kind", "extra"), [("WAV", 0), ("WAV", 2000), ("WAVEX", 0), ("WAVEX", 90)])
 def test_sizes_that_recorders_leave_behind_mean_the_bytes_that_are_there(tmp_path: Path, size: int, kind: str,
                                                                        extra: int) -> None:
