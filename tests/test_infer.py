@@ -82,7 +82,7 @@ sys.modules.update(dict.fromkeys(("torch", "librosa", "numba", "sklearn", "trans
 from gesticulator import Gesticulator, infer
 sound, out = map(Path, sys.argv[1:])
 infer.main([str(sound), "-o", str(out / "light.bvh"), "--quiet"])
-# Half of the memory and a fifth of the time of a short recording would be scipy's.
+# A third of the memory and an eighth of the time of a short recording would be scipy's.
 assert not [name for name in sys.modules if name.startswith(("scipy.s", "scipy.i", "scipy.n", "scipy.f"))]
 
 from data_module.speech.audio import load_speech

@@ -78,6 +78,7 @@ _PARTS = {"joints": "Joint errors against the speaker", "beats": "Motion beats a
           "eye posture": "Perceptual figures: posture", "eye arms": "Perceptual figures: arms and trunk",
           "eye together": "Perceptual figures: parts together",
           "eye phrases": "Perceptual figures: holds and pauses",
+          "eye arms": "Perceptual figures: arms as people's",
           "sets": "Sets of motion", "fgd": "Sets of motion, by a network's features"}
 _ROWS = {TRUTH: "the speakers' own motion", STILL: "the truth's mean pose, clip by clip, without movement",
          "shuffled": "the truth of another clip with this speech", "reversed": "the truth played backwards",
