@@ -75,8 +75,7 @@ _PARTS = {"joints": "Joint errors against the speaker", "beats": "Motion beats a
           "vigour": "Speed and smoothness", "lexemes": "Measured by the bundle",
           "eye hands": "Perceptual figures: two hands", "eye trunk": "Perceptual figures: trunk and idle motion",
           "eye strokes": "Perceptual figures: strokes", "eye voice": "Perceptual figures: synchrony",
-          "eye posture": "Perceptual figures: posture", "eye arms": "Perceptual figures: arms and trunk",
-          "eye together": "Perceptual figures: parts together",
+          "eye posture": "Perceptual figures: posture", "eye together": "Perceptual figures: parts together",
           "eye phrases": "Perceptual figures: holds and pauses",
           "eye arms": "Perceptual figures: arms as people's",
           "sets": "Sets of motion", "fgd": "Sets of motion, by a network's features"}
