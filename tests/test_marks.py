@@ -271,16 +271,6 @@ def test_a_stream_makes_four_marks_a_second_at_most_and_repeats_once() -> None:
     assert [cue.cue.gesture for cue in marks.cues() if cue.broken_off is None] == ["shrug"]
 
 
-def test_words_in_steps_are_those_of_one_call(system: Any) -> None:
-    """A step reads one beginning of a sentence: as many steps as words, and the words first."""
-    stream, whole = (system.stream(RATE, text=True) for _ in range(2))
-    words = [Word(f"{word}.", 0.4 * n, 0.4 * n + 0.3) for n, word in enumerate(("a", "few", "words", "of", "talk"))]
-    steps = list(stream.adding(words, 1))
-    assert len(steps) == 1 + len(words) and all([word.text for word in step] == [word.text for word in words]
-                                                for step in steps)
-    assert list(whole.add_words(words)) == list(steps[-1])
-
-
 def test_no_more_marks_may_wait_than_a_plan_may_have() -> None:
     """One message with thousands of marks would hold up every other stream of a server for seconds."""
     marks = StreamMarks(rotations=True)
