@@ -1,9 +1,11 @@
 """The pictures of the page in docs/pictures, in a headless Chromium: python tests/pictures.py [viewer] [talk]
 
-`viewer` makes viewer.jpg, two takes of one recording; `talk` makes talk.webp, a moving one of a real voice.
+`viewer` makes viewer.jpg, two takes of one recording; `talk` makes talk.webp, a moving one. The voice is a real one of
+GESTICULATOR_DATA: a LibriVox reading of Sense and Sensibility, in the public domain.
 """
 
 import io
+import os
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,8 +17,8 @@ from gesticulator import Gesticulator
 from gesticulator.export.html import write_comparison, write_preview
 
 ROOT = Path(__file__).resolve().parents[1]
-PICTURES, SPEECH = ROOT / "docs" / "pictures", ROOT / "examples" / "speech.flac"
-FPS, START, COUNT = 12, 5.6, 72  # of the moving picture, hertz and seconds
+PICTURES, SPEECH = ROOT / "docs" / "pictures", Path(os.environ["GESTICULATOR_DATA"], "speech", "en_austen_0870.flac")
+FPS, COUNT = 12, 84  # of the moving picture, hertz
 STAGE_AND_TIMELINE = """() => {
     for (const part of ["#top", "#inspector", ".views", ".bar"]) document.querySelector(part).hidden = true;
     document.querySelector("main").style.gridTemplate = '"stage" minmax(0, 1fr) "desk" auto / minmax(0, 1fr)';
@@ -36,12 +38,12 @@ def main(names: list[str], folder: Path) -> None:
     with chromium() as browser:
         if "viewer" in names:
             opened = OpenedPage(browser, write_comparison(folder / "speech.html", takes).as_uri(), 1440, 900)
-            opened.page.evaluate("() => preview.session.select(24, 27)")
-            shot(opened, 7.9).save(PICTURES / "viewer.jpg", quality=82, optimize=True)
+            opened.page.evaluate("() => preview.session.select(9, 11)")
+            shot(opened, 3.6).save(PICTURES / "viewer.jpg", quality=82, optimize=True)
         if "talk" in names:
             opened = OpenedPage(browser, write_preview(folder / "speech.html", takes["lstm"]).as_uri(), 720, 600)
             opened.page.evaluate(STAGE_AND_TIMELINE)
-            first, *others = [shot(opened, START + number / FPS) for number in range(COUNT)]
+            first, *others = [shot(opened, number / FPS) for number in range(COUNT)]
             first.save(PICTURES / "talk.webp", save_all=True, append_images=others, duration=round(1000 / FPS), loop=0,
                        quality=62, method=4)
 
