@@ -14,10 +14,10 @@ import pytest
 import soundfile
 
 from data_module.errors import InputError
+from data_module.registry import install_line
 from data_module.speech.audio import (
     SAMPLE_RATE,
     SampleFeed,
-    SoundWarning,
     amplified,
     as_speech,
     load_speech,
@@ -214,12 +214,6 @@ def test_the_channel_with_the_speech_is_taken_where_a_mean_would_lose_it(tmp_pat
     assert all(f"channel {(taken or 0) + 1} is taken of {len(columns)}," in line for line in lines)
 
 
-def test_the_centre_of_vorbis_is_its_second_channel(tmp_path: Path) -> None:
-    sound = np.stack([voice(2, 1), voice(), voice(2, 2), *3 * [0 * HUM]], axis=1)
-    with pytest.warns(SoundWarning, match="channel 2 is taken of 6"):
-        load_speech(put(tmp_path, "a.ogg", encoded(sound, 48000, "OGG", "VORBIS")))
-
-
 # ---------------------------------------------------------------------------------------------------- streams
 
 @pytest.mark.parametrize(("suffix", "kind", "subtype"), FORMATS)
@@ -303,13 +297,6 @@ def test_a_codec_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytes
     refused(put(tmp_path, "a.wav", data), "codec", "PyAV")
 
 
-@pytest.mark.parametrize(("suffix", "law"), [("ul", "ULAW"), ("al", "ALAW")])
-def test_telephone_sound_without_a_header_is_told_by_its_suffix(tmp_path: Path, suffix: str, law: str) -> None:
-    speech = load_speech(put(tmp_path, f"a.{suffix}", encoded(tone(8000), 8000, "RAW", law)))
-    assert abs(speech.duration - 2.0) < 0.002
-    check_tone(speech, 0.03)
-
-
 @pytest.mark.parametrize(("suffix", "kind", "codec", "picture"), [
     *[(*row, False) for row in CONTAINERS],
     *[(*row, True) for row in CONTAINERS if row[0] in ("mp4", "mov", "mkv", "avi")]])
@@ -348,7 +335,7 @@ def test_videos_that_cannot_be_used_are_one_line(tmp_path: Path, monkeypatch: py
     fast = (tmp_path / "whole.mov").read_bytes()
     refused(put(tmp_path, "fast.mov", fast[:len(fast) // 2]), "is cut short", "of the 4.00 s")
     monkeypatch.setitem(sys.modules, "av", None)
-    refused(put(tmp_path, "a.mkv", whole), "PyAV", "pip install 'gesticulator[video]'")
+    refused(put(tmp_path, "a.mkv", whole), "PyAV", install_line("video"))
 
 
 # ---------------------------------------------------------------------------------------------------- level

@@ -175,13 +175,13 @@ def test_each_mark_is_a_cue_at_its_word() -> None:
 def test_unknown_marks_are_warned_of_once() -> None:
     words = _marked(("shurg",), ("shurg", "nod"), ("none",), ("jump about",))
     with pytest.warns(MarkWarning) as given_:
-        options = with_mark_cues(InferenceOptions(), words)
+        options = with_mark_cues(InferenceOptions(), words, 60.0)
     assert len(given_) == 1 and "[shurg], [jump about]" in str(given_[0].message)
     assert "did you mean [shrug]?" in str(given_[0].message)
     assert [cue.gesture for cue in options.cues] == ["nod"]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert with_mark_cues(InferenceOptions(), ()) == InferenceOptions()
+        assert with_mark_cues(InferenceOptions(), (), 60.0) == InferenceOptions()
 
 
 @given(st.sampled_from(sorted(GESTURES)), st.sampled_from(" _-:."), st.booleans())
@@ -352,3 +352,11 @@ def test_the_server_makes_marks_and_echoes_words_without_them(system: Any) -> No
     plain = _streamed(system, [list(_words())])
     changed = np.flatnonzero((made != plain).any((1, 2))) / 60
     _around(changed, stroke_of_word(_words()[3]))
+
+
+def test_a_text_with_more_marks_than_a_plan_may_have_gives_a_plan_that_can_be_read() -> None:
+    words = [Word(f"word{n}", 0.01 * n, 0.01 * n + 0.01, ("shrug",)) for n in range(201)]
+    with pytest.warns(MarkWarning, match="202 gestures are asked for, and the first 100 are"):
+        options = with_mark_cues(InferenceOptions(cues=(GestureCue("nod", time=0.1),)), words, 2.2)
+    assert len(options.cues) == 100 and options.cues[0].gesture == "nod"
+    assert len(with_mark_cues(InferenceOptions(), words[:150], 60.0).cues) == 150

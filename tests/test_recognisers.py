@@ -123,6 +123,36 @@ def test_words_that_were_not_aligned_lie_between(tmp_path: Path) -> None:
         assert found.words[2] == Word("my", 0.55, 0.9)
 
 
+def test_a_list_of_word_segments_is_read_with_what_it_lacks_and_in_order(tmp_path: Path) -> None:
+    """As whisperX leaves it: a number and a question mark without times, and two words the wrong way round."""
+    words: list[dict[str, Any]] = whisperx(SPOKEN)["word_segments"]
+    words[3], words[4] = words[4], words[3]
+    words[1:1] = [{"word": "2266"}]
+    words.insert(4, {"word": "?"})
+    found = _read(tmp_path, ".json", json.dumps({"word_segments": words, "language": "en"}))
+    assert found.words is not None
+    starts = [word.start for word in found.words]
+    assert starts == sorted(starts) and "the times were not in order and were sorted" in found.notes
+    timed = {word.text: word for word in found.words}
+    assert timed["2266"] == Word("2266", 0.3, 0.3) and {word for word, *_ in SPOKEN} <= set(timed)
+
+
+@pytest.mark.parametrize("name", ["whisperx", "faster-whisper", "azure, fast", "azure, batch", "whisper.cpp"])
+def test_words_without_times_stay_within_their_segment(name: str, tmp_path: Path) -> None:
+    content = JSON[name](SPOKEN)
+    key = {"azure, fast": "phrases", "azure, batch": "recognizedPhrases", "whisper.cpp": "transcription"}.get(name)
+    segment = content[0] if name == "faster-whisper" else content[key or "segments"][0]
+    words = segment.get("words") or (segment["nBest"][0]["words"] if "nBest" in segment else segment["tokens"][1:-1])
+    for word in words[2:]:
+        for clock in ("start", "end", "offset", "duration", "offsetInTicks", "durationInTicks", "offsetMilliseconds",
+                      "durationMilliseconds", "offsets", "timestamps"):
+            word.pop(clock, None)
+    found = _read(tmp_path, ".json", json.dumps(content))
+    assert found.words is not None
+    first = [word for word in found.words if word.text in ("And", "so,", "my", "fellow")]
+    assert len(first) == 4 and first[-1].end == pytest.approx(1.4) and found.words[4].start == pytest.approx(1.4)
+
+
 def test_phrases_of_transformers_are_cues_and_the_last_may_be_open(tmp_path: Path) -> None:
     chunks = [{"text": " Well then.", "timestamp": [0.0, 1.1]}, {"text": " So be it.", "timestamp": [2.0, None]}]
     found = _read(tmp_path, ".json", json.dumps({"text": " Well then. So be it.", "chunks": chunks}))

@@ -35,6 +35,8 @@ _CLOCK = r"(?:(\d{1,4}):)?(\d{1,4}):(\d{1,4})(?:[.,](\d+))?"
 _CUE = re.compile(rf"\s*{_CLOCK}\s*-->\s*{_CLOCK}(?:\s.*)?")
 # Tags, positions of the SubStation kind, and descriptions of sounds.
 _NOT_SPOKEN = re.compile(r"<[^<>]*>|\{\\[^{}]*\}|\[[^\[\]]*\]")
+# Duration of a word without times and without timed neighbours, seconds: the mean of spoken English.
+_UNTIMED = 0.3
 _INNER = re.compile(rf"<{_CLOCK}>")
 _HIGHLIGHT = re.compile(r"<(u|b|font|c)(?:[ .][^<>]*)?>([^<>]*)</\1>", re.IGNORECASE)
 
@@ -155,6 +157,25 @@ def shared_in_cue(cue: Entry) -> list[Entry]:
         out += [Entry(word, a, b, cue.where, guessed=True)
                 for word, a, b in zip(words[begin:count], edges[begin:], edges[begin + 1:], strict=False)]
         out += [Entry(f"[{name}]", edges[count], edges[count], cue.where)] if name else []
+    return out
+
+
+def filled(entries: Sequence[Entry], begin: float | None = None, end: float | None = None) -> list[Entry]:
+    """Entries with times for those that have none: a run shares the gap between its neighbours; at an end it reaches to
+    `begin` or `end`, or has a usual length."""
+    out: list[Entry] = []
+    for timed, group in itertools.groupby(entries, lambda entry: entry.start is not None):
+        run = list(group)
+        if timed:
+            out += run
+            continue
+        after = entries[len(out) + len(run)].start if len(out) + len(run) < len(entries) else end
+        start = out[-1].end if out else begin
+        if start is None:
+            start = max(0.0, (after or 0.0) - _UNTIMED * len(run))
+        last = max(start, after) if after is not None else start + _UNTIMED * len(run)
+        edges = np.linspace(start, last, len(run) + 1).tolist()
+        out += [replace(e, start=a, end=b, guessed=True) for e, a, b in zip(run, edges, edges[1:], strict=False)]
     return out
 
 

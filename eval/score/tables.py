@@ -76,6 +76,7 @@ _PARTS = {"joints": "Joint errors against the speaker", "beats": "Motion beats a
           "eye strokes": "Perceptual figures: strokes", "eye voice": "Perceptual figures: synchrony",
           "eye posture": "Perceptual figures: posture", "eye together": "Perceptual figures: parts together",
           "eye phrases": "Perceptual figures: holds and pauses",
+          "eye arms": "Perceptual figures: arms as people's",
           "sets": "Sets of motion", "fgd": "Sets of motion, by a network's features"}
 _ROWS = {TRUTH: "the speakers' own motion", STILL: "the truth's mean pose, clip by clip, without movement",
          "shuffled": "the truth of another clip with this speech", "reversed": "the truth played backwards",

@@ -21,7 +21,7 @@ from gesticulator.export.gltf import (
 )
 from gesticulator.face.motion import FaceMotion
 from gesticulator.face.rig import find_face
-from gesticulator.face.shapes import vrm
+from gesticulator.face.shapes import lacking, vrm
 
 
 class FaceWarning(UserWarning):
@@ -34,8 +34,13 @@ def tracks_of(gltf: GltfDocument, character: Character, arms: tuple[int, int], f
     says if it has no mouth to move. arms: nodes of its left and right upper arm; name: of the file that was given."""
     # Characters without a mouth still show gaze and blinks, so this is a warning.
     rig = find_face(character)
-    if not rig.can_speak:
-        warnings.warn(FaceWarning(f"{name}: has neither mouth shapes nor a jaw bone, so its mouth stays as it is"),
+    missing = lacking(rig.curves | ({"jawOpen"} if rig.jaw is not None else set()))
+    if missing or not rig.can_speak:
+        what = (f"lacks {', '.join(missing)}, so its mouth shows less of what is said" if missing
+                else "has neither mouth shapes nor a jaw bone, so its mouth stays as it is")
+        warnings.warn(FaceWarning(f"{name}: {what}"), stacklevel=3)
+    if character.vrm and rig.morphs:
+        warnings.warn(FaceWarning(f"{name}: players of VRMs (three-vrm) set its shapes back; write .vrma for them"),
                       stacklevel=3)
     places = character.world_matrices()[:, :3, 3]
     left = places[arms[0]] - places[arms[1]]

@@ -38,7 +38,6 @@ FPS = 30
 SOUND_RATE = 48_000
 """Sampling rate in Hz, supported by AAC."""
 
-
 # No frame depends on later ones (bf), so the first frame shown is the first in the file.
 _VIDEO_OPTIONS = {"preset": "veryfast", "crf": "20", "bf": "0", "x264-params": "threads=1"}
 _AUDIO_BIT_RATE = 128_000
