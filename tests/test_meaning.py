@@ -118,16 +118,13 @@ def test_prose_that_was_written_to_be_read_gets_fewer() -> None:
     assert len(labels(f"{talk}. {cue} {talk}")) > len(labels(f"{prose}. {cue} {prose}"))
 
 
-@pytest.mark.parametrize("parts", [("tuning",), ("held_out",), ("tuning", "held_out")])
-def test_meant_words_fire_and_the_same_words_elsewhere_do_not(parts: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("part", ["tuning", "held_out"])
+def test_meant_words_fire_and_the_same_words_elsewhere_do_not(part: str) -> None:
     """Phrases were changed by the part `tuning` alone; the sentences were written before."""
-    sentences = json.loads((Path(__file__).parent / "data" / "meant_words.json").read_text(encoding="utf-8"))
-    hits, traps, neutral = ([row for part in parts for row in sentences[part][kind]]
-                            for kind in ("hits", "traps", "neutral"))
-    assert sum(bool(labels(text).keys() & set(meant)) for text, meant in hits) >= 0.6 * len(hits)
-    assert sum(bool(labels(text)) for text in traps) <= 0.15 * len(traps)
-    assert sum(bool(labels(text)) for text in neutral) <= 0.1 * len(neutral)
-    assert len(parts) == 1 or sum(bool(labels(text)) for text in traps) <= 4
+    kinds = json.loads((Path(__file__).parent / "data" / "meant_words.json").read_text(encoding="utf-8"))[part]
+    assert sum(bool(labels(text).keys() & set(meant)) for text, meant in kinds["hits"]) >= 24
+    assert sum(bool(labels(text)) for text in kinds["traps"]) <= 3
+    assert sum(bool(labels(text)) for text in kinds["neutral"]) <= 1
 
 
 def test_every_meaning_has_a_gesture_that_offends_nobody() -> None:

@@ -39,6 +39,21 @@ def test_another_level_is_the_same_take(decibels: float) -> None:
     assert np.linalg.norm(hands(again) - hands(first), axis=-1).max() < 0.005
 
 
+def test_short_recordings_give_takes_of_their_own_and_of_their_length() -> None:
+    """Shorter than what the models see at once."""
+    samples, made = example(6.0).samples, []
+    pieces = ((0.0, 0.3, 60.0), (0.0, 1.4, 29.97), (1.4, 1.4, 30.0), (2.8, 1.4, 24.0), (4.2, 1.7, 120.0))
+    for start, seconds, fps in pieces:
+        piece = samples[round(start * 16000):round((start + seconds) * 16000)]
+        performance = system()(piece, 16000, fps=fps, seed=0)
+        assert abs((len(performance.motion) - 1) / fps - seconds) <= 1.0 / fps
+        made.append(hands(performance))
+    for number, one in enumerate(made[1:], 1):
+        for other in made[number + 1:]:
+            at = [np.linspace(0, len(take) - 1, 20).astype(int) for take in (one, other)]
+            assert np.linalg.norm(one[at[0]] - other[at[1]], axis=-1).mean() > 0.02
+
+
 def test_another_seed_is_another_take() -> None:
     first, other = take(0), take(1)
     assert np.mean(first.lexemes != other.lexemes) > 0.7
