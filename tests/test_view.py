@@ -70,8 +70,6 @@ def test_saved_edits_are_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixt
     assert gone_on("--speaker", system.bundle.speakers[0]).plan is None
     assert not place.exists() and read_plan(place.with_name(place.name + ".old")) == plan
     assert "determined by the plan" in capsys.readouterr().err
-    (former := tmp_path / "talk.edits.plan.json").write_text("{")  # its former name
-    assert gone_on().plan is None and "is not opened" in capsys.readouterr().err and not former.exists()
     place.write_text("{")
     assert gone_on().plan is None and place.with_name(place.name + ".old.2").read_text() == "{"
 
