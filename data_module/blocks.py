@@ -229,8 +229,9 @@ class KnotPath:
             return self._values[:0]
         # The slope at the newest knot depends on the next one, so the path is certain up to the knot before.
         limit = self._times[-1] if self.prompt else self._times[-2]
-        # Frames before the limit and the last knot, at which the recording may end, less half of the kernel.
-        certain = min(math.ceil(float(limit) * self.fps - 1e-9), round(float(self._times[-1]) * self.fps)) - self._half
+        # Frames before the limit and the last knot, at which the recording may end, less what later knots reach.
+        certain = min(math.ceil(float(limit) * self.fps - 1e-9), round(float(self._times[-1]) * self.fps))
+        certain -= round(self.reach * self.fps)
         return self._given(max(certain if until is None else min(certain, until), self.next))
 
     def finish(self, duration: float) -> Array:

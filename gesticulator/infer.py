@@ -161,10 +161,14 @@ class Worker:
         speech = load(job)
         # Without reading: the factor compares computing with the duration.
         begin = time.perf_counter()
-        performance = self._laid_out(job, self.performed(job, speech))
+        # What somebody looks at should look back: a page has a face, other files have one that was asked for.
+        bare = job.options.face == "off" and any(target.suffix.lower() == ".html" for target in job.targets)
+        shown = replace(job, options=replace(job.options, face="full")) if bare else job
+        performance = self._laid_out(job, self.performed(shown, speech))
         timing = f"{speech.duration / (time.perf_counter() - begin):.1f} times as fast as real time"
         # Files appear whole, so what is there after an error can be used.
-        written = [performance.save(target) for target in job.targets]
+        written = [(performance if target.suffix.lower() == ".html" or not bare else replace(performance, face=None))
+                   .save(target) for target in job.targets]
         pages = [f"open {page} in a browser to watch it" for page in written if page.suffix.lower() == ".html"]
         if self.begin is not None:
             timing += f" ({time.perf_counter() - self.begin:.1f} s in all, {begin - self.begin:.1f} s of it to start)"

@@ -113,6 +113,11 @@ def test_buttons_and_keys(opened: OpenedPage) -> None:
     page.keyboard.press("Space")
     page.click("#file-menu summary")
     assert page.is_visible("#export-vrma")
+    for width in (1280, 1440, 1920, 390, 800):
+        page.set_viewport_size({"width": width, "height": 560})
+        for part in ("#file-menu > div", "#save-plan", "#export-glb", "#help"):
+            box = page.locator(part).bounding_box()
+            assert box["x"] >= 0 and box["x"] + box["width"] <= width, f"{part} at {width}"
     page.click("#facts")
     assert page.is_hidden("#export-vrma")
     assert page.text_content("#score-is") == "score: log-probability"
@@ -330,3 +335,23 @@ def test_motion_is_saved_as_vrma_and_glb(opened: OpenedPage, tmp_path: Path) -> 
     places = opened.page.evaluate(PLACES, list(BONES.items()))
     at = dict(zip(motion.skeleton.names, truth, strict=True))
     assert max(np.abs(places[name] - at[name]).max() for name in BONES) < 5e-3
+
+
+SEEN = """([view, bones]) => {
+    const { stage } = preview, { byJoint } = stage.performers[0].character, at = stage.camera.position.clone();
+    stage.look(view); stage.draw(1.0);
+    return bones.map((b) => at.setFromMatrixPosition(byJoint.get(b).matrixWorld).project(stage.camera).toArray()); }"""
+
+
+def test_the_camera_fits_a_goblin_and_a_giant_in_every_view(opened: OpenedPage, tmp_path: Path) -> None:
+    rig, page, seen, views = write_character(tmp_path / "rig.glb"), opened.page, {}, ("front", "side", "close", "reset")
+    for scale in (b"[0.01, 0.01, 0.01]", b"[2e-3, 2e-3, 2e-3]", b"[0.09, 0.09, 0.09]"):
+        name = f"{len(seen)}.glb"
+        (tmp_path / name).write_bytes(rig.read_bytes().replace(b"[0.01, 0.01, 0.01]", scale))
+        page.set_input_files("#pick-character", str(tmp_path / name))
+        page.wait_for_function("(name) => preview.stage.performers[0].character?.name === name", arg=name)
+        for view in views:
+            seen[scale, view] = np.array(page.evaluate(SEEN, [view, ["Head", "Hips", "LeftHand", "LeftFoot"]]))[:, :2]
+    for (scale, view), places in seen.items():
+        np.testing.assert_allclose(places, seen[b"[0.01, 0.01, 0.01]", view], atol=0.02, err_msg=f"{scale!r}, {view}")
+        assert view == "close" or np.abs(places[0]).max() < 0.9, "the head is in sight"

@@ -33,7 +33,7 @@ _ADVICE = f"{install_line('fbx')} (Python 3.11), or install Blender, or name one
 
 
 class BlenderWarning(UserWarning):
-    """A part of a file that Blender shows in another way than the file has it."""
+    """Something of a character that its FBX file lacks, or that Blender shows in another way than the file has it."""
 
 
 def glb_of(path: Path) -> bytes:

@@ -187,8 +187,7 @@ def _found(search: Search) -> RigMapping:
                 joints.setdefault(name, nodes[0])
     for side in SIDES:
         if side + "Hand" in joints:
-            fingers = _fingers(search, side, joints[side + "Hand"])
-            joints |= fingers
+            joints |= (fingers := _fingers(search, side, joints[side + "Hand"]))
             bones = int((search.character.under([joints[side + "Hand"]]) & search.character.skinned).sum())
             if len(fingers) < min(bones - _UNKNOWN, _FINGERED):
                 doubts.append(f"its {side.lower()} hand has {bones} bones, and {len(fingers)} are known as fingers")

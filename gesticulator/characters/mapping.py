@@ -17,6 +17,8 @@ from data_module.motion.skeletons import FINGER_JOINTS
 from data_module.motion.skeletons import SIDES as SIDES
 from gesticulator.characters.rig import Character
 
+__all__ = ["RigMapping", "load_mapping", "save_mapping"]
+
 ARM_PARTS = ("Shoulder", "Arm", "ForeArm", "Hand")
 LEG_PARTS = ("UpLeg", "Leg", "Foot", "ToeBase")
 SURE = 0.6

@@ -12,6 +12,8 @@ from gesticulator.characters.joints import find_joints
 from gesticulator.characters.mapping import RigMapping, load_mapping, save_mapping
 from gesticulator.characters.rig import Character, chosen, split_name
 
+__all__ = ["READERS", "read_character"]
+
 READERS: Registry[RegistryEntry] = Registry("characters", "a format of characters that can be read", {
     ".bvh": RegistryEntry("a skeleton in its rest pose", "gesticulator.characters.bvh_rig:read_bvh_character"),
     ".glb": RegistryEntry("binary glTF", "gesticulator.characters.gltf_rig:read_gltf_character"),

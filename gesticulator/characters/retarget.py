@@ -221,3 +221,6 @@ def retarget(motion: Motion, character: Character | str | os.PathLike[str],
     rig = character if isinstance(character, Character) else read_character(character)
     joints = mapping if mapping is None or isinstance(mapping, RigMapping) else load_mapping(mapping, rig)
     return Retargeter(rig, joints, contacts=contacts, legs=legs)(motion)
+
+
+__all__ = ["CharacterMotion", "Retargeter", "retarget"]

@@ -16,6 +16,8 @@ from data_module.errors import InputError, shown
 from data_module.motion import rotation
 from data_module.types import Array
 
+__all__ = ["Character", "CharacterMotion", "Skin", "decomposed"]
+
 UPS = {"glb": np.array([0.0, 1.0, 0.0])}
 """The up direction of each format, where the format defines it (BVH does not)."""
 

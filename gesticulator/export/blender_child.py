@@ -237,8 +237,6 @@ def without_modifiers(bake: Any, data: Any) -> Any:
 
 METRES_PER_DEGREE = 0.005
 """Bound on the error of translations per degree of the bound on rotations."""
-
-
 SHARE = 5.0 ** -0.5
 """Bound on each angle of a rotation as a share of that on the rotation. Two of the three axes may be parallel, so that
 the errors x, y and z make the angle (y^2 + (x + z)^2)^(1/2) at most."""

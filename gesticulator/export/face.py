@@ -35,13 +35,12 @@ def tracks_of(gltf: GltfDocument, character: Character, arms: tuple[int, int], f
     # Characters without a mouth still show gaze and blinks, so this is a warning.
     rig = find_face(character)
     missing = lacking(rig.curves | ({"jawOpen"} if rig.jaw is not None else set()))
-    if missing or not rig.can_speak:
-        what = (f"lacks {', '.join(missing)}, so its mouth shows less of what is said" if missing
-                else "has neither mouth shapes nor a jaw bone, so its mouth stays as it is")
-        warnings.warn(FaceWarning(f"{name}: {what}"), stacklevel=3)
-    if character.vrm and rig.morphs:
-        warnings.warn(FaceWarning(f"{name}: players of VRMs (three-vrm) set its shapes back; write .vrma for them"),
-                      stacklevel=3)
+    for holds, what in (
+            (missing, f"lacks {', '.join(missing)}, so its mouth shows less of what is said"),
+            (not rig.can_speak, "has neither mouth shapes nor a jaw bone, so its mouth stays as it is"),
+            (character.vrm and rig.morphs, "players of VRMs (three-vrm) set its shapes back; write .vrma for them")):
+        if holds:
+            warnings.warn(FaceWarning(f"{name}: {what}"), stacklevel=3)
     places = character.world_matrices()[:, :3, 3]
     left = places[arms[0]] - places[arms[1]]
     left[1] = 0.0
