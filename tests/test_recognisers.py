@@ -134,7 +134,6 @@ def test_words_that_were_not_aligned_lie_between(tmp_path: Path) -> None:
 
 
 def test_a_list_of_word_segments_is_read_with_what_it_lacks_and_in_order(tmp_path: Path) -> None:
-    """As whisperX leaves it: a number and a question mark without times, and two words the wrong way round."""
     words: list[dict[str, Any]] = whisperx(SPOKEN)["word_segments"]
     words[1:5] = [{"word": "2266"}, words[1], words[2], {"word": "?"}, words[4], words[3]]
     found = _read(tmp_path, ".json", json.dumps({"word_segments": words, "language": "en"}))
