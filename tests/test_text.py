@@ -94,7 +94,8 @@ def test_a_text_that_goes_on_keeps_the_times_of_what_is_there(outside_data: Path
 def test_another_text_does_not_follow(outside_data: Path, other: str, words: int, share: float) -> None:
     speech, *_ = _read(outside_data)
     said = (outside_data / "speech" / f"{other}.txt").read_text(encoding="utf-8").split()[:words]
-    assert text.alignment(replace(speech, samples=speech.samples[:round(share * len(speech.samples))]), " ".join(said))[1]
+    part = speech.samples[:round(share * len(speech.samples))]
+    assert text.alignment(replace(speech, samples=part), " ".join(said))[1]
 
 
 def test_pieces_tile_the_recording_and_are_cut_in_pauses() -> None:
