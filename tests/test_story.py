@@ -195,7 +195,7 @@ def test_gestures_are_seen_tried_taken_dragged_shaped_pinned_and_there_again_tom
             opened.check_quiet(server.url)
             page.close()
         # Tomorrow, in another browser's memory: what was saved beside the sound.
-        assert read_plan(tmp_path / "talk.edits.plan.json").blocks[at].lexeme == lexeme
+        assert read_plan(tmp_path / "talk.wav.edits.plan.json").blocks[at].lexeme == lexeme
         with _viewing(sound) as (server, plans):
             opened = OpenedPage(browser, server.url, 1280, 900)
             page = opened.page

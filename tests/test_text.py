@@ -71,7 +71,7 @@ def test_a_text_that_stops_early_keeps_its_times_and_says_where_it_stops(outside
     count = round(share * len(whole))
     part, doubt, missing = text.alignment(speech, " ".join(word.text for word in whole[:count]))
     assert not doubt and np.quantile(_apart(part, whole[:count]), 0.95) < 0.1
-    assert f"goes on after the last word of the text, {whole[count - 1].text!r}" in missing
+    assert f"goes on after the last word, {whole[count - 1].text!r}" in missing
 
 
 @pytest.mark.parametrize("share", [0.4, 0.7, 0.95])
@@ -80,11 +80,10 @@ def test_a_text_that_goes_on_keeps_the_times_of_what_is_there(outside_data: Path
     count = round(share * len(whole))
     end = (whole[count - 1].end + whole[count].start) / 2
     part, doubt, missing = text.alignment(replace(speech, samples=speech.samples[:round(end * RATE)]), transcript)
-    # What was cut within a breath or an ending may take a word more or less.
     assert not doubt and abs(len(part) - count) <= 3
     same = min(len(part), count)
     assert np.quantile(_apart(part[:same], whole[:same]), 0.95) < 0.1
-    assert f"word {len(part) + 1} of {len(whole)}, {whole[len(part)].text!r}" in missing
+    assert f"word {len(part) + 1} on, {whole[len(part)].text!r}" in missing
     more, doubt, missing = text.alignment(speech, f"{transcript} And then the whole family left for the sea.")
     assert not doubt and len(more) == len(whole) and "'And'" in missing
 
@@ -95,8 +94,8 @@ def test_a_text_that_goes_on_keeps_the_times_of_what_is_there(outside_data: Path
 def test_another_text_does_not_follow(outside_data: Path, other: str, words: int, share: float) -> None:
     speech, *_ = _read(outside_data)
     said = (outside_data / "speech" / f"{other}.txt").read_text(encoding="utf-8").split()[:words]
-    part = replace(speech, samples=speech.samples[:round(share * len(speech.samples))])
-    assert text.alignment(part, " ".join(said))[1]
+    part = speech.samples[:round(share * len(speech.samples))]
+    assert text.alignment(replace(speech, samples=part), " ".join(said))[1]
 
 
 def test_pieces_tile_the_recording_and_are_cut_in_pauses() -> None:

@@ -45,8 +45,7 @@ _TELEPHONE_RATE = 8000
 _FULL_SCALE = 16.0
 # Most channels; more indicate that samples and channels are swapped.
 _MOST_CHANNELS = 1024
-# Channels (7.1) above which as few samples indicate the same.
-_USUAL_CHANNELS = 8
+_USUAL_CHANNELS = 8  # (7.1) above which as few samples indicate the same
 # Numbers of channels with a centre (5.1, 7.1), which one it is, and its least power with speech, of the strongest's.
 _WITH_CENTRE, _CENTRE, _LEAST_CENTRE = (6, 8), 2, 0.06
 # Power of the mean of channels, of what it would be if they were unrelated, below which they cancel one another.

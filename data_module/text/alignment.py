@@ -3,8 +3,7 @@
 The aligner is pocketsphinx (extra `align`). The recording is cut at pauses into pieces of at most ten seconds; each
 piece is decoded along the chain of the remaining words. If words are left over, the whole recording is aligned with a
 wide beam. If that fails too, they are left out where the others fit the sound, because the text goes on after it; else
-all words are spread over the loud frames by their length, and the result says so. It also says where the speech goes on
-after the text.
+all words are spread over the loud frames by their length. The result says so, and where the speech has no text.
 """
 
 from __future__ import annotations
@@ -37,9 +36,8 @@ SHORTEST_PAUSE = 0.15
 LONGEST_WIDE = 180.0
 """Longest recording for the wide beam, seconds: it takes about 0.15 s per second, more for longer recordings."""
 GOES_ON, LEAST_FIT = 0.5, -1.25
-"""Seconds of loud frames after the last word from which on the speech has more words than its text; and the least
-likelihood of the words of a matching text, log10 a frame: -0.5 to -0.8 in readings with their text, -1.0 with noise at
--10 dB, -1.5 to -2.3 with another text."""
+"""Seconds of loud frames after the last word from which on a text stops early; least likelihood of the words of a text,
+log10 a frame: -0.5 to -0.8 in readings with it, -1.0 with noise at -10 dB, -1.5 to -2.3 with another text."""
 _Span = tuple[float, float, float]  # a word: start and end, seconds, and log10 of its likelihood
 _WIDE_BEAM = {"beam": 1e-120, "pbeam": 1e-120, "wbeam": 1e-120}
 _WORDS_PER_SECOND = 6
@@ -118,13 +116,11 @@ def alignment(speech: Speech, transcript: str) -> tuple[tuple[Word, ...], str, s
     # A text of something else is squeezed in somewhere, with times that mean nothing.
     doubt = "" if fits else "the transcript does not follow the recording"
     if len(timed) < len(words):
-        missing = (f"the recording ends before word {len(timed) + 1} of {len(words)}, {words[len(timed)][0][:40]!r}, "
-                   "and the text is left out from there on")
+        missing = f"the recording has no words from word {len(timed) + 1} on, {words[len(timed)][0][:40]!r}"
         return (timed, "", missing) if fits else (shared_out(speech, [word for word, _ in words]), doubt, "")
-    if _loud(samples)[round(spans[-1][1] / FRAME):].sum() * FRAME <= GOES_ON:
+    if _loud(samples)[round(timed[-1].end / FRAME):].sum() * FRAME <= GOES_ON:
         return timed, doubt, ""
-    last = f"{timed[-1].text[:40]!r} at {timed[-1].end:.1f} s"
-    return timed, doubt, f"the speech goes on after the last word of the text, {last}"
+    return timed, doubt, f"the speech goes on after the last word, {timed[-1].text[:40]!r} at {timed[-1].end:.1f} s"
 
 
 def shared_out(speech: Speech, words: Sequence[str]) -> tuple[Word, ...]:
@@ -245,11 +241,9 @@ def _by_pieces(samples: NDArray[np.int16], words: Sequence[str]) -> list[_Span]:
     cut = pieces(samples)
     for start, stop in cut:
         at = len(spans)
-        # More words than anybody speaks in the piece: the grammar stays small, and the end of the piece need not be
-        # known.
+        # More words than anybody speaks in the piece, so that the grammar stays small.
         ahead = words[at:at + int(_WORDS_PER_SECOND * (stop - start) / ALIGNER_RATE) + 10]
-        decoded: list[_Span] = []
-        # The last piece ends with the last word, unless the text goes on.
+        decoded: list[_Span] = []  # the last piece ends with the last word, unless the text goes on
         for to_the_end in (True, False) if (start, stop) == cut[-1] else (False,):
             if ahead and not decoded:
                 _follow(decoder, ahead, to_the_end=to_the_end)

@@ -32,6 +32,7 @@ __all__ = ["Text", "Transcript", "as_transcript", "read_transcript", "timed_tran
 FORMATS: dict[str, Callable[[str, str, str | None], Content]] = {
     ".txt": formats.plain, ".textgrid": formats.textgrid, ".srt": formats.subtitles,
     ".vtt": formats.subtitles, ".tsv": formats.tsv, ".json": words_json,
+    **dict.fromkeys(formats.TIMED_LINES, formats.timed_lines),
 }
 """Readers by suffix: (file, its text, speaker) to its content."""
 
@@ -147,13 +148,12 @@ def with_transcript(speech: Speech, transcript: Transcript) -> tuple[Speech, Tim
         words, guessed = _in_cues(speech, transcript)
         reason = "they are spread over their cues" if guessed else ""
     else:
-        placed, late, reason, missing = _placed(
-            speech, transcript.text, transcript.marks, aligner.can_follow(transcript.text))
+        follows = aligner.can_follow(transcript.text)
+        placed, late, reason, missing = _placed(speech, transcript.text, transcript.marks, follows)
         words = _with_late(placed, late)
         guessed = len(words) if reason else 0
         if missing:
             _warn(transcript.source, missing)
-            transcript = replace(transcript, notes=(*transcript.notes, missing))
     how: How = "given" if transcript.timing == "words" else "guessed" if 2 * guessed > len(words) else "heard"
     count = _spoken(words)
     if transcript.timing == "none" and reason not in ("", _ENGLISH_ONLY):

@@ -216,6 +216,30 @@ def subtitles(source: str, text: str, speaker: str | None = None) -> Content:
             cues[-1].lines.append(line)
         else:
             inside = False
+    return _of_cues(cues)
+
+
+def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
+    """SubStation, TTML, SBV and LRC, by the file's suffix; a line of LRC lasts until the next one."""
+    cues: list[_Cue] = []
+    for match in TIMED_LINES[source[source.rindex("."):].lower()].finditer(text):
+        *clock, line = match.groups()
+        start = _clock(clock[:4])
+        if cues and len(clock) == 4:
+            cues[-1] = replace(cues[-1], end=max(start, cues[-1].start))
+        end = _clock(clock[4:]) if len(clock) > 4 else start + _UNTIMED * len(line.split())
+        cues.append(_Cue([line.replace("\\N", " ")], start, end, f"line {text.count(chr(10), 0, match.start()) + 1}"))
+    return _of_cues(cues)
+
+
+_DIALOGUE = re.compile(rf"^Dialogue:[^,\n]*,{_CLOCK},{_CLOCK},(?:[^,\n]*,){{6}}(.*)$", re.M)
+TIMED_LINES = {
+    ".ass": _DIALOGUE, ".ssa": _DIALOGUE, ".lrc": re.compile(rf"^\[{_CLOCK}\](.*)$", re.M),
+    ".sbv": re.compile(rf"^{_CLOCK},{_CLOCK}\n((?:.+\n?)+)", re.M),
+    ".ttml": re.compile(rf'<p\b[^>]*\bbegin="{_CLOCK}"[^>]*\bend="{_CLOCK}"[^>]*>(.*?)</p>', re.S)}
+
+
+def _of_cues(cues: Sequence[_Cue]) -> Content:
     # One time inside a line is enough: the first word of each line has the time of its cue.
     if any(_INNER.search(line) for cue in cues for line in cue.lines):
         return Content(words=tuple(_timed_inside(cues)))

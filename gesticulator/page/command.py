@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import gc
 import json
+import signal
 import tempfile
 import webbrowser
 from contextlib import suppress
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from gesticulator.plan.plan import GesturePlan
 
 ENDING = ".edits.plan.json"
-"""Ending of the plan file beside `talk.wav` to which the edits are saved, `talk.edits.plan.json`."""
+"""Ending of the plan file beside `talk.wav` to which the edits are saved, `talk.wav.edits.plan.json`."""
 SHOWN = (".glb", ".gltf", ".vrm")
 """Suffixes of characters that the page can show."""
 
@@ -138,12 +139,14 @@ def _with_saved_edits(gesticulator: Gesticulator, job: Job) -> Job:
     speech = resample(amplified(load(job), float(plan.made_by.get("settings", {}).get("gain", 0.0))), SAMPLE_RATE)
     moved = sound_hash(speech) != plan.sound.sha256
     how = "moved onto the new sound" if moved else "opened"
-    print(f"{place_of(job.source)}: the saved edits are {how}; without this file none are", flush=True)
+    print(f"{found_beside(job.source)}: the saved edits are {how}; without this file none are", flush=True)
     return replace(job, options=replace(options, retime=moved))
 
 
 def _serve(server: PageServer, no_browser: bool) -> None:
-    """Serve until Ctrl C."""
+    """Serve until Ctrl C, or until the system ends the program."""
+    # As an interruption: a rendering that is under way ends, and is saved.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     # At once, though the output is a pipe: who starts the program reads the address from it.
     print(f"{server.url}  (Ctrl C ends it)", flush=True)
     with tempfile.TemporaryDirectory(prefix="gesticulator-") as folder:
@@ -165,28 +168,37 @@ def _way_in(folder: Path, url: str) -> str:
 
 def place_of(source: Path) -> Path:
     """The file for the edits of a sound."""
-    return source.with_name(source.stem + ENDING)
+    return source.with_name(source.name + ENDING)
+
+
+def found_beside(source: Path) -> Path:
+    """The file with the edits of a sound: under its former name, shared by sounds of one stem, if there is no other."""
+    place, former = place_of(source), source.with_name(source.stem + ENDING)
+    return place if place.is_file() or not former.is_file() else former
 
 
 def read_saved(source: Path) -> GesturePlan | None:
     """The plan saved beside a sound; None without one. A file that cannot be used is put aside, with a warning."""
     from gesticulator.plan.plan_file import read_plan
 
-    place = place_of(source)
+    place = found_beside(source)
     if not place.is_file():
         return None
     try:
-        return read_plan(place)
+        plan = read_plan(place)
     except (InputError, OSError) as error:
         put_aside(source, str(error))
         return None
+    # Edits of another sound stay where they are.
+    return plan if place == place_of(source) or plan.sound.name in ("", source.name) else None
 
 
 def put_aside(source: Path, why: str) -> None:
     """Rename the saved plan of a sound, and say so."""
-    place = place_of(source)
+    place = found_beside(source)
     # Never overwritten: it may be hours of work under another bundle.
-    aside = place.with_name(place.name + ".old")
+    names = (place.with_name(f"{place.name}.old{end}") for end in ("", *map(".{}".format, range(2, 10_000))))
+    aside = next(name for name in names if not name.exists())
     place.replace(aside)
     complain(f"{place}: is not opened, and is now {aside.name}: {why}")
 

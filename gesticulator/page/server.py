@@ -100,7 +100,6 @@ class PageServer(ThreadingHTTPServer):
 
 class _PageHandler(BaseHTTPRequestHandler):
     server: PageServer
-    protocol_version = "HTTP/1.1"
     server_version = "gesticulator"
     # The version of Python is not told to everyone who asks.
     sys_version = ""
@@ -121,8 +120,6 @@ class _PageHandler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.NOT_FOUND, "there is nothing here")
 
     def do_POST(self) -> None:
-        # An unread body would be parsed as the next request.
-        self.close_connection = True
         if not self._is_ours() or not self._is_from_page():
             return
         place = self._place()
@@ -188,36 +185,29 @@ class _PageHandler(BaseHTTPRequestHandler):
                          "tells more")
 
     def _part(self, part: bytes) -> None:
-        """Send a part of an answer, which ends with the connection."""
-        # Without a length, since the parts come while they are made: the connection ends the answer.
+        """Send a part of an answer: parts come while they are made."""
         if not self._begun:
             self._head(HTTPStatus.OK, "application/octet-stream")
             self._begun = True
         self.wfile.write(part)
 
     def _refuse(self, status: HTTPStatus, why: str) -> None:
-        self.close_connection = True
         if not self._begun:
             self._answer(status, json.dumps({"error": why}).encode(), "application/json")
         elif status != HTTPStatus.CONFLICT:  # the answer has begun with messages of progress
             self.wfile.write(message({"kind": "failed", "error": why}))
 
     def _answer(self, status: HTTPStatus, body: bytes, kind: str) -> None:
-        self._head(status, kind, len(body))
+        self._head(status, kind)
         self.wfile.write(body)
 
-    def _head(self, status: HTTPStatus, kind: str, length: int | None = None) -> None:
-        """The head of an answer, which ends with the connection if its length is not known."""
+    def _head(self, status: HTTPStatus, kind: str) -> None:
+        """The head of an answer, which ends with the connection."""
         self.send_response(status)
         for name, value in HEADERS.items():
             self.send_header(name, value)
         self.send_header("Content-Type", kind)
-        if length is not None:
-            self.send_header("Content-Length", str(length))
-        if self.close_connection:
-            self.send_header("Connection", "close")
         self.end_headers()
 
     def log_message(self, format: str, *args: Any) -> None:
         """Do not log requests."""
-
