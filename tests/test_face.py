@@ -278,8 +278,6 @@ PUBLISHED = {
                         "jawOpen mouthPucker mouthFunnel eyeBlinkLeft"),
     "Manuel Bastioni Lab": ("Expressions_mouthOpen_max Expressions_eyeClosedL_max Expressions_mouthSmile_max",
                             "opening eyeBlinkLeft"),
-    "FaceGen": ("Phoneme_aah Phoneme_ee Phoneme_oh Phoneme_i", "vrm_aa vrm_ee vrm_oh vrm_ih"),
-    "Rhubarb": ("Mouth_A Mouth_B Mouth_C Mouth_D Mouth_E Mouth_F", "viseme_PP viseme_aa viseme_ou"),
     "Adobe Character Animator": ("Aah Ee Oh W-Oo M F L S D", "viseme_aa viseme_oh viseme_PP viseme_FF viseme_nn"),
 }
 
