@@ -55,11 +55,11 @@ from interpreters.planner_run import CLASSES, PHASES, PlannerRunner, UnitDecisio
 from lexicon.movement_run import MovementLexiconRunner
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from generator.flow import FlowGenerator
     from gesticulator.bundle.bundle import Bundle
-    from gesticulator.bundle.config import Config, LexiconConfig
+    from gesticulator.bundle.config import Config
     from gesticulator.bundle.features import Sizes
     from interpreters.planner import UnitStyleInterpreter
     from interpreters.planner_run import PlannerState, UnitStyleState
@@ -85,16 +85,11 @@ def codebook_shape(config: Config) -> tuple[int, int]:
 
 def lexicon(sizes: Sizes) -> MovementLexicon:
     """The lexicon of movements: a VQ-VAE, or k-means, over the coefficients that a block adds to its past."""
-    return movement_lexicon(sizes.config.lexicon, sizes.frames, body_columns(sizes.config))
-
-
-def movement_lexicon(settings: LexiconConfig, frames: int, parts: Mapping[str, tuple[int, ...]]) -> MovementLexicon:
-    """The lexicon of movements of these settings; arguments as of `MovementLexicon`."""
     from lexicon.movement import MovementLexicon, MovementVqVae
 
-    if settings.quantizer == "vq-vae":
-        return MovementVqVae(settings, frames, parts)
-    return MovementLexicon(settings, frames, parts)
+    settings = sizes.config.lexicon
+    chosen = MovementVqVae if settings.quantizer == "vq-vae" else MovementLexicon
+    return chosen(settings, sizes.frames, body_columns(sizes.config))
 
 
 def lexicon_runner(sizes: Sizes, tensors: Tensors) -> MovementLexiconRunner:
