@@ -19,9 +19,9 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.types import Word
 from gesticulator.body.motion_path import HISTORY
 from gesticulator.face.visemes import VISEMES
-from gesticulator.live.limits import ServerLimits
+from gesticulator.live.limits import ServerAddress, ServerLimits
 from gesticulator.live.protocol import StreamRequest
-from gesticulator.live.server import LiveServer, ServerAddress
+from gesticulator.live.server import LiveServer
 from gesticulator.live.session import Session
 from gesticulator.live.vmc import VmcOutput
 from gesticulator.plan.plan import Block, BlockDraw

@@ -22,8 +22,8 @@ from websockets.asyncio.server import ServerConnection, serve
 
 from data_module.speech.audio import load_speech, resample
 from gesticulator.gesticulator import Gesticulator
-from gesticulator.live.limits import ServerLimits
-from gesticulator.live.server import LiveServer, ServerAddress
+from gesticulator.live.limits import ServerAddress, ServerLimits
+from gesticulator.live.server import LiveServer
 from gesticulator.live.session import session_opener
 
 ROOT = Path(__file__).parents[1]

@@ -17,8 +17,8 @@ from websockets.asyncio.server import ServerConnection, serve
 
 from data_module.motion import rotation
 from data_module.speech.audio import SAMPLE_RATE
-from gesticulator.live.limits import ServerLimits
-from gesticulator.live.server import LiveServer, ServerAddress
+from gesticulator.live.limits import ServerAddress, ServerLimits
+from gesticulator.live.server import LiveServer
 
 LIMITS = ServerLimits(streams=8, drain_seconds=0.2)
 Opener = Callable[[ServerLimits], Any]

@@ -35,9 +35,9 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.motion.smplx import smplx_arrays
 from gesticulator.cli import Parser
 from gesticulator.live.command import COMMAND, read_token
-from gesticulator.live.limits import ServerLimits
+from gesticulator.live.limits import ServerAddress, ServerLimits
 from gesticulator.live.protocol import CloseCode, StreamRequest, published
-from gesticulator.live.server import LiveServer, ServerAddress
+from gesticulator.live.server import LiveServer
 
 RATE = 16000
 LIMITS = ServerLimits(streams=8, stream_seconds=100.0, message_bytes=2**16, waiting_seconds=10.0,

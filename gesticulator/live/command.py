@@ -9,16 +9,12 @@ import logging
 import os
 import threading
 import webbrowser
-from typing import TYPE_CHECKING
 
 from data_module.errors import InputError
 from data_module.files import read_text
 from data_module.registry import Requirement
 from gesticulator.cli import Command, limited_threads
-
-if TYPE_CHECKING:
-    from gesticulator.live.limits import ServerLimits
-    from gesticulator.live.server import ServerAddress
+from gesticulator.live.limits import ServerAddress, ServerLimits
 
 LOG = logging.getLogger("gesticulator.live")
 TOKEN_VARIABLE = "GESTICULATOR_TOKEN"
@@ -30,8 +26,6 @@ _LIMITS = {"streams": "maximum number of streams", "stream_seconds": "maximum du
 
 
 def arguments(p: argparse.ArgumentParser) -> None:
-    from gesticulator.live.limits import ServerLimits
-
     where = p.add_argument_group("address and access")
     where.add_argument("--host", default="127.0.0.1", help="address to listen on (default 127.0.0.1, this machine)")
     where.add_argument("--port", type=int, default=8765, help="port (default 8765; 0 chooses a free one)")
@@ -61,9 +55,6 @@ def _common_arguments(p: argparse.ArgumentParser, stream: str) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve until SIGTERM or SIGINT; exit code 0."""
     check_library()
-    from gesticulator.live.limits import ServerLimits
-    from gesticulator.live.server import ServerAddress
-
     address = ServerAddress(args.host, args.port, tuple(args.origin), read_token(args))
     return serve(args, address, ServerLimits(**{name: getattr(args, name) for name in _LIMITS}))
 
@@ -105,9 +96,6 @@ def live_arguments(p: argparse.ArgumentParser) -> None:
 def run_live(args: argparse.Namespace) -> int:
     """Serve the page on this machine until SIGTERM or SIGINT; exit code 0."""
     check_library()
-    from gesticulator.live.limits import ServerLimits
-    from gesticulator.live.server import ServerAddress
-
     return serve(args, ServerAddress(port=args.port), ServerLimits(drain_seconds=1.0), page=True)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
 import itertools
 import logging
 import math
@@ -12,20 +11,17 @@ import signal
 import socket
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from hmac import compare_digest
 from http import HTTPStatus
 from importlib import resources
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from data_module.errors import InputError
 from gesticulator.live.connection import CLOSE_SECONDS, ComputeThread, Connection
-from gesticulator.live.limits import ServerLimits
+from gesticulator.live.limits import ServerAddress, ServerLimits
 from gesticulator.live.metrics import ServerMetrics
 from gesticulator.live.protocol import CloseCode, RefusedError, StreamRequest, published
 
@@ -40,82 +36,12 @@ FINISH_SECONDS = 10.0
 """Least time for finishing received audio when the server stops, seconds."""
 RETRY_SECONDS = 5.0
 """Time after which a client that was refused for lack of a place may try again."""
-SOCKET_BYTES = 2**17
-"""The system's buffer of a connection in each direction (Linux doubles it). By default it grows to megabytes, which
-would not count as unread; this size carries 1.3 MB/s to a client 0.1 s away, 25 times what the poses need."""
-_LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _PING_SECONDS = 20.0
 """Ping interval, seconds; a vanished client is noticed after two of them."""
 _MESSAGES_AHEAD = 4
 """Messages read ahead by the WebSocket library; the queue of a connection is bounded in seconds of audio."""
 _TEXT = "text/plain; charset=utf-8"
 _PAGE_KINDS = {".js": "text/javascript", ".css": "text/css", ".txt": "text/plain"}
-
-
-@dataclass(frozen=True)
-class ServerAddress:
-    """Where to listen, and who may connect.
-
-    port: 0 for any free one. origins: web pages that may connect, such as "https://example.org"; pages of this machine
-    and clients other than browsers always may. token: required in a client's hello, and for `/metrics`; "" for none.
-    """
-
-    host: str = "127.0.0.1"
-    port: int = 8765
-    origins: tuple[str, ...] = ()
-    token: str = ""
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.port <= 65535:
-            raise InputError(f"port {self.port}", "is not a port", "choose 0 (any free one) to 65535")
-
-    @property
-    def local(self) -> bool:
-        """Whether only this machine can connect."""
-        return self.host in _LOOPBACK
-
-    def accepts(self, token: str) -> bool:
-        """Whether it is the token; takes as long for a wrong one as for the right one."""
-        # compare_digest takes equal time wherever two texts first differ, but only for bytes or ASCII.
-        given, expected = (text.encode("utf-8", "surrogatepass") for text in (token, self.token))
-        return not expected or compare_digest(given, expected)
-
-    def admits(self, origin: str) -> bool:
-        """Whether a web page of that origin may connect.
-
-        The page's host is compared with names of this machine, not with the request's Host, which a page whose name was
-        re-resolved to 127.0.0.1 would match.
-        """
-        if "*" in self.origins or origin in self.origins:
-            return True
-        return self.local and _host_of(origin) in _LOOPBACK
-
-    def is_host(self, host: str) -> bool:
-        """Whether a request's Host is a name of this server. A page whose name was re-resolved to 127.0.0.1 is of the
-        same origin as what it asks for there, and could read it, but sends its own name."""
-        return not self.local or _host_of(f"//{host}") in (*_LOOPBACK, *filter(None, map(_host_of, self.origins)))
-
-    def listen(self) -> socket.socket:
-        """Open a listening socket; `InputError` if that fails."""
-        try:
-            family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
-            listening = socket.create_server((self.host, self.port), family=family)
-        except (OSError, UnicodeError) as error:
-            taken = getattr(error, "errno", None) == errno.EADDRINUSE
-            raise InputError(f"{self.host}:{self.port}", "is taken" if taken else f"cannot be listened on ({error})",
-                             "choose another --port" if taken else "choose another --host or --port") from None
-        for direction in (socket.SO_SNDBUF, socket.SO_RCVBUF):
-            listening.setsockopt(socket.SOL_SOCKET, direction, SOCKET_BYTES)  # connections inherit it
-        # asyncio sets it only for sockets with an explicit protocol; without it, every other packet waits 40 ms.
-        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        return listening
-
-
-def _host_of(url: str) -> str | None:
-    try:
-        return urlsplit(url).hostname
-    except ValueError:
-        return None
 
 
 def live_pages() -> dict[str, bytes]:
