@@ -9,13 +9,11 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from data_module.errors import InputError
 from eval import stats
 from eval.ablate.policy import Decisions, accuracy
 from eval.baselines.interpreters import Bigram, Majority
 from eval.context import EvalContext, provenance
 from eval.table import Cell, Column, Table, publish
-from eval.timing import timing_table
 from gesticulator.training.stages.lexicon import lexicon_figures, movement_figures
 from interpreters.base import LexemeInterpreter
 from interpreters.lstm import LstmInterpreter
@@ -27,8 +25,6 @@ Rows = dict[str, dict[str, Cell]]
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Add a store, a bundle and the output file."""
     EvalContext.arguments(parser)
-    parser.add_argument("--timing", action="store_true",
-                        help="only where a bundle of the paper's form loses its timing, step by step")
     parser.add_argument("--out", metavar="FILE.json", help="output file for the tables; a .md is written beside it")
 
 
@@ -42,11 +38,6 @@ def tables(arguments: argparse.Namespace) -> Sequence[Table]:
     """Reconstruction by the lexicon, and accuracy of the interpreters."""
     context = EvalContext.of(arguments)
     bundle = context.bundle
-    if arguments.timing:
-        if bundle.config.system != "paper":
-            raise InputError("--timing", "follows the paper's generator, and this bundle has another",
-                             "use --bundle paper")
-        return [timing_table(context.store, bundle, context.limit)]
     # By their own names: a row is what `--interpreter` plays.
     interpreters: dict[str, LexemeInterpreter] = {"lstm": bundle.runners["interpreter"]}
     if "interpreter_text" in bundle.parts:

@@ -15,6 +15,9 @@ import pytest
 FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
          "--disable-background-networking", "--disable-component-update", "--use-angle=swiftshader",
          "--enable-unsafe-swiftshader", "--autoplay-policy=no-user-gesture-required"]
+PATIENCE = 180_000
+"""Milliseconds that a step may take: without a GPU, on a machine that others use, a picture takes seconds, and a click
+waits for several."""
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 
@@ -77,9 +80,9 @@ class OpenedPage:
         self.page.on("console", self._said)
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.on("request", lambda request: self.requests.append(request.url))
-        self.page.goto(address, timeout=60_000)  # a browser that has just begun, on a core that many share
-        self.page.wait_for_selector("body[data-ready=true]", timeout=60_000)
-        self.page.wait_for_function("() => preview.clock.audible")
+        self.page.goto(address, timeout=PATIENCE)  # a browser that has just begun, on a core that many share
+        self.page.wait_for_selector("body[data-ready=true]", timeout=PATIENCE)
+        self.page.wait_for_function("() => preview.clock.audible", timeout=PATIENCE)
 
     def _said(self, message: Any) -> None:
         if message.type == "error":

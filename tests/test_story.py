@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from browser import OpenedPage, chromium
+from browser import PATIENCE, OpenedPage, chromium
 from performances import write_example
 
 from gesticulator.export import html
@@ -25,9 +25,6 @@ from gesticulator.plan.plan_file import parse_plan, read_plan
 
 PICTURES = Path(os.environ["PICTURES"]) if "PICTURES" in os.environ else None
 """The folder to keep the pictures in; those of docs/viewer.md are made so."""
-PATIENCE = 180_000
-"""Milliseconds that a step may take: without a GPU, on a machine that others use, a picture takes seconds, and a click
-waits for several."""
 
 
 def _rotations(page: Any) -> np.ndarray:
@@ -44,7 +41,7 @@ def _rendered(page: Any) -> None:
 
 
 def _is(page: Any, plans: EditSession, plan: dict[str, Any]) -> None:
-    made = html.describe_motion(plans.perform(parse_plan(json.dumps(plan))).scene())
+    made = html.describe(plans.perform(parse_plan(json.dumps(plan))).scene())
     np.testing.assert_array_equal(_rotations(page), np.frombuffer(base64.b64decode(made["rotations"]), "<i2"))
 
 

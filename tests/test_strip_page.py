@@ -11,8 +11,6 @@ from performances import perform
 from data_module.errors import InputError
 from data_module.motion import bvh
 from eval.commands import PLOT
-from eval.pictures import strip_page
-from eval.pictures.strip_page import BEAT_CREDIT
 from eval.pictures.strips import PAGE, Source, draw_page, page_times
 
 matplotlib = pytest.importorskip("matplotlib", reason="matplotlib is not installed")
@@ -68,15 +66,3 @@ def test_command_draws_a_page_of_files(tmp_path: Path, capsys: pytest.CaptureFix
         with pytest.raises(SystemExit) as caught:
             PLOT.main("gesticulator plot", [*arguments, "--out", str(out)])
         assert caught.value.code == 2 and told in capsys.readouterr().err
-
-
-def test_the_take_brings_its_credit_and_a_page_without_it_does_not(outside_data: Path,
-                                                                   monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("GESTICULATOR_DATA", str(outside_data))
-    drawn = []
-    monkeypatch.setattr(strip_page, "save_strip", lambda figure, path, dpi: drawn.append(texts(figure)))
-    PLOT.main("gesticulator plot", ["strip", "--take", "--seconds", "0.5", "--out", "page.png"])
-    assert "real take" in drawn[0] and BEAT_CREDIT in drawn[0] and "CC BY-NC 4.0" in BEAT_CREDIT
-    monkeypatch.setenv("GESTICULATOR_DATA", str(outside_data / "absent"))
-    with pytest.raises(SystemExit):
-        PLOT.main("gesticulator plot", ["strip", "--take", "--out", "page.png"])

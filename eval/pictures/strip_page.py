@@ -1,14 +1,12 @@
 """`gesticulator plot strip`: one motion as a strip, or several systems on one page, at the same seconds.
 
     gesticulator plot strip [MOTION.bvh ...] [--sound speech.wav] [--start 2] [--seconds 4] [--out page.png]
-    gesticulator plot strip --take --corpus STORE --ours [MOTION.bvh ...] [--start 2] [--seconds 15] [--out page.png]
+    gesticulator plot strip --corpus STORE --ours [MOTION.bvh ...] [--start 2] [--seconds 15] [--out page.png]
 
-No figure says what a picture says, so a page belongs to every judgement of motion: the real take, the corpus, ours and
-others, front and side, four poses a second. Time runs from left to right and goes on in the next line; the coloured
-trails are the paths of the hands since the pose before (the character's right hand red, the left green).
-
-`--take` is the real take in GESTICULATOR_DATA; its licence asks for credit, so the credit line is drawn with it.
-Without it the sound is `--sound`, or that of the corpus recording, and then corpus and ours gesture to the same voice.
+No figure says what a picture says, so a page belongs to every judgement of motion: the corpus, ours and others, front
+and side, four poses a second. Time runs from left to right and goes on in the next line; the coloured trails are the
+paths of the hands since the pose before (the character's right hand red, the left green). The sound is `--sound`, or
+that of the corpus recording, and then corpus and ours gesture to the same voice.
 """
 
 from __future__ import annotations
@@ -22,12 +20,9 @@ from data_module.motion.skeletons import FINGERED
 from data_module.speech.audio import load_speech
 from data_module.store import Recording, Store
 from data_module.types import Speech
-from eval.clip.excerpts import real_take
 from eval.clip.foreign import read_motion
 from eval.pictures.strips import Source, draw_page, page_times, save_strip
 
-BEAT_CREDIT = ("real take: BEAT, speaker Scott (Liu et al., ECCV 2022; pantomatrix.github.io/BEAT), CC BY-NC 4.0: "
-               "not for commercial use")
 DPI = 105
 """Dots an inch of a page, which is then 1450 wide, as a screen is."""
 
@@ -40,7 +35,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--start", type=float, default=0.0, help="start, seconds (default 0)")
     add("--seconds", type=float, default=4.0, help="duration, seconds (default 4)")
     add("--sound", type=Path, help="the recording, drawn below with its beats")
-    add("--take", action="store_true", help="add the real recording in GESTICULATOR_DATA, with its credit")
     add("--corpus", metavar="STORE[:NAME]", help="add a recording of a store (default: the first test recording)")
     add("--ours", nargs="?", const="", metavar="BUNDLE",
         help="add the motion of a bundle for this audio (default: the shipped one)")
@@ -50,20 +44,13 @@ def sources_of(given: argparse.Namespace) -> tuple[list[Source], Speech | None]:
     """The motions of a page in their order, and the sound that those gesture to that need one."""
     speech = load_speech(given.sound) if given.sound else None
     sources = []
-    if given.take:
-        take = real_take(60.0, own_rig=True)
-        if take is None:
-            raise InputError("--take", "is not to be had", "set GESTICULATOR_DATA to the folder that holds takes/")
-        sources.append(Source("real take", take[0], BEAT_CREDIT))
-        # A sound that was given goes before that of a take or a recording.
-        speech = speech or take[1]
     if given.corpus:
         recording = _recording(given.corpus)
         sources.append(Source("corpus, to a voice of its own" if speech else "corpus", recording.motion))
         speech = speech or recording.speech
     if given.ours is not None:
         if speech is None:
-            raise InputError("--ours", "has no sound to gesture to", "give --sound, --take or --corpus")
+            raise InputError("--ours", "has no sound to gesture to", "give --sound or --corpus")
         # Opens torch, which a page without ours does not need.
         from gesticulator.gesticulator import Gesticulator
 

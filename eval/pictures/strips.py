@@ -90,7 +90,7 @@ def draw_page(sources: Sequence[Source], times: Array, speech: Speech | None = N
     from matplotlib.figure import Figure as NewFigure
 
     if not sources or len(times) == 0:
-        raise InputError("plot strip", "has nothing to draw", "name a motion, --take, --corpus or --ours")
+        raise InputError("plot strip", "has nothing to draw", "name a motion, --corpus or --ours")
     # A last line that is short keeps the scale of the others, so every row is as wide as a full one.
     wide = (min(len(times), layout.line) - 1) * layout.spacing + 2 * layout.margin
     # The page is a stack of rows, each of a height in metres of the figures' own scale.

@@ -31,10 +31,6 @@ if TYPE_CHECKING:
     from gesticulator.characters.rig import Character
     from gesticulator.face.motion import FaceMotion
 
-
-__all__ = ["write_comparison", "write_preview"]
-
-
 LONG = 600.0
 """Duration in seconds above which the page uses `LONG_FPS`, so that it still opens quickly: an hour is then about 40
 MB, half of it audio."""
@@ -105,18 +101,14 @@ def describe(scene: Scene) -> dict[str, Any]:
     a still root; `plan` is the gesture plan; `face`, for a scene with one, is int16 [T, 20], `FaceMotion.values` in the
     same steps.
     """
-    return {**describe_motion(scene), "plan": scene.plan.to_dict()}
-
-
-def describe_motion(scene: Scene) -> dict[str, Any]:
-    """`describe` without the plan."""
-    motion = shown(scene)
+    motion = kinematics.resample(scene.standing, page_fps(scene.duration, scene.fps))
     face = None if scene.face is None else np.clip(scene.face.at(np.arange(len(motion)) / motion.fps), -1.0, 1.0)
     return {
         **describe_shape(motion, scene.duration),
         "rotations": _base64(np.round(motion.rotations * QUATERNION_STEPS).astype("<i2").tobytes()),
         "root": _base64(root_path(motion)),
         **({} if face is None else {"face": _base64(np.round(face * QUATERNION_STEPS).astype("<i2").tobytes())}),
+        "plan": scene.plan.to_dict(),
     }
 
 
@@ -124,11 +116,6 @@ def describe_shape(motion: Motion, duration: float) -> dict[str, Any]:
     """What the page needs to know of a motion, apart from its numbers."""
     return {"duration": duration, "fps": motion.fps, "frames": len(motion), "skeleton": _skeleton(motion.skeleton),
             "steps": QUATERNION_STEPS}
-
-
-def shown(scene: Scene) -> Motion:
-    """The motion as the page has it."""
-    return kinematics.resample(scene.standing, page_fps(scene.duration, scene.fps))
 
 
 def page_fps(duration: float, fps: float) -> float:

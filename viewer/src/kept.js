@@ -1,4 +1,5 @@
-// Edits are kept in the browser's storage: a page that is loaded again goes on, and pages of one recording agree.
+// Edits of a page without a program behind it are kept in the browser's storage: a page that is loaded again goes on, and
+// pages of one recording agree.
 
 import { fault, planText, readJson } from "./plan.js";
 
@@ -9,7 +10,7 @@ const KEPT = "gesticulator edits ";
 export class Kept {
   /** place: of this recording and program in the storage; say(text): what the user is told. */
   constructor(session, place, say) {
-    Object.assign(this, { session, place: `${KEPT}${place}`, say, waiting: 0, taking: false });
+    Object.assign(this, { session, place: `${KEPT}${place}`, say, waiting: 0, taking: false, whole: true });
     this.lane = session.lanes[0];
     this.take(this.read(), true);
     session.on("edited", () => {
@@ -39,12 +40,10 @@ export class Kept {
     this.waiting = 0;
     const plan = this.lane.history.present;
     if (plan === this.lane.history.original) { this.clear(); return; }
-    try { localStorage.setItem(this.place, planText(plan)); } catch {
-      // It is full: what was kept of other pages goes.
-      try {
-        for (const name of Object.keys(localStorage)) if (name.startsWith(KEPT) && name !== this.place) localStorage.removeItem(name);
-        localStorage.setItem(this.place, planText(plan));
-      } catch { /* a page without storage, or a plan larger than it: it can still be saved as a file */ }
+    try { localStorage.setItem(this.place, planText(plan)); this.whole = true; } catch {
+      // What is kept of other recordings is not this page's to delete.
+      if (this.whole) this.say("This browser has no room for the edits: save the plan as a file before you close the page.", true);
+      this.whole = false;
     }
   }
 
