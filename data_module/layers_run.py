@@ -55,6 +55,16 @@ class Tensors:
             raise self._refused(self._prefix + name, f"{shape_here} instead of {shape}")
         return np.asarray(array, np.float32, order="C")
 
+    def dense(self, name: str, width_in: int, width: int, bias: bool = True) -> Dense:
+        """From the tensors `name.weight` [width, width_in] and `name.bias` [width]."""
+        return Dense(self.take(f"{name}.weight", width, width_in), self.take(f"{name}.bias", width) if bias else None)
+
+    def drop(self, *prefixes: str) -> None:
+        """Leave out what only training uses: the tensors whose names begin with one of the prefixes."""
+        starts = tuple(self._prefix + prefix for prefix in prefixes)
+        for name in [name for name in self._arrays if name.startswith(starts)]:
+            del self._arrays[name]
+
     def finish(self) -> None:
         """InputError if a tensor is left over: weights of other settings."""
         for name in sorted(self._arrays)[:1]:
@@ -75,11 +85,6 @@ class Dense:
         # Blocks of columns, each contiguous.
         padded = np.pad(weight, ((0, -self.width % _COLUMNS), (0, 0)))
         self._blocks = np.ascontiguousarray(padded.reshape(-1, _COLUMNS, depth).transpose(0, 2, 1))
-
-    @classmethod
-    def of(cls, tensors: Tensors, width_in: int, width: int, bias: bool = True) -> Dense:
-        """From `weight` [width, width_in] and `bias` [width]."""
-        return cls(tensors.take("weight", width, width_in), tensors.take("bias", width) if bias else None)
 
     def __call__(self, x: Floats) -> Floats:
         """[..., K] to [..., N]."""
@@ -223,8 +228,8 @@ class BlockDense:
                  bottleneck: int = 0) -> None:
         """Arguments as of `BlockLinear`."""
         self._frames, self._width, self._blocks = frames, width, blocks
-        self._narrow = Dense.of(tensors.within("narrow"), width_in, bottleneck) if bottleneck else None
-        self._linear = Dense.of(tensors.within("linear"), blocks * frames * (bottleneck or width_in), frames * width)
+        self._narrow = tensors.dense("narrow", width_in, bottleneck) if bottleneck else None
+        self._linear = tensors.dense("linear", blocks * frames * (bottleneck or width_in), frames * width)
 
     def __call__(self, windows: Floats) -> Floats:
         """[..., 3K, D] to [..., K, width]."""

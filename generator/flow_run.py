@@ -98,20 +98,19 @@ class FlowRunner:
         self._encode_audio = BlockDense(tensors.within("encode_audio"), frames, widths.audio, c.audio_features,
                                         bottleneck=c.audio_bottleneck)
         self._bypassed = c.hears_through == "both"
-        self._hear = Dense.of(tensors.within("hear.0"), frames * c.audio_features,
-                              c.lexeme_width) if self._bypassed else None
+        self._hear = tensors.dense("hear.0", frames * c.audio_features, c.lexeme_width) if self._bypassed else None
         self._unheard = tensors.take("unheard", frames, c.audio_features)
         self._name = tensors.take("name.weight", widths.lexemes + 1, c.lexeme_width)
         rows = c.motion_features + c.audio_features + c.lexeme_width + c.position_width + self._control_width
-        self._mlp = Dense.of(tensors.within("mlp.0"), rows, c.hidden)
-        self._classes = Dense.of(tensors.within("codes.logits"), c.hidden, c.groups * c.classes)
+        self._mlp = tensors.dense("mlp.0", rows, c.hidden)
+        self._classes = tensors.dense("codes.logits", c.hidden, c.groups * c.classes)
         self._vectors = tensors.take("codes.vectors", c.groups, c.classes, GROUP_WIDTH)
         beside = c.lexeme_width if self._bypassed else 0
         known = 2 * beside + c.groups * GROUP_WIDTH + 3 * widths.motion + n + CIRCUMSTANCES + widths.speakers
-        self._gather = Dense.of(tensors.within("gather.0"), known + self._control_width + self.unit_width
+        self._gather = tensors.dense("gather.0", known + self._control_width + self.unit_width
                                 + self._style_width, c.context)
         self._lstm = Lstm(tensors.within("lstm"), c.context, c.context, c.lstm_layers)
-        self._to_context = Dense.of(tensors.within("to_context.0"), 2 * c.context + beside, c.context)
+        self._to_context = tensors.dense("to_context.0", 2 * c.context + beside, c.context)
         self._head = _Head(tensors.within("head"), n, c.context + (n if self._bypassed else 0), c.flow_width)
 
     def squeeze(self, coefficients: Floats) -> Floats:
@@ -186,10 +185,10 @@ class _Head:
         self._enter, self._waves = Dense(weight[:, :width]), weight[:, width:]
         self._bias = tensors.take("enter.bias", hidden)
         self._condition, self._inner, self._outer = (
-            [Dense.of(tensors.within(f"{name}.{layer}"), width_in, out) for layer in range(LAYERS)]
+            [tensors.dense(f"{name}.{layer}", width_in, out) for layer in range(LAYERS)]
             for name, width_in, out in (("condition", context, 2 * hidden), ("inner", hidden, hidden),
                                         ("outer", hidden, hidden)))
-        self._leave = Dense.of(tensors.within("leave"), hidden, width)
+        self._leave = tensors.dense("leave", hidden, width)
         self._times: dict[float, tuple[Floats, float, float]] = {}
 
     def conditions(self, contexts: Floats) -> list[tuple[Floats, Floats]]:

@@ -151,11 +151,11 @@ class Generator(nn.Module):
         motion = self.to_motion(hidden) + self.fade * past[:, -1:]
         return motion * self.present, state, choice
 
-    def roll_out(self, seed: Tensor, given: BlockInputs, motion: Tensor | None = None, own_past: float = 1.0,
-                 temperature: float = 1.0) -> tuple[Tensor, Tensor]:
+    def roll_out(self, seed: Tensor, given: BlockInputs, motion: Tensor | None = None, temperature: float = 1.0
+                 ) -> tuple[Tensor, Tensor]:
         """Blocks 1..N in sequence, with the decoder's state carried over. seed: [B, K, D_m] the block before the first;
-        motion: [B, N, K, D_m] the truth (needed if own_past < 1). With probability `own_past` the past of a block is
-        the generated one, else the truth. Returns [B, N, K, D_m] and the code choices [B, N, K, H, C]."""
+        motion: [B, N, K, D_m] the truth, which is then the past of each block (Eq. 5, training), or None: it is the
+        generated block (Eq. 15, use). Returns [B, N, K, D_m] and the code choices [B, N, K, H, C]."""
         audio = self.encode_audio(given.audio)
         state = self.first_state(seed[:, -1], given.lexeme[:, 0])
         past, blocks, choices = seed, [], []
@@ -165,17 +165,9 @@ class Generator(nn.Module):
                                              temperature, control)
             blocks.append(block)
             choices.append(choice)
-            past = block
-            if own_past < 1.0 and motion is not None:
-                generated = torch.rand(len(seed), 1, 1, device=seed.device) < own_past
-                # Drawn per window: in one batch some windows follow the truth and others their own output.
-                past = torch.where(generated, block, motion[:, i])
+            # Trained on its own past, it jumped at the edges of blocks and lost its timing (docs/paper.md).
+            past = block if motion is None else motion[:, i]
         return torch.stack(blocks, 1), torch.stack(choices, 1)
-
-    def own_past_probability(self, progress: float) -> float:
-        """0 at the start of the run, 1 after `own_past_until` of it, linear between; always 0 without that setting."""
-        until = self.config.own_past_until
-        return min(progress / until, 1.0) if until else 0.0
 
     def temperature(self, progress: float) -> float:
         return self.config.temperature(progress)
@@ -197,7 +189,7 @@ class Generator(nn.Module):
         temperature = self.temperature(progress)
         control = batch["control"][:, 1:] if self.control_width else None
         generated, _ = self.roll_out(motion[:, 0], BlockInputs(audio, lexemes, style, control), motion[:, 1:],
-                                     self.own_past_probability(progress), temperature)
+                                     temperature)
         valid = batch["valid"][:, 1:]
         mask = batch["mask"][:, None, None] * valid[:, :, None, None]
         real = valid > 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from data_module.layers_run import BlockDense, Convolutions, Dense, Floats, Lstm, Tensors, leaky_relu, side_by_side
+from data_module.layers_run import BlockDense, Convolutions, Floats, Lstm, Tensors, leaky_relu, side_by_side
 from generator.settings import GROUP_WIDTH, GeneratorConfig, GeneratorWidths, positional_block
 
 __all__ = ["GeneratorRunner"]
@@ -28,14 +28,14 @@ class GeneratorRunner:
         self._fade = (np.arange(frames - 1, -1, -1, dtype=np.float32) / frames)[:, None]
         self._control_width = widths.control if c.use_control else 0
         width = c.motion_features + c.audio_features + widths.lexeme + c.style_width + c.position_width
-        self._mlp = [Dense.of(tensors.within("mlp.0"), width + self._control_width, c.hidden),
-                     Dense.of(tensors.within("mlp.2"), c.hidden, c.hidden)]
-        self._logits = Dense.of(tensors.within("codes.logits"), c.hidden, c.groups * c.classes)
+        self._mlp = [tensors.dense("mlp.0", width + self._control_width, c.hidden),
+                     tensors.dense("mlp.2", c.hidden, c.hidden)]
+        self._logits = tensors.dense("codes.logits", c.hidden, c.groups * c.classes)
         self._vectors = tensors.take("codes.vectors", c.groups, c.classes, GROUP_WIDTH)
         self._lstm = Lstm(tensors.within("lstm"), c.groups * GROUP_WIDTH, c.lstm_width, c.lstm_layers)
-        self._to_motion = Dense.of(tensors.within("to_motion"), c.lstm_width, widths.motion)
-        self._start = [Dense.of(tensors.within("start.0"), widths.motion + widths.lexeme, c.hidden),
-                       Dense.of(tensors.within("start.2"), c.hidden, 2 * c.lstm_layers * c.lstm_width)]
+        self._to_motion = tensors.dense("to_motion", c.lstm_width, widths.motion)
+        self._start = [tensors.dense("start.0", widths.motion + widths.lexeme, c.hidden),
+                       tensors.dense("start.2", c.hidden, 2 * c.lstm_layers * c.lstm_width)]
 
     def start(self, pose: Floats, lexeme: Floats) -> State:
         """The decoder's state before the first block, from the seed pose [D_m] and the first lexeme [D_s]."""

@@ -54,9 +54,6 @@ class GeneratorConfig:
     """Units of each layer of the decoder."""
     lstm_layers: Depth = 2
     """Layers of the decoder."""
-    own_past_until: Share = 0.0
-    """Share of the run after which the past is always the generated block; the probability rises linearly between. 0
-    (the paper) never: Eq. 5 takes the true block, and Eq. 15 the generated one in use."""
     lexeme: NotNegative = 0.2
     """Weight of L_lexeme (RG Eq. 9 and 13)."""
     use_control: bool = False

@@ -192,9 +192,9 @@ class Stream:
     def look_ahead(self) -> float:
         """Seconds of sound after a frame that are needed at most before the frame is final; it depends on
         `latency`."""
-        beats, lead = self._bundle.config.rhythm.beats, self._bundle.config.selection.lead
+        beats = self._bundle.config.rhythm.beats
         # From a beat to where the next beat is certain, and from there to where the pauses of the block after it are.
-        certain = beats.d_max + beats.d_min + onsets.LOOK_AHEAD + lead
+        certain = beats.d_max + beats.d_min + onsets.LOOK_AHEAD
         if not self._path.prompt:
             known = beats.d_max + silence.LOOK_AHEAD + silence.STEP * silence.FRAME
             # A block is generated once the next one is known; its last knot is certain with the knot after that.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.layers_run import Dense, Norm, Tensors, softmax
+from data_module.layers_run import Norm, Tensors, softmax
 from interpreters.base import (
     BlockFeatures,
     InterpreterDefaults,
@@ -40,13 +40,11 @@ class CriticsRunner:
         trunk, lexemes = tensors.within("trunk"), len(sizes.lexemes)
         self._trunk = QTrunk(config.network, sizes, trunk)
         self._norm = Norm(trunk.within("head"), config.width)
-        self._reward = Dense.of(tensors.within("reward"), config.width, CRITICS * lexemes)
-        self._future = Dense.of(tensors.within("future"), config.width, CRITICS * lexemes)
+        self._reward = tensors.dense("reward", config.width, CRITICS * lexemes)
+        self._future = tensors.dense("future", config.width, CRITICS * lexemes)
         self._future_scale, self._spread = tensors.take("future_scale"), tensors.take("spread")
         # The value of the state is the same for all lexemes, and the unit has no effect on a relative advantage.
-        Dense.of(tensors.within("value"), config.width, CRITICS)
-        for name in ("unit", "value_scale", "value_mean"):
-            tensors.take(name)
+        tensors.drop("value", "unit")
 
     def start(self, speaker: int) -> QRunState:
         return self._trunk.start(speaker)

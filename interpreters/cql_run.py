@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_module.layers_run import BlockDense, Dense, Floats, Norm, Tensors, attention, gelu
+from data_module.layers_run import BlockDense, Floats, Norm, Tensors, attention, gelu
 from interpreters.base import BlockFeatures, InterpreterDefaults, InterpreterSizes, Need, Scores
 from interpreters.settings import QConfig
 
@@ -38,11 +38,11 @@ class TwoStreamLayer:
     def __init__(self, tensors: Tensors, width: int, heads: int) -> None:
         self._heads = heads
         self._before_attention = Norm(tensors.within("before_attention"), width)
-        self._project = Dense.of(tensors.within("attention.project"), width, 3 * width)
-        self._out = Dense.of(tensors.within("attention.out"), width, width)
+        self._project = tensors.dense("attention.project", width, 3 * width)
+        self._out = tensors.dense("attention.out", width, width)
         self._before_feed = Norm(tensors.within("before_feed"), width)
-        self._widen = Dense.of(tensors.within("feed.0"), width, 4 * width)
-        self._narrow = Dense.of(tensors.within("feed.2"), 4 * width, width)
+        self._widen = tensors.dense("feed.0", width, 4 * width)
+        self._narrow = tensors.dense("feed.2", 4 * width, width)
 
     def __call__(self, x: Floats, past: KeysAndValues | None, mask: Floats | None) -> tuple[Floats, KeysAndValues]:
         """[n, C] of tokens [n, C], and the keys and values of the `past` and these tokens."""
@@ -65,7 +65,7 @@ class QTrunk:
                                   blocks=config.audio_blocks, bottleneck=config.audio_bottleneck)
         # One more input than audio and speaker: whether the block is silent.
         row = frames * config.audio_features + (speakers if config.use_speaker else 0) + 1
-        self._audio_token = Dense.of(tensors.within("audio_token"), row, width)
+        self._audio_token = tensors.dense("audio_token", row, width)
         self._action_token = tensors.take("action_token.weight", len(sizes.lexemes), width)
         self._positions = tensors.take("positions", 2, config.decisions, width)
         self._layers = [TwoStreamLayer(tensors.within(f"layers.{number}"), width, config.heads)
@@ -108,7 +108,7 @@ class QRunner(InterpreterDefaults):
     def __init__(self, config: QConfig, sizes: InterpreterSizes, tensors: Tensors) -> None:
         self._trunk = QTrunk(config, sizes, tensors)
         self._norm = Norm(tensors.within("head.0"), config.width)
-        self._values = Dense.of(tensors.within("head.1"), config.width, len(sizes.lexemes))
+        self._values = tensors.dense("head.1", config.width, len(sizes.lexemes))
 
     @property
     def needs(self) -> frozenset[Need]:

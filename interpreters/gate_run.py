@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_module.layers_run import BlockDense, Dense, Floats, Lstm, Tensors, side_by_side
+from data_module.layers_run import BlockDense, Floats, Lstm, Tensors, side_by_side
 from interpreters.base import BlockFeatures
 from interpreters.settings import GateConfig
 
@@ -30,7 +30,7 @@ class GateRunner:
         self._encode_audio = BlockDense(tensors.within("encode_audio"), frames, audio_width, config.audio_features,
                                         bottleneck=config.audio_bottleneck)
         self._lstm = Lstm(tensors.within("lstm"), config.audio_features + speakers, config.width)
-        self._classify = Dense.of(tensors.within("classify"), config.width, 1)
+        self._classify = tensors.dense("classify", config.width, 1)
 
     def start(self, speaker: int) -> GateState:
         return GateState(None, np.eye(self._speakers, dtype=np.float32)[speaker])

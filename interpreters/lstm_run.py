@@ -9,7 +9,6 @@ import numpy as np
 
 from data_module.layers_run import (
     BlockDense,
-    Dense,
     Floats,
     Lstm,
     Tensors,
@@ -54,8 +53,8 @@ class LstmRunner(InterpreterDefaults):
                                         bottleneck=config.audio_bottleneck)
         self._encode_text = BlockDense(tensors.within("encode_text"), frames, sizes.text, config.text_features,
                                        blocks=1, bottleneck=config.text_bottleneck) if config.text_features else None
-        self._encode_pose = Dense.of(tensors.within("encode_pose"), 3 * sizes.motion,
-                                     config.pose_features) if config.pose_features else None
+        self._encode_pose = tensors.dense("encode_pose", 3 * sizes.motion, config.pose_features
+                                          ) if config.pose_features else None
         self._vectors = tensors.take("learned.weight", size, config.lexeme_features
                                      ) if config.lexeme_features else vectors
         self._text_head = _TextHead(config, sizes, self._vectors.shape[1], tensors.within("text_head")
@@ -65,9 +64,9 @@ class LstmRunner(InterpreterDefaults):
         count = frames if self._by_block else 1
         width = count * (config.audio_features + config.text_features + self._control_width) + self._vectors.shape[1]
         width += config.pose_features + (sizes.speakers if config.use_speaker else 0)
-        self._enter = Dense.of(tensors.within("enter"), width, config.width) if self._by_block else None
+        self._enter = tensors.dense("enter", width, config.width) if self._by_block else None
         self._lstm = Lstm(tensors.within("lstm"), config.width if self._by_block else width, config.width)
-        self._classify = Dense.of(tensors.within("classify"), (2 if self._by_block else 1) * config.width, size)
+        self._classify = tensors.dense("classify", (2 if self._by_block else 1) * config.width, size)
 
     @property
     def needs(self) -> frozenset[Need]:
@@ -144,7 +143,7 @@ class _TextHead:
     def __init__(self, config: LstmConfig, sizes: InterpreterSizes, lexeme_width: int, tensors: Tensors) -> None:
         bottleneck, width = config.text_bottleneck or sizes.text, config.text_head
         self._narrow, self._hidden, self._weigh, self._out = (
-            Dense.of(tensors.within(name), width_in, out) for name, width_in, out in (
+            tensors.dense(name, width_in, out) for name, width_in, out in (
                 ("narrow", sizes.text, bottleneck), ("hidden", HALF_BLOCKS * bottleneck, width),
                 ("weigh", lexeme_width + sizes.speakers, width), ("out", width, len(sizes.lexemes))))
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.layers_run import BlockDense, Dense, Floats, Gru, Tensors
+from data_module.layers_run import BlockDense, Floats, Gru, Tensors
 from interpreters.base import BlockFeatures, Scores
 from interpreters.settings import PlannerConfig, StyleConfig
 
@@ -92,7 +92,7 @@ class PlannerRunner:
                        for level, count in enumerate(CLASSES[:-1])]
         self._gru = Gru(tensors.within("gru"), frames * config.audio_features + len(CLASSES) * embedding + speakers,
                         config.width)
-        self._heads = [Dense.of(tensors.within(f"heads.{level}"), config.width + level * embedding, count)
+        self._heads = [tensors.dense(f"heads.{level}", config.width + level * embedding, count)
                        for level, count in enumerate(CLASSES)]
         self._fit = tensors.take("fit", lexemes, len(PHASES) * len(HANDS)).astype(np.float64)
 
@@ -157,7 +157,7 @@ class UnitStyleRunner:
                                         bottleneck=config.audio_bottleneck)
         self._gru = Gru(tensors.within("gru"), frames * config.audio_features
                         + (speakers if config.use_speaker else 0), config.width)
-        self._to_code = Dense.of(tensors.within("to_code"), config.width, code_width)
+        self._to_code = tensors.dense("to_code", config.width, code_width)
         self._gain = tensors.take("gain", code_width)
 
     def start(self, speaker: int) -> UnitStyleState:

@@ -53,8 +53,8 @@ class LstmConfig:
     dropout: Dropout = 0.1
     """Dropout of the input and the output of the LSTM."""
     own_past_most: Share = 0.5
-    """The share of previous lexemes that are predictions rises from 0 to this value until `own_past_until` (scheduled
-    sampling in two passes)."""
+    """The share of previous lexemes that are predictions rises from 0 to this value until `lstm.OWN_PAST_UNTIL` of
+    the run (scheduled sampling in two passes)."""
     pose_features: WidthOrNone = 0
     """Width of the embedding of last pose, velocity and acceleration; 0 (the paper) for no pose input, so that the
     position of the hands must be inferred from the previous lexeme."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_module.layers_run import BlockDense, Dense, Floats, Lstm, Tensors, side_by_side
+from data_module.layers_run import BlockDense, Floats, Lstm, Tensors, side_by_side
 from interpreters.base import BlockFeatures, InterpreterSizes
 from interpreters.settings import StyleConfig
 
@@ -38,7 +38,7 @@ class StyleRunner:
         width = config.audio_features + sizes.lexemes.shape[1] + code + config.text_features
         width += sizes.speakers if config.use_speaker else 0
         self._lstm = Lstm(tensors.within("lstm"), width, config.width)
-        self._to_code = Dense.of(tensors.within("to_code"), config.width, code)
+        self._to_code = tensors.dense("to_code", config.width, code)
 
     def start(self, speaker: int) -> StyleRunState:
         speakers = np.eye(self._speakers, dtype=np.float32)

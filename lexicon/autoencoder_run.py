@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.layers_run import Convolutions, Dense, Tensors
+from data_module.layers_run import Convolutions, Tensors
 from lexicon.settings import LexiconConfig
 
 __all__ = ["LexiconRunner"]
@@ -19,13 +19,10 @@ class LexiconRunner:
         widths, code, motion = config.widths, config.code_width, len(present)
         self._frames, self._present = frames, present
         self.vectors = tensors.take("quantizer.vectors", config.size, code)
-        self._from_code = Dense.of(tensors.within("from_code"), code, widths[-1] * frames)
+        self._from_code = tensors.dense("from_code", code, widths[-1] * frames)
         self._deconvolve = Convolutions(tensors.within("deconvolve"), (*reversed(widths), motion), last_linear=True)
         # Only training encodes motion and moves the codebook.
-        Convolutions(tensors.within("convolve"), (motion, *widths))
-        Dense.of(tensors.within("to_code"), widths[-1] * frames, code)
-        tensors.take("quantizer.counts", config.size)
-        tensors.take("quantizer.sums", config.size, code)
+        tensors.drop("convolve.", "to_code.", "quantizer.")
 
     def shown(self) -> NDArray[np.float32]:
         """[S, K, D_m] the decoded motion of each lexeme."""

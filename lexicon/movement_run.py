@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from data_module.layers_run import Dense, Floats, Tensors, gelu
+from data_module.layers_run import Floats, Tensors, gelu
 from data_module.motion.movement_run import PAST, BasisRunner
 from lexicon.settings import LexiconConfig
 
@@ -52,8 +52,8 @@ class _BentMap:
     """x A + MLP(x) (`lexicon.movement.BentMap`)."""
 
     def __init__(self, tensors: Tensors, width: int, hidden: int, out: int) -> None:
-        self._straight = Dense.of(tensors.within("straight"), width, out, bias=False)
-        self._bend = [Dense.of(tensors.within(f"bend.{number}"), *sizes)
+        self._straight = tensors.dense("straight", width, out, bias=False)
+        self._bend = [tensors.dense(f"bend.{number}", *sizes)
                       for number, sizes in ((0, (width, hidden)), (2, (hidden, hidden)), (4, (hidden, out)))]
 
     def __call__(self, x: Floats) -> Floats:

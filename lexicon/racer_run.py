@@ -22,20 +22,14 @@ class CodecRunner:
         """present: [D_m] 1 for the dimensions in the data; the output of the others is 0."""
         width, motion = config.width, len(present)
         self._present, self._vectors = present, tensors.take("quantizer.vectors", config.size, width)
-        tensors.take("quantizer.counts", config.size)
-        tensors.take("quantizer.sums", config.size, width)
-        encoder, decoder, each = tensors.within("encoder"), tensors.within("decoder"), len(DILATIONS) + 1
+        tensors.drop("quantizer.", "encoder.")
+        decoder, each = tensors.within("decoder"), len(DILATIONS) + 1
         self._enter, self._stages = _conv(decoder.within("0"), width, 3), list[tuple[list[Residual], Floats, Floats]]()
         for stage in range(HALVINGS):
-            encoder.take(f"{each * stage}.weight", width, width if stage else motion, 4)
-            encoder.take(f"{each * stage}.bias", width)
-            for n in range(1, each):
-                _residual(encoder.within(f"{each * stage + n}"), width)
             last, out = decoder.within(f"{each * (stage + 1)}"), motion if stage == HALVINGS - 1 else width
             self._stages.append(([_residual(decoder.within(f"{each * stage + n + 1}"), width, dilation)
                                   for n, dilation in enumerate(reversed(DILATIONS))],
                                  last.take("weight", width, out, 4), last.take("bias", out)))
-        _conv(encoder.within(f"{each * HALVINGS}"), width, 3)
 
     def decode(self, codes: Sequence[int]) -> Floats:
         """[T', 8, D_m] motion of T' codes, 8 frames per code, decoded together."""

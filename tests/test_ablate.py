@@ -17,7 +17,7 @@ from data_module.store import Store
 from eval.ablate import command, figures, racer, run
 from eval.ablate.ablation import Ablation
 from eval.ablate.cells import CellStore
-from eval.ablate.rows import COLUMNS, OURS, REFERENCES, ROWS, TABLES, tiny
+from eval.ablate.rows import COLUMNS, OURS, REFERENCES, ROWS, TABLES, base
 from eval.ablate.run import RgRows
 from eval.baselines.controls import reversed_in_time
 from eval.baselines.interpreters import RandomStyle
@@ -41,7 +41,7 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def ablation(tiny_store: Path, work: Path) -> Ablation:
     """The tiny preset, shorter still."""
-    first = Run(configs.with_settings(tiny(), SHORT), Store.open(tiny_store), work, progress=False)
+    first = Run(configs.with_settings(base("tiny"), SHORT), Store.open(tiny_store), work, progress=False)
     context = EvalContext(first, networks={"raw": RawFeatures(34)}, limit=1)
     return Ablation(RgRows(context), CellStore(work / "nowhere"))
 

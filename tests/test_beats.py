@@ -211,15 +211,6 @@ def test_beats_of_sound_that_arrives_are_those_of_the_recording(rule: str, secon
     assert [int(flag) for _, flag in found] == whole.flags.tolist()
 
 
-@pytest.mark.parametrize("rule", [rule for rule in RULES if rule != "even"])
-def test_a_lead_is_that_much_before_every_onset(rule: str) -> None:
-    onsets, settings = np.array([0.05, 0.6, 0.95, 1.4, 2.0]), BeatSettings(0.2, 0.5, rule=rule)
-    ahead = BeatTracker(settings, lead=0.125).finish([(onset, 0.0) for onset in onsets], [], 2.5)
-    found = [time for time, flag in ahead if flag == BeatFlag.ONSET]
-    np.testing.assert_allclose(found, onsets[1:] - 0.125)
-    assert in_range(np.diff([0.0, *(time for time, _ in ahead)]), settings)
-
-
 @given(cuts=st.lists(st.integers(0, 2 * RATE), max_size=12).map(sorted))
 @settings(max_examples=20, deadline=None)
 def test_onset_strengths_do_not_depend_on_the_pieces_of_sound(cuts: list[int]) -> None:

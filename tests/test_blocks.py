@@ -7,13 +7,17 @@ import math
 
 import numpy as np
 import pytest
+import pytsmod
 from bursts import blocks_of, waving
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import correlate1d
 
 from data_module.blocks import (
+    _WSOLA,
     BlockSettings,
     KnotPath,
+    _kernel,
     cut,
     denormalise,
     first_pose,
@@ -122,6 +126,25 @@ def test_a_block_is_stretched_from_its_surroundings_alone() -> None:
     elsewhere[:round((0.7 - 0.04) * RATE)] = 0.5
     elsewhere[round((0.95 + 0.04) * RATE):] = -0.5
     assert np.array_equal(stretch_speech(Speech(elsewhere, RATE), blocks)[2], whole[2])
+
+
+@given(st.integers(700, 3000), st.floats(0.4, 2.9), st.integers(0, 10**6))
+def test_the_stretching_is_pytsmods_bit_for_bit(length: int, factor: float, seed: int) -> None:
+    """It is given another linear interpolation than scipy's."""
+    assert pytsmod.wsola is not _WSOLA
+    sound = np.random.default_rng(seed).normal(size=length)
+    anchors = np.array([[0, 300, length - 1], [0, 300, 300 + round(factor * (length - 301))]])
+    whole = pytsmod.wsola(sound, anchors, win_size=512, syn_hop_size=256, tolerance=128)
+    np.testing.assert_array_equal(_WSOLA(sound, anchors, win_size=512, syn_hop_size=256, tolerance=128), whole)
+
+
+@given(st.integers(1, 40), st.floats(0.02, 0.3), st.integers(0, 10**6))
+def test_smoothing_is_scipys_correlation_with_a_gaussian(count: int, sigma: float, seed: int) -> None:
+    frames = np.random.default_rng(seed).normal(size=(count, 5))
+    half = int(2.0 * sigma * 20.0 + 1e-9)
+    weights = np.exp(-0.5 * (np.arange(-half, half + 1) / (sigma * 20.0)) ** 2)
+    expected = correlate1d(frames, weights / weights.sum(), axis=0, mode="mirror")
+    np.testing.assert_allclose(_kernel(frames, 20.0, sigma), expected, atol=1e-13)
 
 
 def test_windows_hold_three_blocks_and_zeros_outside() -> None:

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 
-from gesticulator.sampling.loop import Keys
+from gesticulator.sampling.loop import Keys, _log_normal
 from interpreters.base import select
 
 LEXEMES = 60
+
+
+def test_the_normal_distribution_function_is_scipys_far_into_both_tails() -> None:
+    numbers = np.concatenate([np.linspace(-9, 9, 2001), [0.0]])
+    np.testing.assert_allclose(_log_normal(numbers), special.log_ndtr(numbers), rtol=1e-13)
 
 
 def gumbel(keys: Keys, times: np.ndarray) -> np.ndarray:

@@ -46,7 +46,8 @@ class Transposed(nn.Module):
 @given(SIZE, SIZE, st.integers(1, 200), SEED, st.booleans())
 def test_dense(width_in: int, width: int, rows: int, seed: int, bias: bool) -> None:
     torch.manual_seed(seed)
-    same(nn.Linear(width_in, width, bias), lambda at: run.Dense.of(at, width_in, width, bias), rows, width_in)
+    same(nn.Sequential(nn.Linear(width_in, width, bias)), lambda at: at.dense("0", width_in, width, bias), rows,
+         width_in)
 
 
 @given(COUNT, COUNT, st.integers(1, 5), st.integers(1, 3), st.integers(0, 2), st.integers(1, 2), SEED)

@@ -266,7 +266,7 @@ def test_inverse_kinematics_is_undone_by_forward_kinematics() -> None:
     upper, fore = (Rotation.from_rotvec(turn) for turn in (arm, forearm))
     lengths = [FINGERED.offsets[FINGERED.index(f"Left{part}")] for part in ("ForeArm", "Hand")]
     np.testing.assert_allclose(upper.apply(lengths[0]) + (upper * fore).apply(lengths[1]), places, atol=1e-9)
-    off = ((upper * fore * Rotation.from_rotvec(wrist)).inv() * hand).magnitude()
+    off = ((upper * fore * Rotation.from_rotvec(wrist)).inv() * Rotation.from_quat(hand, scalar_first=True)).magnitude()
     assert np.degrees(off.max()) < 6.0, "a wrist near its limit gives way"
 
 

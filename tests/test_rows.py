@@ -19,16 +19,14 @@ from eval.ablate.rows import (
     COLUMNS,
     CONTROLS,
     OURS,
-    PRESETS,
     RACER_OURS,
-    RACER_PRESETS,
+    RACER_SIZES,
     REFERENCES,
     ROWS,
     SYSTEMS,
     TABLES,
-    ablation,
+    base,
     is_racer,
-    tiny,
 )
 from eval.ablate.run import RgRows, configured
 from eval.commands import ABLATE
@@ -44,14 +42,14 @@ ABOUT = Provenance("gesticulator ablate", "abc1234", NO_BUNDLE, "2026-01-02", NO
 
 # ------------------------------------------------------------------------------------------------------------- rows
 
-@pytest.mark.parametrize("preset", list(PRESETS))
+@pytest.mark.parametrize("preset", RACER_SIZES)
 def test_every_row_changes_something_and_no_two_are_equal(preset: str) -> None:
-    base = PRESETS[preset]()
+    papers = base(preset)
     variants: dict[str, str] = {}
     for name, row in ROWS.items():
         # RACER's rows stand on a bundle of the default preset, whose alpha is 1.
-        default = configs.with_settings(presets.preset("default"), RACER_PRESETS[preset])
-        start = default if is_racer(name) else base
+        default = configs.with_settings(presets.preset("default"), RACER_SIZES[preset])
+        start = default if is_racer(name) else papers
         variant = json.dumps([configs.to_dict(configs.with_settings(start, row.set)), row.play, row.style, row.split,
                               row.train, row.scale])
         assert variant not in variants, f"{name} is {variants.get(variant)} again"
@@ -59,8 +57,21 @@ def test_every_row_changes_something_and_no_two_are_equal(preset: str) -> None:
         assert row.ask and (row.train == "stages") != is_racer(name)
 
 
+def test_rows_start_from_any_preset_of_the_papers_system_at_its_own_widths() -> None:
+    for name in presets.PRESETS:
+        own = presets.preset(name)
+        if own.system != "paper":
+            with pytest.raises(InputError, match="paper-trinity"):
+                base(name)
+            continue
+        rows = base(name)
+        assert (rows.name, rows.lexicon, rows.motion) == (name, own.lexicon, own.motion), "the preset as it is"
+        assert rows.generator.hidden == own.generator.hidden and rows.encoder == own.encoder
+        assert not (rows.schedules.gate.steps or rows.schedules.cql.steps or rows.generator.use_control)
+
+
 def test_racers_rows_are_what_the_paper_says_and_train_equally_long() -> None:
-    base = configs.with_settings(presets.preset("default"), RACER_PRESETS["ablation"])
+    base = configs.with_settings(presets.preset("default"), RACER_SIZES["paper-quick"])
     of = {name.removeprefix("racer-"): configs.with_settings(base, row.set) for name, row in ROWS.items()
           if is_racer(name)}
     for config in of.values():
@@ -121,7 +132,7 @@ def context_of(config: configs.Config) -> RgRows:
     ("no-segmentation", "", "lexicon generator interpreter style"),
     ("no-lexemes", "", "lexicon generator interpreter style")])
 def test_a_row_trains_what_its_settings_change_and_nothing_else(row: str, same: str, other: str) -> None:
-    context = context_of(ablation())
+    context = context_of(base("paper-quick"))
     changed, ours = context.run(row, 1), context.run(OURS, 1)
     for names, equal in ((same, True), (other, False)):
         for name in names.split():
@@ -129,7 +140,7 @@ def test_a_row_trains_what_its_settings_change_and_nothing_else(row: str, same: 
 
 
 def test_a_seed_shares_speech_levels_and_nothing_that_another_command_would_take_for_its_own() -> None:
-    config = ablation()
+    config = base("paper-quick")
     context = context_of(config)
     one, two = (context.run(OURS, seed) for seed in (config.seed, config.seed + 1))
     assert one.key(LEXICON) == context.first.key(LEXICON) != two.key(LEXICON), "a seed is its lexicon, too"
@@ -138,7 +149,7 @@ def test_a_seed_shares_speech_levels_and_nothing_that_another_command_would_take
     plain = context_of(dataclasses.replace(config, seed=config.seed + 1)).first
     assert two.key(GENERATOR) not in (one.key(GENERATOR), plain.key(GENERATOR)), "the encoder is shared"
     assert one.seed(GENERATOR) != two.seed(GENERATOR)
-    learned = tiny()  # hears through an encoder that is trained first
+    learned = base("tiny")  # hears through an encoder that is trained first
     cut = context_of(learned).run("no-segmentation", learned.seed)
     alone = context_of(configured(learned, "no-segmentation")).first
     assert cut.key(GENERATOR) != alone.key(GENERATOR), "it hears through the speech encoder of all rows"
@@ -236,6 +247,6 @@ def test_tables_and_claims_are_written_again_from_the_cells(tmp_path: Path, caps
     page = (tmp_path / "claims.md").read_text().splitlines()
     assert opening.title == "The corpus is synthetic, made by rule" and page[2] == f"### {opening.title}"
     assert any("earlier system" in line and "abc1234" in line for line in page[:8]), "nothing says which it was"
-    save([Table("Ablation", {}, {}, facts=facts | {"system": configs.digest(tiny())})], out / "table.json", ABOUT)
+    save([Table("Ablation", {}, {}, facts=facts | {"system": configs.digest(base("tiny"))})], out / "table.json", ABOUT)
     assert ABLATE.main("gesticulator ablate", ["--tables", "--out", str(out)]) == 0
     assert "earlier system" not in (tmp_path / "claims.md").read_text()

@@ -9,7 +9,6 @@ import pytest
 
 from eval.acceptance.rest import Rested
 from eval.table import load_with_provenance, markdown
-from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.files import CARD, NAMED, read_index
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.performance import Performance

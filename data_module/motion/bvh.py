@@ -233,26 +233,13 @@ def _assemble(header: _Header, rows: Array, fps: float) -> Motion:
                 if joint == 1 and skeleton.parents.count(0) == 1 and skeleton.parents.count(1) > 2:
                     carried[:, _PLACES[channel]] = values - offsets[joint, _PLACES[channel]]
         if order:
-            rotations[:, joint] = rotation.continuous(_compose(np.stack(angles, axis=-1), order))
+            rotations[:, joint] = rotation.continuous(rotation.from_euler(np.stack(angles, axis=-1), order))
     if carried.any():
         root += rotation.rotate(rotations[:, 0], carried)
     # The root's positions contain its offset, or replace it.
     offsets[0] = 0.0
     fixed = Skeleton(skeleton.names, skeleton.parents, offsets, skeleton.end_sites)
     return Motion(fixed, rotations, root, fps)
-
-
-def _compose(angles: Array, order: str) -> Array:
-    """[T, C] radians about the axes of `order`, the first outermost; any number of axes, repeated ones too."""
-    if len(order) == 3 and len(set(order)) == 3:
-        return rotation.from_euler(angles, order)
-    out = np.zeros((len(angles), 4))
-    out[:, 0] = 1.0
-    for axis, angle in zip(order, angles.T, strict=True):
-        turn = np.zeros((len(angles), 4))
-        turn[:, 0], turn[:, 1 + "XYZ".index(axis)] = np.cos(angle / 2), np.sin(angle / 2)
-        out = rotation.multiply(out, turn)
-    return out
 
 
 def write_bvh(path: str | os.PathLike[str], motion: Motion, unit: float = CENTIMETRES) -> None:

@@ -15,7 +15,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from data_module.motion import kinematics, rotation, skeletons
 from data_module.motion.skeletons import CHARACTER, CHARACTERS
@@ -210,8 +209,8 @@ def _torso(bones: Array, fps: float) -> Array:
     """[T, 4] the chest's rotation: up along spine to neck, sideways from shoulder to shoulder."""
     up, rest_up = bones[:, _TO_NECK], _rest_directions()[_TO_NECK]
     across = 0.5 * (bones[:, _SHOULDER_BONES["Left"]] - bones[:, _SHOULDER_BONES["Right"]])
-    first = rotation.rotate(_swing(rest_up[None], up[:1], _LEFT[None])[0], _LEFT)
-    return _turned((rest_up, _LEFT), up, _followed(up, across, first, fps))
+    first = rotation.rotate(rotation.between(rest_up[None], up[:1], _LEFT[None])[0], _LEFT)
+    return rotation.from_axes((rest_up, _LEFT), up, _followed(up, across, first, fps))
 
 
 def _neck_and_head(bones: Array, torso: Array, fps: float) -> tuple[Array, Array]:
@@ -219,10 +218,10 @@ def _neck_and_head(bones: Array, torso: Array, fps: float) -> tuple[Array, Array
     to_nose, to_crown = bones[:, _TO_NOSE], bones[:, _TO_CROWN]
     rest = CROWN_OFFSET - NOSE_OFFSET
     rest = rest / np.linalg.norm(rest)
-    start = _swing(rotation.rotate(torso[:1], rest), to_crown[:1], rotation.rotate(torso[:1], _LEFT))
+    start = rotation.between(rotation.rotate(torso[:1], rest), to_crown[:1], rotation.rotate(torso[:1], _LEFT))
     left = _followed(to_crown, np.cross(to_crown, to_nose), rotation.rotate(rotation.multiply(start, torso[:1]),
                                                                             _LEFT)[0], fps)
-    head = _turned((rest, _LEFT), to_crown, left)
+    head = rotation.from_axes((rest, _LEFT), to_crown, left)
 
     # The triangle of neck joint, head joint and nose has two known sides: the neck, and head joint to nose.
     neck = CHARACTER.offsets[CHARACTER.index("Neck1")] + CHARACTER.offsets[CHARACTER.index("Head")]
@@ -236,7 +235,7 @@ def _neck_and_head(bones: Array, torso: Array, fps: float) -> tuple[Array, Array
     head = rotation.multiply(rotation.from_exponential_map(normal * np.maximum(excess, 0.0)[:, None]), head)
     nose = rotation.rotate(head, NOSE_OFFSET)
     along = _reach(to_nose, nose, neck_length)
-    return rotation.multiply(_swing(rotation.rotate(torso, neck), along, left), torso), head
+    return rotation.multiply(rotation.between(rotation.rotate(torso, neck), along, left), torso), head
 
 
 def _collar(bones: Array, torso: Array, side: str) -> Array:
@@ -245,7 +244,7 @@ def _collar(bones: Array, torso: Array, side: str) -> Array:
     begin = rotation.rotate(torso, CHARACTER.offsets[CHARACTER.index(side + "Shoulder")] - spine)
     bone = CHARACTER.offsets[CHARACTER.index(side + "Arm")]
     along = _reach(bones[:, _SHOULDER_BONES[side]], begin, float(np.linalg.norm(bone)))
-    return rotation.multiply(_swing(rotation.rotate(torso, bone), along, rotation.rotate(torso, _UP)), torso)
+    return rotation.multiply(rotation.between(rotation.rotate(torso, bone), along, rotation.rotate(torso, _UP)), torso)
 
 
 def _reach(directions: Array, begin: Array, length: float) -> Array:
@@ -262,28 +261,10 @@ def _arm(bones: Array, torso: Array, side: str, fps: float) -> tuple[Array, Arra
     outward = CHARACTER.offsets[CHARACTER.index(side + "ForeArm")]
     outward = outward / np.linalg.norm(outward)
     resting_hinge = rotation.rotate(torso[:1], _HINGE[side])
-    start = _swing(rotation.rotate(torso[:1], outward), upper[:1], resting_hinge)
+    start = rotation.between(rotation.rotate(torso[:1], outward), upper[:1], resting_hinge)
     hinge = _followed(upper, np.cross(upper, fore), rotation.rotate(start, resting_hinge)[0], fps)
-    turn = _turned((outward, _HINGE[side]), upper, hinge)
-    return turn, rotation.multiply(_swing(upper, fore, hinge), turn)
-
-
-def _turned(rest: tuple[Array, Array], along: Array, sideways: Array) -> Array:
-    """[T, 4] the rotations from two orthogonal unit vectors `rest` to `along` and `sideways`, [T, 3] each."""
-    frames = np.stack([along, sideways, np.cross(along, sideways)], axis=-1)
-    resting = np.stack([*rest, np.cross(*rest)], axis=-1)
-    return Rotation.from_matrix(frames @ resting.T).as_quat(scalar_first=True)
-
-
-def _swing(begin: Array, end: Array, otherwise: Array) -> Array:
-    """[T, 4] the shortest rotations between directions [T, 3]; opposite ones turn about `otherwise` [T, 3]."""
-    a = begin / np.linalg.norm(begin, axis=-1, keepdims=True)
-    b = end / np.linalg.norm(end, axis=-1, keepdims=True)
-    middle = a + b
-    size = np.sum(middle * middle, axis=-1, keepdims=True)
-    half_turn = otherwise - np.sum(otherwise * a, axis=-1, keepdims=True) * a
-    half_turn = np.concatenate([np.zeros_like(size), half_turn], axis=-1)
-    return rotation.normalise(np.where(size > 1e-14, np.concatenate([0.5 * size, np.cross(a, b)], axis=-1), half_turn))
+    turn = rotation.from_axes((outward, _HINGE[side]), upper, hinge)
+    return turn, rotation.multiply(rotation.between(upper, fore, hinge), turn)
 
 
 def _followed(along: Array, sideways: Array, first: Array, fps: float) -> Array:
@@ -314,7 +295,7 @@ def _carried(along: Array, first: Array) -> Array:
     turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(along), 1))
     # Any perpendicular vector will do for a reversal of direction.
     sideways = np.cross(along, np.eye(3)[np.argmin(np.abs(along), axis=-1)])
-    turns[1:] = _swing(along[:-1], along[1:], sideways[:-1])
+    turns[1:] = rotation.between(along[:-1], along[1:], sideways[:-1])
     # The cumulative product of all rotations in log2(T) steps.
     reach = 1
     while reach < len(turns):

@@ -1,32 +1,42 @@
-"""Rotations in numpy: quaternions (w first), exponential maps and Euler angles.
+"""Rotations in numpy: quaternions (w first), exponential maps, matrices and Euler angles; continuity over time, the
+removal of yaw, and interpolation.
 
-Conversions are those of `scipy.spatial.transform.Rotation`; this file adds continuity over time, the removal of yaw,
-and interpolation.
+Conversions agree with `scipy.spatial.transform.Rotation`, whose import takes four times as long as numpy's.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_module.types import Array
 
-__all__ = ["angle_between", "between", "conjugate", "continuous", "cross", "from_euler", "from_exponential_map",
-           "interpolate", "multiply", "normalise", "remove_yaw", "rotate", "to_euler", "to_exponential_map",
-           "to_matrix", "w_first", "yaw_of"]
+__all__ = [
+    "angle_between",
+    "between",
+    "conjugate",
+    "continuous",
+    "cross",
+    "from_axes",
+    "from_euler",
+    "from_exponential_map",
+    "from_matrix",
+    "interpolate",
+    "mean",
+    "multiply",
+    "normalise",
+    "remove_yaw",
+    "rotate",
+    "to_euler",
+    "to_exponential_map",
+    "to_matrix",
+    "yaw_of",
+]
 
 _EPS = 1e-12
-
-
-def _scipy(quaternions: Array) -> tuple[Rotation, tuple[int, ...]]:
-    q = np.asarray(quaternions, dtype=np.float64)
-    return Rotation.from_quat(q.reshape(-1, 4), scalar_first=True), q.shape[:-1]
-
-
-def w_first(turns: Rotation) -> Array:
-    """[N, 4] quaternions of N rotations. scipy takes three times as long to bring w to the front."""
-    last = turns.as_quat()
-    return np.concatenate([last[:, 3:], last[:, :3]], axis=1)
+_DIAGONAL = np.array([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1.0, 1.0]])
+"""4 w^2, 4 x^2, 4 y^2 and 4 z^2 are 1 plus the diagonal of the matrix times these."""
+_POLE = 1e-7
+"""Radians from a pole within which the first and the third Euler angle turn about one axis."""
 
 
 def multiply(a: Array, b: Array) -> Array:
@@ -85,27 +95,77 @@ def continuous(q: Array) -> Array:
 
 
 def from_euler(angles: Array, order: str) -> Array:
-    """[..., 3] radians about the axes of `order` (such as "ZXY", the outermost first) to [..., 4]."""
-    a = np.asarray(angles, dtype=np.float64)
-    return Rotation.from_euler(order.upper(), a.reshape(-1, 3)).as_quat(scalar_first=True).reshape(*a.shape[:-1], 4)
+    """[..., N] radians about the N axes of `order` (such as "ZXY", the outermost first) to [..., 4]."""
+    half = 0.5 * np.asarray(angles, dtype=np.float64)
+    turns = np.zeros((*half.shape, 4))
+    turns[..., 0] = np.cos(half)
+    for place, axis in enumerate(order.upper()):
+        turns[..., place, 1 + "XYZ".index(axis)] = np.sin(half[..., place])
+    out = turns[..., 0, :]
+    for place in range(1, len(order)):
+        out = multiply(out, turns[..., place, :])
+    return out
 
 
 def to_euler(q: Array, order: str) -> Array:
-    """[..., 4] to [..., 3] radians about the axes of `order`; the inverse of `from_euler` as a rotation."""
-    r, shape = _scipy(q)
-    with np.errstate(all="ignore"):
-        return r.as_euler(order.upper(), suppress_warnings=True).reshape(*shape, 3)
+    """[..., 4] to [..., 3] radians about the three axes of `order`, in [-pi, pi); the inverse of `from_euler` as a
+    rotation. Where the middle axis brings the others together, the third angle is 0."""
+    first, middle, third = ("XYZ".index(axis) for axis in order.upper())
+    # An odd order of axes is the mirror image of an even one.
+    hand = (first - middle) * (middle - third) * (third - first) // 2
+    w, vector = q[..., 0], hand * q[..., 1:]
+    x, y, z = vector[..., first], vector[..., middle], vector[..., third]
+    # With a = angle / 2: w + y and x + z are (cos b + sin b) (cos, sin)(a + c), and
+    # w - y and x - z are (cos b - sin b) (cos, sin)(a - c).
+    added, apart = np.arctan2(x + z, w + y), np.arctan2(x - z, w - y)
+    rise = 2.0 * np.arctan2(np.hypot(x + z, w + y), np.hypot(x - z, w - y))
+    low, high = rise <= _POLE, rise >= np.pi - _POLE
+    out = np.stack([np.where(low, 2.0 * apart, np.where(high, 2.0 * added, added + apart)), rise - 0.5 * np.pi,
+                    np.where(low | high, 0.0, added - apart)], axis=-1)
+    return (hand * out + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def from_exponential_map(v: Array) -> Array:
     """Exponential map [..., 3] (axis times angle, radians, any number of turns) to [..., 4]."""
-    a = np.asarray(v, dtype=np.float64)
-    return w_first(Rotation.from_rotvec(a.reshape(-1, 3))).reshape(*a.shape[:-1], 4)
+    v = np.asarray(v, dtype=np.float64)
+    angle = np.sqrt(np.sum(v * v, axis=-1, keepdims=True))
+    share = np.where(angle > 0.0, np.sin(0.5 * angle) / np.where(angle > 0.0, angle, 1.0), 0.5)
+    return np.concatenate([np.cos(0.5 * angle), share * v], axis=-1)
+
+
+def from_matrix(matrices: Array) -> Array:
+    """Matrices [..., 3, 3] to the rotations [..., 4] nearest to them; `ValueError` for a reflection or a flat one."""
+    m = np.asarray(matrices, dtype=np.float64)
+    if np.any(np.sum(cross(m[..., 0, :], m[..., 1, :]) * m[..., 2, :], axis=-1) <= 0.0):
+        raise ValueError("a reflection or a flat matrix is no rotation")
+    sheared = np.abs(m @ np.swapaxes(m, -1, -2) - np.eye(3)).max(axis=(-2, -1)) > _EPS
+    if np.any(sheared):
+        left, _, right = np.linalg.svd(m)
+        m = np.where(sheared[..., None, None], left @ right, m)
+    # The matrix 4 q q^T; its row with the largest diagonal element loses nothing to rounding.
+    out, turned = np.empty((*m.shape[:-2], 4, 4)), np.swapaxes(m, -1, -2)
+    out[..., 1:, 1:] = m + turned
+    out[..., 0, 1:] = out[..., 1:, 0] = (m - turned)[..., [2, 0, 1], [1, 2, 0]]
+    out[..., range(4), range(4)] = diagonal = 1.0 + np.diagonal(m, axis1=-2, axis2=-1) @ _DIAGONAL
+    # Of equal ones w comes last, as in scipy.
+    largest = (diagonal[..., [1, 2, 3, 0]].argmax(axis=-1) + 1) % 4
+    best = np.take_along_axis(out, largest[..., None, None], axis=-2)[..., 0, :]
+    return best / np.linalg.norm(best, axis=-1, keepdims=True)
+
+
+def from_axes(rest: tuple[Array, Array], first: Array, second: Array) -> Array:
+    """[..., 4] rotations from two orthogonal unit vectors `rest`, [3] each, to `first` and `second`, [..., 3] each."""
+    before = np.stack([*rest, np.cross(*rest)], axis=-1)
+    return from_matrix(np.stack([first, second, np.cross(first, second)], axis=-1) @ before.T)
+
+
+def mean(q: Array) -> Array:
+    """[4] the mean of rotations [N, 4]: the one with the least squared distance to them as matrices."""
+    return np.linalg.eigh(q.T @ q)[1][:, -1]
 
 
 def to_matrix(q: Array) -> Array:
-    """Unit quaternions [..., 4] to rotation matrices [..., 3, 3], whose columns are the turned axes. For few of them
-    scipy takes five times as long."""
+    """Unit quaternions [..., 4] to rotation matrices [..., 3, 3], whose columns are the turned axes."""
     w, x, y, z = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
     doubled_x, doubled_y, doubled_z = 2.0 * x, 2.0 * y, 2.0 * z
     out = np.empty((*w.shape, 3, 3))
@@ -119,9 +179,16 @@ def to_matrix(q: Array) -> Array:
 
 
 def to_exponential_map(q: Array) -> Array:
-    """[..., 4] to the exponential map [..., 3] of the shorter way round (angle at most pi)."""
-    r, shape = _scipy(q)
-    return r.as_rotvec().reshape(*shape, 3)
+    """[..., 4] of any length to the exponential map [..., 3] of the shorter way round (angle at most pi)."""
+    q = np.asarray(q, dtype=np.float64)
+    # Of q and -q the one whose first part that is not 0 is positive, so that half a turn has one axis, too.
+    sign = np.sign(q[..., 0])
+    for part in (1, 2, 3):
+        sign = np.where(sign == 0.0, np.sign(q[..., part]), sign)
+    length = np.sqrt(np.sum(q[..., 1:] ** 2, axis=-1))
+    half = np.arctan2(length, sign * q[..., 0])
+    share = np.where(length > 0.0, half / np.where(length > 0.0, length, 1.0), 1.0)
+    return (2.0 * sign * share)[..., None] * q[..., 1:]
 
 
 def unroll(v: Array) -> Array:
@@ -156,16 +223,16 @@ def remove_yaw(q: Array) -> Array:
     return multiply(conjugate(yaw_of(q)), q)
 
 
-def between(a: Array, b: Array) -> Array:
-    """[4] the shortest rotation from the direction a [3] to the direction b [3]."""
-    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
-    cosine = float(np.clip(a @ b, -1.0, 1.0))
-    # Opposite directions have no shortest rotation: half a turn about any axis perpendicular to them.
-    if cosine < -1.0 + 1e-9:
-        normal = np.cross(a, [1.0, 0.0, 0.0] if abs(a[0]) < 0.9 else [0.0, 1.0, 0.0])
-        return np.concatenate([[0.0], normal / np.linalg.norm(normal)])
+def between(a: Array, b: Array, otherwise: Array | None = None) -> Array:
+    """[..., 4] the shortest rotations from directions a to b, [..., 3] each. Opposite ones have none: half a turn about
+    `otherwise` [..., 3], or about any axis perpendicular to them."""
+    a, b = (way / np.linalg.norm(way, axis=-1, keepdims=True) for way in (a, b))
+    if otherwise is None:
+        otherwise = cross(a, np.where(np.abs(a[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
     # For an angle t about n, (1 + cos t, n sin t) is the quaternion (cos t/2, n sin t/2) up to its length.
-    return normalise(np.concatenate([[1.0 + cosine], np.cross(a, b)]))
+    height = 0.5 * np.sum((a + b) ** 2, axis=-1, keepdims=True)
+    aside = np.where(height > 5e-15, cross(a, b), otherwise - np.sum(otherwise * a, axis=-1, keepdims=True) * a)
+    return normalise(np.concatenate([np.where(height > 5e-15, height, 0.0), aside], axis=-1))
 
 
 def angle_between(a: Array, b: Array) -> Array:
@@ -179,17 +246,10 @@ def interpolate(q: Array, positions: Array) -> Array:
     """Spherical interpolation of [T, ..., 4] at fractional frame positions [M], clamped to the ends: [M, ..., 4]."""
     x = np.clip(np.asarray(positions, dtype=np.float64), 0, len(q) - 1)
     low = np.minimum(x.astype(int), max(len(q) - 2, 0))
-    high = np.minimum(low + 1, len(q) - 1)
-    share = (x - low).reshape(-1, *[1] * (q.ndim - 1))
-    a, b = q[low], q[high]
-    # q and -q are one rotation: take the sign with the shorter way.
-    cosine = np.sum(a * b, axis=-1, keepdims=True)
-    b = np.where(cosine < 0, -b, b)
-    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
-    sine = np.sin(angle)
-    # For nearly equal rotations interpolate linearly, to avoid 0 / 0.
-    near = sine < 1e-6
-    safe = np.where(near, 1.0, sine)
-    wa = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
-    wb = np.where(near, share, np.sin(share * angle) / safe)
-    return normalise(wa * a + wb * b)
+    return partway(q[low], q[np.minimum(low + 1, len(q) - 1)], (x - low).reshape(-1, *[1] * (q.ndim - 1)))
+
+
+def partway(a: Array, b: Array, share: Array | float) -> Array:
+    """[..., 4] rotations a share [..., 1] of the shortest turn from `a` to `b` [..., 4]."""
+    turn = to_exponential_map(multiply(conjugate(a), b))
+    return multiply(a, from_exponential_map(share * turn))

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
 from data_module.motion import kinematics, rotation
@@ -249,7 +248,7 @@ def _axes(rest: Array, table: Mapping[str, int]) -> Array:
         raise InputError("skeleton", "has one arm above the other", "check its offsets")
     left = dominant(across)
     matrix = np.stack([left, up, np.cross(left, up)])
-    return Rotation.from_matrix(matrix).as_quat(scalar_first=True)
+    return rotation.from_matrix(matrix)
 
 
 def to_character(motion: Motion, table: Mapping[str, int] | None = None, skeleton: Skeleton = CHARACTER) -> Motion:

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
-from scipy.spatial.transform import Rotation
 
 from data_module.motion import kinematics, rotation, skeletons
 from data_module.motion.skeletons import HIP_HEIGHT, LEG_JOINTS, WHOLE_BODY
@@ -124,4 +123,4 @@ def _hung(bone: Array, hinge: Array) -> Array:
     """[..., 4] the rotations of a bone that hangs at rest (-Y) with knee axis X, from its direction and that axis."""
     up = -bone / np.linalg.norm(bone, axis=-1, keepdims=True)
     frames = np.stack([hinge, up, np.cross(hinge, up)], axis=-1)
-    return Rotation.from_matrix(frames.reshape(-1, 3, 3)).as_quat(scalar_first=True).reshape(*frames.shape[:-2], 4)
+    return rotation.from_matrix(frames)

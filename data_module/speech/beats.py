@@ -84,10 +84,10 @@ def next_beat(beat: float, onsets: Array, loud: Array, end: float | None,
 
 class BeatTracker:
     """The beats of streamed sound: each is returned when it is certain. With the rule "paper", which needs the whole
-    recording, all beats come at the end. lead: seconds by which a beat comes before its onset."""
+    recording, all beats come at the end."""
 
-    def __init__(self, settings: BeatSettings, start: float = 0.0, lead: float = 0.0) -> None:
-        self.settings, self.lead = settings, lead
+    def __init__(self, settings: BeatSettings, start: float = 0.0) -> None:
+        self.settings = settings
         self.last = start
         self._onsets = self._loud = np.zeros(0)
         self._last_onset = -np.inf  # the last one that was not merged
@@ -99,7 +99,7 @@ class BeatTracker:
         frames; available: seconds of sound so far."""
         self._take(onsets, silent)
         out = []
-        while self._certain(certain - self.lead, available):
+        while self._certain(certain, available):
             out.append(self._next(None))
         return out
 
@@ -119,7 +119,7 @@ class BeatTracker:
         distinct = list[float]()
         for time, _ in onsets:
             if time - self._last_onset >= self.settings.merge - _EPS:
-                distinct.append(time - self.lead)
+                distinct.append(time)
                 self._last_onset = time
         self._onsets = np.concatenate([self._onsets, distinct])
         loud = self._frames + np.flatnonzero(~np.asarray(silent, dtype=bool))

@@ -109,8 +109,6 @@ class MelFrontEnd:
 
     def rows(self, windows: Samples) -> Features:
         """[n, frames, bands + 2] of windows [n, samples]; the last two columns are onset strength and loudness."""
-        from scipy.fft import rfft
-
         count, length = windows.shape
         padded = np.zeros((count, length + self._window), np.float32)
         padded[:, self._window // 2:self._window // 2 + length] = windows
@@ -118,7 +116,7 @@ class MelFrontEnd:
         # A spectrum is centred on its hop, so that the rows of a block cover the block.
         at = np.lib.stride_tricks.sliding_window_view(padded, self._window, axis=1)
         at = at[:, [round((k + 0.5) * self.samples_per_frame / self.hops) for k in range(spectra)]]
-        spectrum = rfft(at * self._taper, axis=-1)
+        spectrum = np.fft.rfft(at * self._taper, axis=-1)
         power = (spectrum.real ** 2 + spectrum.imag ** 2) @ self._filters
         logs = self._log(power)
         # Only rises count, as in `onsets`; the first spectrum has nothing before it and rises by 0.

@@ -9,7 +9,7 @@ from collections import deque
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.lib.stride_tricks import sliding_window_view
 
 from data_module.speech.mel import mel_bands
 from data_module.speech.silence import FRAME, QUIETEST, LoudnessStep, frame_levels, loudness
@@ -130,7 +130,9 @@ class RiseTracker:
     def _strengths(self, count: int) -> Array:
         """The strengths [count] of the next spectra."""
         piece = self._sound[:(count - 1) * self._hop + self._window]
-        spectrum = _spectra(piece, self._window, self._hop)
+        # As librosa's stft, whose checks take five times as long as the arithmetic for so few windows.
+        windows = sliding_window_view(piece, self._window)[::self._hop] * _hann(self._window)
+        spectrum = np.fft.rfft(windows, axis=1).astype(np.complex64).T
         power = spectrum.real ** 2 + spectrum.imag ** 2
         power = np.add.reduceat(self._weights * power[self._bins], self._first_of_band, axis=0)
         numbers = np.arange(self._frames, self._frames + count)
@@ -238,21 +240,6 @@ class OnsetTracker:
 @lru_cache(maxsize=4)
 def _hann(window: int) -> Array:
     return 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, window + 1))[:-1]
-
-
-@lru_cache(maxsize=4)
-def _places(window: int, hop: int, count: int) -> NDArray[np.int64]:
-    """[count, window] sample indices of the windows that begin every `hop` samples."""
-    return hop * np.arange(count)[:, None] + np.arange(window)
-
-
-def _spectra(sound: Samples, window: int, hop: int) -> NDArray[np.complex64]:
-    """[window / 2 + 1, T] spectra of the windows that begin every `hop` samples, as by librosa's stft, whose checks
-    take five times as long as the arithmetic for so few windows."""
-    from scipy import fft
-
-    windows = sound[_places(window, hop, 1 + (len(sound) - window) // hop)]
-    return fft.rfft(windows * _hann(window), axis=1).astype(np.complex64).T
 
 
 @lru_cache(maxsize=4)

@@ -386,13 +386,11 @@ def pitch_of(samples: Samples, sample_rate: int) -> tuple[Array, NDArray[np.bool
 
 def _autocorrelation(frames: Samples, lags: int) -> Samples:
     """[F, lags] of frames [F, n], in single precision, which is faster."""
-    from scipy import fft
-
     # Padded with zeros, or the product of spectra would be a circular correlation.
     size = 1 << int(np.ceil(np.log2(frames.shape[1] + lags)))
-    spectrum = fft.rfft(frames, size, axis=1)
+    spectrum = np.fft.rfft(frames, size, axis=1)
     power = spectrum.real ** 2 + spectrum.imag ** 2
-    return np.asarray(fft.irfft(power, size, axis=1)[:, :lags], dtype=np.float32)
+    return np.asarray(np.fft.irfft(power, size, axis=1)[:, :lags], dtype=np.float32)
 
 
 @lru_cache(maxsize=4)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.layers_run import Dense, Floats, Norm, Tensors, attention, gelu
+from data_module.layers_run import Floats, Norm, Tensors, attention, gelu
 
 
 class BertEncoder:
@@ -43,13 +43,12 @@ class _Layer:
     def __init__(self, tensors: Tensors, config: Mapping[str, Any]) -> None:
         width, wide, least = config["hidden_size"], config["intermediate_size"], config["layer_norm_eps"]
         self._heads = config["num_attention_heads"]
-        attending, out = tensors.within("attention"), tensors.within("output")
-        self._parts = [Dense.of(attending.within(f"self.{part}"), width, width) for part in ("query", "key", "value")]
-        self._join = Dense.of(attending.within("output.dense"), width, width)
-        self._after_attention = Norm(attending.within("output.LayerNorm"), width, epsilon=least)
-        self._widen = Dense.of(tensors.within("intermediate.dense"), width, wide)
-        self._narrow = Dense.of(out.within("dense"), wide, width)
-        self._after_feed = Norm(out.within("LayerNorm"), width, epsilon=least)
+        self._parts = [tensors.dense(f"attention.self.{part}", width, width) for part in ("query", "key", "value")]
+        self._join = tensors.dense("attention.output.dense", width, width)
+        self._after_attention = Norm(tensors.within("attention.output.LayerNorm"), width, epsilon=least)
+        self._widen = tensors.dense("intermediate.dense", width, wide)
+        self._narrow = tensors.dense("output.dense", wide, width)
+        self._after_feed = Norm(tensors.within("output.LayerNorm"), width, epsilon=least)
 
     def __call__(self, rows: Floats, ends: NDArray[np.int64]) -> Floats:
         """[M, width] of rows [M, width] of sequences that end before the rows `ends`."""

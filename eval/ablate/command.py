@@ -1,6 +1,6 @@
 """Every table, figure and claim of both papers, run again on any data set.
 
-    gesticulator ablate --data STORE --work DIR [--only NAME ...] [--preset ablation|tiny] [--seeds 3]
+    gesticulator ablate --data STORE --work DIR [--only NAME ...] [--preset NAME] [--seeds 3]
                         [--system NAME=DIR ...] [--out docs/results/ablation]
     gesticulator ablate --list                          every row, table and figure
     gesticulator ablate --tables [--out DIR]            the tables and claims again, from the cells that are there
@@ -25,7 +25,8 @@ import os
 from pathlib import Path
 
 from data_module.errors import InputError
-from eval.ablate.rows import CONTROLS, PRESETS, REFERENCES, ROWS, TABLES
+from eval.ablate.rows import CONTROLS, REFERENCES, ROWS, TABLES, base
+from gesticulator.training.presets import PRESETS
 
 SEEDS = 3
 FIGURES = ("figure-2", "figure-5", "figure-6", "figure-9-performer", "figure-9-ours", "figure-10", "figure-11",
@@ -53,7 +54,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--work", metavar="DIR", help="work folder for stages (required, except with --list and --tables)")
     add("--only", nargs="+", default=[], metavar="NAME", choices=(*ROWS, *FIGURES),
         help="rows and figures to run (default: all); the tables contain all finished ones")
-    add("--preset", default="ablation", choices=tuple(PRESETS))
+    add("--preset", default="paper-quick", choices=tuple(PRESETS),
+        help="the system that the rows change (paper-quick: a row and seed in a few minutes of one core)")
     add("--seeds", type=int, default=SEEDS, metavar="N", help=f"seeds 1 to N ({SEEDS})")
     add("--limit", type=int, metavar="N", help="use only the first N recordings of a split")
     add("--system", action="append", default=[], metavar="NAME=DIR", dest="systems",
@@ -102,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
     from gesticulator.training.stages import Run
 
     store, work = opened(arguments.data, arguments.work)
-    first = Run(PRESETS[arguments.preset](), store, work, progress=not arguments.quiet, workers=os.cpu_count() or 1)
+    first = Run(base(arguments.preset), store, work, progress=not arguments.quiet, workers=os.cpu_count() or 1)
     rg = RgRows(EvalContext(first, networks=spaces(at_hand()), limit=arguments.limit))
     Ablation(rg, CellStore(Path(arguments.out))).run(arguments.only, arguments.seeds, systems, provenance(arguments))
     print(markdown(load(Path(arguments.out) / "table.json")), end="")

@@ -31,7 +31,7 @@ from data_module.layers import freeze
 from data_module.store import Recording
 from eval.ablate.actor_critic import ActorCritic
 from eval.ablate.policy import Decisions, lexeme_values, walk
-from eval.ablate.rows import RACER_PRESETS, RACER_SUPERVISED, ROWS
+from eval.ablate.rows import RACER_SIZES, RACER_SUPERVISED, ROWS
 from eval.ablate.run import RgRows, played
 from eval.ablate.simulator import Choose, Replay, Simulator
 from eval.baselines.interpreters import Majority
@@ -87,7 +87,7 @@ class RacerRows:
         first, (bundle, run) = rg.first, rg.trained("q-network", seed)
         bundle = bundle.with_parts(**{name: run.get(STAGES[name]) for name in JUDGES})
         context = EvalContext.over(first.store, bundle, first.work, rg.context.limit, first.progress)
-        return cls.of(context, rg, RACER_PRESETS[first.config.name])
+        return cls.of(context, rg, RACER_SIZES.get(first.config.name, ()))
 
     @classmethod
     def of(cls, context: EvalContext, rg: RgRows, preset: Sequence[str]) -> RacerRows:

@@ -7,7 +7,6 @@ which of its stages are trained again follows from the hashes of its settings. T
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import tomllib
 from collections.abc import Iterator
@@ -17,6 +16,7 @@ from typing import Any
 
 import msgspec
 
+from data_module.errors import InputError
 from eval.table import Column
 from gesticulator.bundle import config as configs
 from gesticulator.bundle.config import Config
@@ -153,31 +153,29 @@ ELSEWHERE: list[Elsewhere] = msgspec.convert(_PAPERS["elsewhere"], list[Elsewher
 
 # ------------------------------------------------------------------------------------------------------------- presets
 
-def ablation() -> Config:
-    """The preset `paper-quick`, for a row and seed in a few minutes of one core."""
-    return dataclasses.replace(presets.paper_quick(), name="ablation")
+def base(name: str) -> Config:
+    """The preset of that name, without what no row of the papers has: gate, planner, style editing, a Q-network (which
+    is a row). InputError for a preset of another system than the papers' generator.
+    """
+    config = presets.preset(name)
+    if config.system != "paper":
+        papers = [other for other in presets.PRESETS if presets.preset(other).system == "paper"]
+        raise InputError(f"--preset {name}", "is not of the system whose rows these are",
+                         f"choose among {', '.join(papers)}")
+    # `style-reads` is the row whose style interpreter has words, so no other has them.
+    return configs.with_settings(config, [
+        "schedules.gate.steps=0", "schedules.planner.steps=0", "schedules.reward.steps=0", "schedules.cql.steps=0",
+        "schedules.cql_literal.steps=0", "schedules.advantage.steps=0", "generator.use_control=false",
+        "interpreter.use_control=false", "style.text_features=0"])
 
 
-def tiny() -> Config:
-    """The `tiny` preset at half its steps, without what no row of the papers has: gate, style editing, Q-network."""
-    base = presets.tiny()
-    # A test of the whole path, not of quality: every stage is trained, none for long.
-    halved = {name: dataclasses.replace(schedule, steps=schedule.steps // 2)
-              for name in ("speech", "contrast", "lexicon", "generator", "interpreter", "style")
-              for schedule in [getattr(base.schedules, name)]}
-    return configs.with_settings(
-        dataclasses.replace(base, schedules=dataclasses.replace(base.schedules, **halved)),
-        ["schedules.gate.steps=0", "schedules.planner.steps=0", "schedules.reward.steps=0", "schedules.cql.steps=0",
-         "generator.use_control=false", "interpreter.use_control=false", "style.text_features=0"])
-
-
-PRESETS = {"ablation": ablation, "tiny": tiny}
-RACER_PRESETS = {
-    "ablation": ("cql.width=64", "cql.layers=4", "cql.heads=4", "schedules.cql.steps=400", "schedules.cql.batch=32",
-                 "cql.warm_up=0", "cql.copy_every=8"),
+RACER_SIZES = {
+    "paper-quick": ("cql.width=64", "cql.layers=4", "cql.heads=4", "schedules.cql.steps=400", "schedules.cql.batch=32",
+                    "cql.warm_up=0", "cql.copy_every=8"),
     "tiny": ("cql.width=16", "cql.layers=4", "cql.heads=2", "schedules.cql.steps=10", "schedules.cql.batch=8")}
-"""Shared by RACER's rows on top of the bundle's settings. Targets are copied far more often than 1 / (1 - gamma), so
-that temporal differences are learned all along; a run takes 45 s to 3 min of one core."""
+"""Shared by RACER's rows on top of the bundle's settings, by the preset's name (others train these
+rows at their own sizes). Targets are copied far more often than 1 / (1 - gamma), so that temporal differences are
+learned all along; a run takes 45 s to 3 min of one core."""
 
 
 def is_racer(row: str) -> bool:

@@ -23,18 +23,19 @@ from eval.ablate.rows import (
     DOSED,
     OURS,
     PERFORMER,
-    PRESETS,
     REFERENCES,
     SYSTEMS,
     TABLES,
     PaperTable,
     TableLine,
+    base,
     is_racer,
 )
 from eval.ablate.verdicts import NOT_RUN, beaten_by, claims_table
 from eval.metrics import pmb
 from eval.table import Cell, Column, Provenance, Table, load_with_provenance, save
 from gesticulator.bundle import config as configs
+from gesticulator.training.presets import PRESETS
 
 COMMAND = "gesticulator ablate --tables"
 Rows = Mapping[str, Mapping[str, Any]]
@@ -128,8 +129,7 @@ def corpus_table(facts: Mapping[str, Any], run: Provenance) -> Table:
 
 def edition(facts: Mapping[str, Any], run: Provenance) -> list[str]:
     """Says of rows that the preset has since left behind when they were run; nothing of others."""
-    preset = PRESETS.get(facts["preset"])
-    if preset is not None and facts.get("system") == configs.digest(preset()):
+    if facts["preset"] in PRESETS and facts.get("system") == configs.digest(base(facts["preset"])):
         return []
     return [f"All rows are of an earlier system than today's preset {facts['preset']}, run by `{run.command}` at "
             f"commit {run.commit}, {run.date}: figures of that commit, until they are run again."]

@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
 from data_module.motion import rotation
@@ -207,7 +206,7 @@ def _move_head(motion: Motion, head: int, course: _Course, error: Problem) -> No
     goal = _moved(path, course)
     lean = swing(path - low, goal - low)
     off = np.linalg.norm(low + np.einsum("tij,tj->ti", lean, path - low) - goal, axis=-1)
-    angle = np.linalg.norm(Rotation.from_matrix(lean).as_rotvec(), axis=-1)
+    angle = np.linalg.norm(rotation.to_exponential_map(rotation.from_matrix(lean)), axis=-1)
     for pin in course.pins:
         rows = slice(pin.at, pin.until + 1)
         if off[rows].max() > _HEAD_OFF or angle[rows].max() > MOST_LEAN:

@@ -197,9 +197,6 @@ class SelectionConfig:
     words_so_far: bool = False
     """Whether each word is read after those before it alone, without the rest of its sentence: a word that is changed
     then changes nothing before it. Models are trained on whole sentences (RG 4.1.2)."""
-    lead: Annotated[float, SettingRange(0.0, 0.2)] = 0.0
-    """Seconds by which blocks end before the onsets when playing, for a generator that brakes after the edge of a block
-    (docs/paper.md)."""
     contrast: Annotated[float, SettingRange(0.0, 4.0)] = 2.0
     """Movement: how much of the style in the voice is taken from the style code of the prediction that the guidance
     on units leads away from: 0 nothing, so that styles are not guided; 1 all of it; 2 gives it the opposite style."""

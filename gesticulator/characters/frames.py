@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError
 from data_module.motion import rotation, skeletons
@@ -91,10 +90,6 @@ class Body:
             place = place + turn @ self.offsets[at]
             turn = turns[at] if at in turns else turn @ self.local_turns[at]
         return place
-
-
-def _matrix(quaternion: Array) -> Array:
-    return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
 
 
 def measure(character: Character, mapping: RigMapping) -> Body:
@@ -239,7 +234,7 @@ def frame(along: Array, across: Array) -> Array:
 
 def _turn(a: Array, b: Array) -> Array:
     """[3, 3] the shortest rotation from direction a to b."""
-    return _matrix(rotation.between(a, b))
+    return rotation.to_matrix(rotation.between(a, b))
 
 
 def _angle(a: Array, b: Array) -> float:

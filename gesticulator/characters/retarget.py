@@ -32,7 +32,6 @@ import os
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation, skeletons
 from data_module.types import Array, Motion
@@ -131,7 +130,8 @@ class Retargeter:
                 continue
             turn = pose.turns[segment.joint]
             if segment.share > 0.0:
-                turn = _between(turn, pose.turns[segment.other], segment.share)
+                ends = rotation.from_matrix(turn), rotation.from_matrix(pose.turns[segment.other])
+                turn = rotation.to_matrix(rotation.partway(*ends, segment.share))
             turns[segment.node] = turn @ segment.constant
         return turns
 
@@ -171,10 +171,10 @@ class Retargeter:
         sockets = [body.place(turns, self.mapping.joints[side + "UpLeg"]) for side in SIDES]
         width = float(np.linalg.norm(sockets[0] - sockets[1], axis=-1).mean())
         ratio = min(body.leg_ratio * _SOCKETS / max(width, 1e-6), _MOST_TILT)
-        mean = Rotation.from_matrix(hips_turns).mean().as_matrix()
+        mean = rotation.to_matrix(rotation.mean(rotation.from_matrix(hips_turns)))
         # About the mean, so that a constant lean stays as it is.
-        log = Rotation.from_matrix(mean.T @ hips_turns).as_rotvec()
-        scaled = mean @ Rotation.from_rotvec(log * [1.0, ratio, ratio]).as_matrix()
+        log = rotation.to_exponential_map(rotation.from_matrix(mean.T @ hips_turns))
+        scaled = mean @ rotation.to_matrix(rotation.from_exponential_map(log * [1.0, ratio, ratio]))
         for segment in body.segments:
             if segment.joint == "Hips" and segment.share == 0.0:
                 turns[segment.node] = scaled @ segment.constant
@@ -196,8 +196,7 @@ class Retargeter:
                 world[node] = above @ body.local_turns[node]
         moved = tuple(sorted(turns))
         # q and -q are the same rotation; a sign that flips between frames would spin under interpolation.
-        rotations[:, moved] = rotation.continuous(np.stack([
-            Rotation.from_matrix(turn).as_quat(scalar_first=True) for turn in local], axis=1))
+        rotations[:, moved] = rotation.continuous(rotation.from_matrix(np.stack(local, axis=1)))
         translations = None
         if root is not None:
             hips = self.mapping.joints["Hips"]
@@ -207,12 +206,6 @@ class Retargeter:
             places = root / body.unit @ body.axes
             translations = (places - matrix[:3, 3]) @ np.linalg.inv(matrix[:3, :3]).T
         return CharacterMotion(character, rotations, translations, fps, self.mapping.named(), moved, body.unit)
-
-
-def _between(a: Array, b: Array, share: float) -> Array:
-    """[T, 3, 3] interpolation from a to b by `share`, along the shortest arc."""
-    turn = Rotation.from_matrix(np.swapaxes(a, -1, -2) @ b).as_rotvec()
-    return a @ Rotation.from_rotvec(share * turn).as_matrix()
 
 
 def retarget(motion: Motion, character: Character | str | os.PathLike[str],

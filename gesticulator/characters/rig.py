@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
 from data_module.motion import rotation
@@ -159,8 +158,7 @@ def decomposed(matrices: Array) -> tuple[Array, Array, Array]:
     # The polar decomposition: the nearest rotation to a matrix that may be sheared, or flat.
     left, _, right = np.linalg.svd(matrices[..., :3, :3] * np.where(scales < 0.0, -1.0, 1.0)[..., None, :])
     left[..., -1] *= np.sign(np.linalg.det(left @ right))[..., None]
-    quaternions = Rotation.from_matrix((left @ right).reshape(-1, 3, 3)).as_quat(scalar_first=True)
-    return matrices[..., :3, 3], quaternions.reshape(*matrices.shape[:-2], 4), scales
+    return matrices[..., :3, 3], rotation.from_matrix(left @ right), scales
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
+from data_module.motion import rotation
 from data_module.motion.skeletons import WHOLE_BODY
 from data_module.types import Array, Motion
 from gesticulator.characters.frames import Body
@@ -72,8 +72,7 @@ def probe_motion() -> Motion:
     turns[..., 0] = 1.0
     for frame, pose in enumerate(poses):
         for name, angles in pose.items():
-            turns[frame, WHOLE_BODY.index(name)] = Rotation.from_euler("ZYX", angles[::-1], degrees=True).as_quat(
-                scalar_first=True)
+            turns[frame, WHOLE_BODY.index(name)] = rotation.from_euler(np.radians(angles[::-1]), "ZYX")
     # A frame a second: contacts, which are spread over parts of a second, see each pose by itself.
     return Motion(WHOLE_BODY, turns, np.zeros((len(poses), 3)), 1.0)
 

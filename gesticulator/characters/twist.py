@@ -9,8 +9,8 @@ forearm. A twist bone at share s of the distance from elbow to wrist turns by s 
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from data_module.motion import rotation
 from data_module.types import Array
 from gesticulator.characters.frames import Body
 from gesticulator.characters.mapping import SIDES, ancestors
@@ -41,7 +41,7 @@ def share_roll(turns: dict[int, Array], body: Body) -> None:
         apart = np.swapaxes(turns[forearm], -1, -2) @ turns[hand] @ (bound[forearm].T @ bound[hand]).T
         angle = _roll(apart, axis)
         for node, share in bones:
-            turn = Rotation.from_rotvec(share * angle[:, None] * axis).as_matrix()
+            turn = rotation.to_matrix(rotation.from_exponential_map(share * angle[:, None] * axis))
             turns[node] = turns[forearm] @ turn @ (bound[forearm].T @ bound[node])
 
 
@@ -65,7 +65,7 @@ def _roll(apart: Array, axis: Array) -> Array:
 
     Half a turn to either side is the same pose: the roll fades towards it, so that it is continuous there.
     """
-    q = Rotation.from_matrix(apart).as_quat(scalar_first=True)
+    q = rotation.from_matrix(apart)
     # The twist of a swing-twist decomposition: the part of the quaternion along the axis.
     angle = 2.0 * np.arctan2(q[:, 1:] @ axis, q[:, 0])
     angle = np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from data_module.motion import rotation
 from data_module.motion.skeletons import SIDES, WHOLE_BODY
 from data_module.types import Array, Motion
 from gesticulator.contacts.limbs import FINGERTIPS, Pose, pose_of, soft
@@ -95,5 +95,5 @@ def _seat() -> tuple[tuple[Array, Array], ...]:
     ends = []
     for side, out in zip(SIDES, (SEAT_SPREAD, -SEAT_SPREAD), strict=True):
         hip, bone = (WHOLE_BODY.offsets[WHOLE_BODY.index(side + part)] for part in ("UpLeg", "Leg"))
-        ends.append((hip, hip + Rotation.from_euler("YX", [out, -90.0], degrees=True).apply(bone)))
+        ends.append((hip, hip + rotation.rotate(rotation.from_euler(np.radians([out, -90.0]), "YX"), bone)))
     return tuple(ends)

@@ -8,7 +8,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
 from data_module.motion.kinematics import with_ancestors
@@ -189,7 +188,7 @@ def write_turns(rotations: Array, skeleton: Skeleton, turns: Mapping[int, Array]
     """Write world rotations of some joints, each above the next, into `rotations` [T, J, 4] at the frames `at`."""
     above = np.array([turns[skeleton.parents[joint]] for joint in joints])
     local = np.swapaxes(above, -1, -2) @ np.array([turns[joint] for joint in joints])
-    new = rotation.w_first(Rotation.from_matrix(local.reshape(-1, 3, 3))).reshape(*local.shape[:2], 4)
+    new = rotation.from_matrix(local)
     where = at, np.array(joints)[:, None]
     old = rotations[where]
     # Of the two quaternions of a rotation the one on the side of the frame as it was, so that none turns round.

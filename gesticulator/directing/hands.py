@@ -13,7 +13,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER, FINGERED, FINGERS
@@ -38,45 +37,44 @@ _HINGE = np.array([0.0, -math.cos(math.radians(12.0)), -math.sin(math.radians(12
 _UPPER, _FORE = (float(CHARACTER.offsets[CHARACTER.index("Left" + part)][0]) for part in ("ForeArm", "Hand"))
 
 
-def hand_rotation(fingers: Array, palm: Array) -> Rotation:
-    """The rotation of a left hand whose fingers point and whose palm faces in two directions [3] or [M, 3]; the palm
-    gives way where they are not at right angles."""
+def hand_rotation(fingers: Array, palm: Array) -> Array:
+    """[..., 4] the rotations of a left hand whose fingers point and whose palm faces in two directions [..., 3]; the
+    palm gives way where they are not at right angles."""
     along = fingers / np.linalg.norm(fingers, axis=-1, keepdims=True)
     across = palm - np.sum(palm * along, axis=-1, keepdims=True) * along
-    return _frames(_PALM, along, across / np.linalg.norm(across, axis=-1, keepdims=True))
+    return rotation.from_axes((_BONE, _PALM), along, across / np.linalg.norm(across, axis=-1, keepdims=True))
 
 
-def arm_turns(places: Array, hand: Rotation, swings: Array) -> tuple[Array, Array, Array]:
+def arm_turns(places: Array, hand: Array, swings: Array) -> tuple[Array, Array, Array]:
     """Exponential maps [M, 3] of upper arm, forearm and hand of a left arm. places: [M, 3] of the wrist from the
-    shoulder, metres; hand: M rotations in the frame of the chest; swings: [M] radians of the elbow, outwards and up
-    from where it hangs."""
+    shoulder, metres; hand: [M, 4] in the frame of the chest; swings: [M] radians of the elbow, outwards and
+    up from where it hangs."""
     arm, forearm = _bones(places, swings)
     twist, bend = _wrist(forearm, hand)
     # A person twists the hand mostly by turning the forearm; the mesh would wring at the wrist otherwise.
-    turned = Rotation.from_rotvec(_PRONATES * twist[:, None] * _BONE)
-    vectors = bend.as_rotvec()
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    bend = Rotation.from_rotvec(vectors * (_eased(length, MOST_BEND) / np.maximum(length, 1e-9)))
-    left = Rotation.from_rotvec((1.0 - _PRONATES) * twist[:, None] * _BONE) * bend
-    return arm.as_rotvec(), (arm.inv() * forearm * turned).as_rotvec(), left.as_rotvec()
+    turned = rotation.from_exponential_map(_PRONATES * twist[:, None] * _BONE)
+    length = np.linalg.norm(bend, axis=-1, keepdims=True)
+    bend = rotation.from_exponential_map(bend * (_eased(length, MOST_BEND) / np.maximum(length, 1e-9)))
+    left = rotation.multiply(rotation.from_exponential_map((1.0 - _PRONATES) * twist[:, None] * _BONE), bend)
+    fore = rotation.multiply(rotation.multiply(rotation.conjugate(arm), forearm), turned)
+    return rotation.to_exponential_map(arm), rotation.to_exponential_map(fore), rotation.to_exponential_map(left)
 
 
-def best_swing(place: Array, hand: Rotation, lift: float = 0.0) -> float:
+def best_swing(place: Array, hand: Array, lift: float = 0.0) -> float:
     """The swing of the elbow, radians, at which forearm and wrist turn within a person's range and the elbow hangs.
-    place: [3] of the wrist from the shoulder; lift: the swing that is preferred, radians."""
-    count = len(_SWINGS)
-    _, forearm = _bones(np.repeat(place[None], count, axis=0), _SWINGS)
-    twist, bend = _wrist(forearm, Rotation.concatenate([hand] * count))
+    place: [3] of the wrist from the shoulder; hand: [4] its rotation; lift: the swing that is preferred, radians."""
+    _, forearm = _bones(np.repeat(place[None], len(_SWINGS), axis=0), _SWINGS)
+    twist, bend = _wrist(forearm, hand)
     over = np.maximum(np.abs(twist) - math.radians(75.0), 0.0)
-    angle = np.linalg.norm(bend.as_rotvec(), axis=-1)
+    angle = np.linalg.norm(bend, axis=-1)
     # Radians squared. Twist beyond 75 degrees is forbidden almost, a bent wrist is unpleasant from .9 rad on, and
     # among what is left the elbow hangs.
     cost = 12.0 * over ** 2 + 1.2 * angle ** 2 + 9.0 * np.maximum(angle - 0.9, 0.0) ** 2 + 0.5 * (_SWINGS - lift) ** 2
     return float(_SWINGS[int(np.argmin(cost))])
 
 
-def _bones(places: Array, swings: Array) -> tuple[Rotation, Rotation]:
-    """World rotations of upper arm and untwisted forearm."""
+def _bones(places: Array, swings: Array) -> tuple[Array, Array]:
+    """[M, 4] world rotations of upper arm and untwisted forearm."""
     # The triangle of upper arm, forearm and the line to the wrist; beyond its reach the hand stops short.
     length = np.linalg.norm(places, axis=-1, keepdims=True)
     far = np.clip(length, _NEAREST, _STRETCHED * (_UPPER + _FORE))
@@ -90,16 +88,17 @@ def _bones(places: Array, swings: Array) -> tuple[Rotation, Rotation]:
     first, second = elbow / _UPPER, (along * far - elbow) / _FORE
     axis = np.cross(first, second)
     axis = axis / np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-9)
-    return _frames(_HINGE, first, axis), _frames(_HINGE, second, axis)
+    return rotation.from_axes((_BONE, _HINGE), first, axis), rotation.from_axes((_BONE, _HINGE), second, axis)
 
 
-def _wrist(forearm: Rotation, hand: Rotation) -> tuple[Array, Rotation]:
-    """[M] twist of a hand about its forearm, radians from -pi to pi, and the bend that is left after it."""
-    wrist = forearm.inv() * hand
-    twist = rotation.to_exponential_map(rotation.yaw_of(wrist.as_quat(scalar_first=True), axis=0))[:, 0]
+def _wrist(forearm: Array, hand: Array) -> tuple[Array, Array]:
+    """[M] twist of a hand about its forearm, radians from -pi to pi, and [M, 3] the bend that is left after it."""
+    wrist = rotation.multiply(rotation.conjugate(forearm), hand)
+    twist = rotation.to_exponential_map(rotation.yaw_of(wrist, axis=0))[:, 0]
     # The exponential map of a yaw may be the long way round.
     twist = (twist + np.pi) % (2.0 * np.pi) - np.pi
-    return _eased(twist, MOST_TWIST), Rotation.from_rotvec(twist[:, None] * _BONE).inv() * wrist
+    back = rotation.from_exponential_map(-twist[:, None] * _BONE)
+    return _eased(twist, MOST_TWIST), rotation.to_exponential_map(rotation.multiply(back, wrist))
 
 
 def _eased(angles: Array, most: float) -> Array:
@@ -109,13 +108,6 @@ def _eased(angles: Array, most: float) -> Array:
     over = np.maximum(np.abs(angles) - free, 0.0)
     eased: Array = np.sign(angles) * (np.minimum(np.abs(angles), free) + (most - free) * np.tanh(over / (most - free)))
     return eased
-
-
-def _frames(rest_across: Array, along: Array, across: Array) -> Rotation:
-    """Rotations that map a level arm's direction and the orthogonal `rest_across` [3] to `along`, `across` [..., 3]."""
-    now = np.stack([along, across, np.cross(along, across)], axis=-1)
-    rest = np.stack([_BONE, rest_across, np.cross(_BONE, rest_across)], axis=-1)
-    return Rotation.from_matrix(now @ rest.T)
 
 
 # ---------------------------------------------------------------------------------------------------------- fingers

@@ -17,12 +17,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, FINGERS, SIDES
 from data_module.types import Array, Motion
 from gesticulator.body.clips import exchanged_joints
+from gesticulator.body.life import eased
 from gesticulator.contacts.columns import HEAD, TRUNK
 from gesticulator.contacts.limbs import MARGIN, pose_of
 from gesticulator.directing.gesture_scripts import SCRIPTS, GestureScript, HandPart, Repeat
@@ -46,11 +46,13 @@ _FASTEST = 1.9
 _LARGEST = 1.6
 """Largest intensity of a gesture; its ways must be possible there, too."""
 _PEAK, _GENTLE_PEAK = 1.875, 2.1875
-"""Greatest speed of `smooth` and of `_gentle`, in relation to the mean one."""
+"""Greatest speed of `eased` and of `_gentle`, in relation to the mean one."""
 _STRAYS, _TURNS = 0.014, np.radians(5.0)
 """Standard deviation of a hand's place, metres, and of its direction, radians, from one time to the next."""
 _FLIP = np.array([1.0, -1.0, -1.0])
 """A reflection keeps the x component of an exponential map and negates y and z."""
+_ALONG = np.array([1.0, 0.0, 0.0])
+"""Direction of the fingers of a left hand at rest."""
 _ARM = ("Arm", "ForeArm", "Hand")
 _HEAD = ("Neck", "Neck1", "Head")
 _TOUCH = 0.012
@@ -125,7 +127,7 @@ def _at_least(script: GestureScript, shares: Sequence[float], hold: float) -> Ph
 @functools.cache
 def _ways(part: HandPart) -> tuple[float, float, float]:
     """Metres of the wrist's way, in the largest size: from where it hangs to its stroke, of the stroke, and back."""
-    wrists = _points(part, _LARGEST) - part.point * _directions(part).apply([1.0, 0.0, 0.0])
+    wrists = _points(part, _LARGEST) - part.point * rotation.rotate(_directions(part), _ALONG)
     up, across, down = (float(np.linalg.norm(way)) for way in (
         wrists[0] - _HANGING, wrists[1] - wrists[0], wrists[-1] - _HANGING))
     return up, across, down
@@ -147,14 +149,8 @@ def drawn_gesture(cue: GestureCue, at: float, seed: int) -> GestureDraw:
     return GestureDraw(script, phases, size, place, turn, pace, turns)
 
 
-def smooth(s: Array) -> Array:
-    """A step from 0 to 1 with zero velocity and acceleration at both ends."""
-    u: Array = np.clip(s, 0.0, 1.0)
-    return u ** 3 * (10.0 - 15.0 * u + 6.0 * u * u)
-
-
 def _gentle(s: Array) -> Array:
-    """A step like `smooth` whose change of acceleration begins and ends at zero, too, so that the seam is invisible."""
+    """A step like `eased` whose change of acceleration begins and ends at zero, too, so that the seam is invisible."""
     u: Array = np.clip(s, 0.0, 1.0)
     return u ** 4 * (35.0 - u * (84.0 - u * (70.0 - 20.0 * u)))
 
@@ -170,39 +166,39 @@ def hand_turns(draw: GestureDraw, which: int, seconds: Array) -> tuple[Array, Ar
     times = np.array([key.time * (draw.phases.stroke if key.time < 0 else 1.0 / draw.pace) for key in part.keys])
     begin = np.clip(np.searchsorted(times, seconds, side="right") - 1, 0, len(times) - 2)
     end = begin + 1
-    share = smooth((seconds - times[begin]) / (times[end] - times[begin]))
+    share = eased((seconds - times[begin]) / (times[end] - times[begin]))
 
     def mixed(values: Array) -> Array:
         between: Array = values[begin] + share.reshape(-1, *[1] * (values.ndim - 1)) * (values[end] - values[begin])
         return between
 
     hands = _directions(part)
-    way = (hands[begin].inv() * hands[end]).as_rotvec()
-    turned = hands[begin] * Rotation.from_rotvec(share[:, None] * way)
+    turned = rotation.partway(hands[begin], hands[end], share[:, None])
     places = mixed(_points(part, draw.size))
     fingers = mixed(np.array([finger_turns(key.shape) for key in part.keys]))
     if part.repeat is not None:
         places, turned, fingers = _repeated(part.repeat, draw, seconds, (places, turned, fingers))
     if not part.touches:
-        places, turned = places + draw.place[which], Rotation.from_rotvec(draw.turn[which]) * turned
+        places = places + draw.place[which]
+        turned = rotation.multiply(rotation.from_exponential_map(draw.turn[which]), turned)
         # A hand that is held up sinks a little: people do not hold it still.
-        places = places + smooth(seconds / draw.phases.hold)[:, None] * (_SINKS - 0.5 * draw.place[which])
+        places = places + eased(seconds / draw.phases.hold)[:, None] * (_SINKS - 0.5 * draw.place[which])
     # A key fixes the point of the hand that the script names (palm, tips); the arm is solved for the wrist.
-    wrists = places - part.point * turned.apply([1.0, 0.0, 0.0])
+    wrists = places - part.point * rotation.rotate(turned, _ALONG)
     return np.stack(arm_turns(wrists, turned, mixed(_swings(part))), axis=1), fingers
 
 
 @functools.cache
-def _directions(part: HandPart) -> Rotation:
-    # The rotations of a hand at its keys.
-    return Rotation.concatenate([hand_rotation(np.array(key.fingers), np.array(key.palm)) for key in part.keys])
+def _directions(part: HandPart) -> Array:
+    """[K, 4] the rotations of a hand at its keys."""
+    return np.stack([hand_rotation(np.array(key.fingers), np.array(key.palm)) for key in part.keys])
 
 
 @functools.cache
 def _swings(part: HandPart) -> Array:
     """[K] swings of the elbow at the keys, radians."""
     hands = _directions(part)
-    wrists = np.array([key.place for key in part.keys]) - part.point * hands.apply([1.0, 0.0, 0.0])
+    wrists = np.array([key.place for key in part.keys]) - part.point * rotation.rotate(hands, _ALONG)
     return np.array([best_swing(wrist, hand, float(np.radians(part.lift)))
                      for wrist, hand in zip(wrists, hands, strict=True)])
 
@@ -215,19 +211,19 @@ def _points(part: HandPart, size: float) -> Array:
 
 
 def _repeated(repeat: Repeat, draw: GestureDraw, seconds: Array,
-              pose: tuple[Array, Rotation, Array]) -> tuple[Array, Rotation, Array]:
-    """Places [M, 3], rotations and fingers [M, 15, 3] with a repeated movement."""
+              pose: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    """Places [M, 3], rotations [M, 4] and fingers [M, 15, 3] with a repeated movement."""
     places, turned, fingers = pose
     rate = repeat.rate * draw.pace
     end = repeat.count / rate
     # Both ends fade, and the circle starts at the apex: there is no step in place or speed.
-    level = smooth(seconds / _FADE) * smooth((end - seconds) / _FADE)
+    level = eased(seconds / _FADE) * eased((end - seconds) / _FADE)
     angle = 2.0 * np.pi * (rate * seconds + repeat.phase)
     size = level * (0.4 + 0.6 * draw.size)
     sine, cosine = (size * np.sin(angle))[:, None], (size * (1.0 - np.cos(angle)) / 2.0)[:, None]
     places = places + sine * np.array(repeat.way) + cosine * np.array(repeat.circle)
-    turned = Rotation.from_rotvec(sine * np.radians(repeat.tilt)) * turned
-    turned = turned * Rotation.from_rotvec(sine * np.radians([repeat.roll, 0.0, 0.0]))
+    turned = rotation.multiply(rotation.from_exponential_map(sine * np.radians(repeat.tilt)), turned)
+    turned = rotation.multiply(turned, rotation.from_exponential_map(sine * np.radians([repeat.roll, 0.0, 0.0])))
     if repeat.shape:
         share = (level * (1.0 - np.cos(angle)) / 2.0)[:, None, None]
         fingers = fingers + share * (finger_turns(repeat.shape) - fingers)
@@ -290,7 +286,8 @@ def _targets(draw: GestureDraw, seconds: Array) -> dict[str, Array]:
             arm, fingers = arm * _FLIP, fingers * _FLIP
         out[side + "Shoulder"] = shoulder = held(side + "Shoulder", draw.turns)
         # The hand is placed in the frame of the chest, whatever the shoulder does.
-        arm[:, 0] = (Rotation.from_rotvec(shoulder).inv() * Rotation.from_rotvec(arm[:, 0])).as_rotvec()
+        arm[:, 0] = rotation.to_exponential_map(rotation.multiply(
+            rotation.from_exponential_map(-shoulder), rotation.from_exponential_map(arm[:, 0])))
         out |= {side + name: arm[:, at] for at, name in enumerate(_ARM)}
         out |= {f"{side}Hand{finger}{place + 1}": fingers[:, 3 * at + place]
                 for at, finger in enumerate(FINGERS) for place in range(3)}
@@ -311,10 +308,8 @@ def _added(draw: GestureDraw, seconds: Array, weight: Array) -> dict[str, Array]
 
 def _blended(now: Array, target: Array, share: Array) -> Array:
     """[M, 3] rotations a share [M] of the way from `now` to `target`, as the exponential maps nearest to `now`."""
-    begin = Rotation.from_rotvec(now)
-    # The shortest turn from where the joint is: blending exponential maps would bend the way.
-    turn = (begin.inv() * Rotation.from_rotvec(target)).as_rotvec()
-    return nearest_turn((begin * Rotation.from_rotvec(share[:, None] * turn)).as_rotvec(), now)
+    mixed = rotation.partway(rotation.from_exponential_map(now), rotation.from_exponential_map(target), share[:, None])
+    return nearest_turn(rotation.to_exponential_map(mixed), now)
 
 
 def nearest_turn(vectors: Array, reference: Array) -> Array:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation, skeletons
 from data_module.types import Array, Motion, Skeleton
@@ -132,7 +131,7 @@ def _joints_below(character: Character, top: int, joints: set[int]) -> list[int]
 def _turns(matrices: Array) -> Array:
     """[..., 4] rotations of matrices [..., 4, 4], without their scales."""
     turns = matrices[..., :3, :3] / np.linalg.norm(matrices[..., :3, :3], axis=-2, keepdims=True)
-    return Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_quat(scalar_first=True).reshape(*matrices.shape[:-2], 4)
+    return rotation.from_matrix(turns)
 
 
 def _unique(names: list[str]) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.files import read_object
+from data_module.layers_run import Dense, Floats, Gru, Tensors, softmax
 from data_module.speech.front_ends import MelFrontEnd
 from data_module.speech.silence import FRAME, MARGIN, STEP, LoudnessTracker, frame_levels
 from data_module.types import Array, Samples, Word
@@ -129,32 +130,17 @@ class VisemeStepper:
     def __init__(self, weights: Weights) -> None:
         """weights: of the layers enter, memory (a GRU of torch) and leave, and the mean and deviation of frames."""
         # The normalisation of the frames is folded into the first layer, which saves it for every frame.
-        scale = 1.0 / weights["deviation"]
-        self._enter = weights["enter.weight"] * scale
-        self._enter_bias = weights["enter.bias"] - self._enter @ weights["mean"]
-        self._input, self._input_bias = weights["memory.weight_ih_l0"], weights["memory.bias_ih_l0"]
-        self._recurrent, self._recurrent_bias = weights["memory.weight_hh_l0"], weights["memory.bias_hh_l0"]
-        self._leave, self._leave_bias = weights["leave.weight"], weights["leave.bias"]
-        self._state = np.zeros(self._recurrent.shape[1], np.float32)
+        first = weights["enter.weight"] / weights["deviation"]
+        self._enter = Dense(first, np.asarray(weights["enter.bias"] - first @ weights["mean"], np.float32))
+        self._memory = Gru(Tensors(weights).within("memory"), HIDDEN, HIDDEN)
+        self._leave = Dense(weights["leave.weight"], weights["leave.bias"])
+        self._state: Floats | None = None
 
-    def __call__(self, frame: NDArray[np.float32]) -> NDArray[np.float32]:
+    def __call__(self, frame: Floats) -> Floats:
         """[15] weights of the visemes, summing to 1, of the next frame [STACKED]."""
-        entered = np.maximum(self._enter @ frame + self._enter_bias, 0.0)
-        size = len(self._state)
-        # The gates of torch's GRU: reset and update, then the new state, whose memory part the reset gate weighs.
-        inputs = self._input @ entered + self._input_bias
-        memory = self._recurrent @ self._state + self._recurrent_bias
-        gates = _sigmoid(inputs[:2 * size] + memory[:2 * size])
-        new = np.tanh(inputs[2 * size:] + gates[:size] * memory[2 * size:])
-        self._state = new + gates[size:] * (self._state - new)
-        logits = self._leave @ np.concatenate([entered, self._state]) + self._leave_bias
-        # The greatest logit is taken off first: the exponential of a large one would overflow.
-        powers = np.exp(logits - logits.max())
-        return np.asarray(powers / powers.sum(), dtype=np.float32)
-
-
-def _sigmoid(x: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * x)), dtype=np.float32)
+        entered = np.maximum(self._enter(frame), 0.0)
+        remembered, self._state = self._memory(entered[None, None], self._state)
+        return softmax(self._leave(np.concatenate([entered, remembered[0, 0]])))
 
 
 class Lips:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_module.errors import InputError, shown
 from data_module.motion import rotation
@@ -72,7 +71,7 @@ class FaceRig:
         for node, turn in world.items():
             parent = character.parents[node]
             matrix = above[parent] if parent >= 0 else np.eye(3)
-            rest = Rotation.from_matrix(matrix).as_quat(scalar_first=True)
+            rest = rotation.from_matrix(matrix)
             out[node] = rotation.multiply(rotation.multiply(rotation.conjugate(rest), rotation.multiply(turn, rest)),
                                           character.rotations[node])
         return out

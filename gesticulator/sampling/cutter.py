@@ -131,7 +131,7 @@ class BlockCutter:
         self._loudness, self._voice, self._start = LoudnessTracker(), VoiceLevel(), SteadyStart()
         self._pauses, self._quiet = _PauseFlags(), _PauseFlags()
         self._onsets = OnsetTracker(SAMPLE_RATE)
-        self._beats = BeatTracker(config.rhythm.beats, start, config.selection.lead)
+        self._beats = BeatTracker(config.rhythm.beats, start)
         self._pending: list[Samples] = []  # less than a tick
         self._waiting = 0
         # Sound from the sample `_from` on; the recording is preceded by silence.

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from data_module.motion import kinematics, rotation
 from data_module.motion.skeletons import find_table
@@ -143,7 +142,7 @@ def _axes(skeleton: Skeleton, joints: dict[str, int]) -> Array:
     # What is square to up: shoulders of a rest pose may slope.
     left = _dominant(across - (across @ up) * up)
     matrix = np.stack([left, up, np.cross(left, up)])
-    return np.asarray(Rotation.from_matrix(matrix).as_quat(scalar_first=True), dtype=np.float64)
+    return rotation.from_matrix(matrix)
 
 
 def _dominant(vector: Array) -> Array:
