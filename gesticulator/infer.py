@@ -11,7 +11,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -154,10 +154,14 @@ class Worker:
         speech = load(job)
         # Without reading: the factor compares computing with the duration.
         begin = time.perf_counter()
-        performance = self._laid_out(job, self.performed(job, speech))
+        # What somebody looks at should look back: a page has a face, other files have one that was asked for.
+        bare = job.options.face == "off" and any(target.suffix.lower() == ".html" for target in job.targets)
+        shown = replace(job, options=replace(job.options, face="full")) if bare else job
+        performance = self._laid_out(job, self.performed(shown, speech))
         factor = (time.perf_counter() - begin) / speech.duration
         # Files appear whole, so what is there after an error can be used.
-        written = [performance.save(target) for target in job.targets]
+        written = [(performance if target.suffix.lower() == ".html" or not bare else replace(performance, face=None))
+                   .save(target) for target in job.targets]
         pages = [f"open {page} in a browser to watch it" for page in written if page.suffix.lower() == ".html"]
         lexemes = performance.lexemes.tolist()
         line = (f"{job.name}: {speech.duration:.1f} s, {len(lexemes) - 1} beats, {len(set(lexemes))} of "

@@ -55,7 +55,8 @@ def test_a_recording_becomes_motion_page_and_plan(recording: Path, tiny_bundle: 
     assert all(a["end"] == b["start"] for a, b in pairwise(blocks))
     assert all(len(b["alternatives"]) == 5 for b in blocks)
     assert any(b["silent"] for b in blocks) and not all(b["silent"] for b in blocks)
-    assert "<html" in out[".html"].read_text()[:2000].lower()
+    page = out[".html"].read_text()
+    assert "<html" in page[:2000].lower() and '"face":"' in page, "a page shows a face"
     summary = capsys.readouterr().out
     assert summary.count("\n") == 2 and "8.0 s" in summary and "real-time factor" in summary
 

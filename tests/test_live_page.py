@@ -100,6 +100,7 @@ def test_idle_then_microphone_then_recording(opened: tuple[Any, list[str], list[
                            timeout=_PATIENCE)
     assert page.get_attribute("#microphone", "aria-pressed") == "true"
     assert page.inner_text("#state") == "speaking"
+    assert 0 <= float(page.inner_text("#first").removesuffix(" ms")) < _PATIENCE
     # The stream looks half a second ahead: that, some time on the way and for the browser's pieces, and on a machine
     # that does much else seconds more. A picture that is drawn lies in what was received.
     yaw, shown, now, late = _shown(page, "drawn > 0.2 && drawn * 60 < live.stream.end")

@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 
 from data_module.store import Store
-from eval import timing
 from eval.baselines.interpreters import Bigram
-from eval.clip.excerpts import excerpt
 from eval.commands import QUALITY
 from eval.context import EvalContext
-from eval.metrics.eye import common_body, hear, voice
 from eval.table import load
 from gesticulator.bundle import bundle as bundles
 
@@ -39,24 +36,3 @@ def test_the_command_writes_every_table(tiny_store: Path, tiny_bundle: Path, tmp
     assert set(lexicon.rows) == {"quantised", "unquantised", "variance"} and "Lexemes used" in lexicon.notes[0]
     assert accuracy.rows["majority"]["teacher_forced"] == accuracy.rows["majority"]["free_running"]
     assert "majority" in capsys.readouterr().out
-
-
-def test_timing_is_told_step_by_step_from_the_performer_on(tiny_store: Path, tiny_bundle: Path, tmp_path: Path,
-                                                           monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(timing, "SHORTEST", 0.0)
-    store, out = Store.open(tiny_store), tmp_path / "timing.json"
-    command = ["--data", str(tiny_store), "--timing", "--limit", "2", "--quiet", "--out", str(out)]
-    assert QUALITY.main("gesticulator quality", [*command, "--bundle", str(tiny_bundle)]) == 0
-    (table,) = load(out)
-    names = list(table.rows)
-    assert names[0] == "performer" and names[-2:] == ["played", "played, other sounds"]
-    own = []
-    for info in store.of_split("test")[:2]:
-        piece = excerpt(store.load(info.name, 16), timing.SECONDS)
-        own.append(voice.above_chance(voice.hand_beats(common_body(piece.motion).hands), hear(piece.speech).onsets[0],
-                                      piece.motion.duration))
-    cell = table.rows["performer"]["first"]
-    assert cell.mean == pytest.approx(np.nanmean(own), nan_ok=True)
-    with pytest.raises(SystemExit) as ended:
-        QUALITY.main("gesticulator quality", command)
-    assert ended.value.code == 2, "movements have no such steps"

@@ -118,12 +118,13 @@ def test_gestures_are_seen_tried_taken_dragged_shaped_pinned_and_there_again_tom
             page.set_default_timeout(PATIENCE)
             opened.go_to(1.0)
             first, original = _rotations(page), opened.plan()
-            # The phrases are a row of gestures: a click on one selects its blocks.
+            # The phrases are a row of gestures: a click on one selects its blocks, a second one those of its unit.
             unit = max(original["units"], key=lambda one: one["end"] - one["start"])
             box = page.locator("#timeline").bounding_box()
             x, row = page.evaluate("(at) => [preview.timeline.x(at), preview.timeline.rows.units]",
                                    (unit["start"] + unit["end"]) / 2)
-            page.mouse.click(box["x"] + x, box["y"] + row["top"] + row["tall"] / 2)
+            for _ in range(2):
+                page.mouse.click(box["x"] + x, box["y"] + row["top"] + row["tall"] / 2)
             begin, end = page.evaluate("() => preview.session.selection")
             assert end > begin and original["blocks"][begin]["start"] <= unit["start"] + 0.01
             page.keyboard.press("Escape")
@@ -194,7 +195,7 @@ def test_gestures_are_seen_tried_taken_dragged_shaped_pinned_and_there_again_tom
             opened.check_quiet(server.url)
             page.close()
         # Tomorrow, in another browser's memory: what was saved beside the sound.
-        assert read_plan(tmp_path / "talk.edits.plan.json").blocks[at].lexeme == lexeme
+        assert read_plan(tmp_path / "talk.wav.edits.plan.json").blocks[at].lexeme == lexeme
         with _viewing(sound) as (server, plans):
             opened = OpenedPage(browser, server.url, 1280, 900)
             page = opened.page

@@ -154,6 +154,7 @@ def test_the_command_shows_a_character_and_answers_edits(recording: Path, tmp_pa
         told = json.loads(page.partition('id="performance">')[2].partition("</script>")[0])
         assert told["title"] == recording.stem and set(told["character"]["joints"]) > {"Hips", "LeftForeArm"}
         (first,) = told["takes"]
+        assert "face" in first, "lips and blinks are on"
         assert "LeftFoot" in first["skeleton"]["names"], "a character with legs stands on them"
 
         def ask(plan: dict[str, Any]) -> tuple[int, bytes]:

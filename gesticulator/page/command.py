@@ -37,6 +37,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
     page.add_argument("--port", type=int, default=0, metavar="N", help="port on 127.0.0.1 (default: any free one)")
     page.add_argument("--no-browser", action="store_true", help="print the address instead of opening a window")
     performance_arguments(p)
+    p.set_defaults(face="full")  # what somebody looks at should look back
 
 
 def run(args: argparse.Namespace) -> int:

@@ -74,16 +74,42 @@ export function buildHead(figure) {
   figure.skull = figure.ball(head, centre, radii, "skin", [28, 20]); // the face is carved into it
   figure.headSize = s;
   carved(figure.skull.geometry);
-  figure.ball(head, [0, 0.078 * s, 0.108 * s], [0.0105 * s, 0.019 * s, 0.014 * s], "skin");
+  figure.ball(head, [0, 0.080 * s, 0.1065 * s], [0.0085 * s, 0.019 * s, 0.012 * s], "skin");
+  figure.ball(head, [0, 0.068 * s, 0.111 * s], [0.0115 * s, 0.008 * s, 0.0105 * s], "skin");
   figure.dots = [-1, 1].map((x) => {
     figure.ball(head, [x * 0.074 * s, 0.085 * s, 0.008], [0.010, 0.025, 0.017], "skin");
     return figure.ball(head, [x * 0.028 * s, 0.100 * s, 0.0985 * s], [0.0075, 0.0095, 0.006], "shoe"); // an eye of a figure without a face
   });
-  // Hair: a cap a little larger than the skull, its edge higher in front than behind.
-  const cap = new SphereGeometry(1, 40, 24, 0, Math.PI * 2, 0, Math.PI * 0.5).rotateX(-0.5);
-  const hair = figure.mesh(head, carved(cap), "hair");
+  const hair = figure.mesh(head, hairGeometry(), "hair");
   hair.position.set(...centre);
-  hair.scale.set(...radii.map((r) => r * 1.055));
+  hair.scale.set(...radii);
+}
+
+/** Where hair begins, by the angle from the front: [radians, height on the skull, -1 to 1]. High over the forehead, back
+ *  at the temples, down before the ear, around it, and low at the nape. */
+const HAIRLINE = [[0, 0.6], [0.45, 0.56], [0.85, 0.44], [1.15, 0.3], [1.35, -0.02], [1.6, 0.02], [1.8, -0.22], [2.3, -0.5], [Math.PI, -0.58]];
+/** Share of the skull's radius: how thick hair is on top, at the sides and behind, how deep its parting is, and how far it
+ *  sinks into the skin where it ends. */
+const HAIR = { top: 0.15, side: 0.085, back: 0.12, parting: 0.06, sunk: 0.03 };
+
+function hairline(angle) {
+  const k = Math.max(HAIRLINE.findIndex(([at]) => at >= angle), 1), [a, low] = HAIRLINE[k - 1], [b, high] = HAIRLINE[k];
+  return low + (high - low) * clamp((angle - a) / (b - a), 0, 1);
+}
+
+/** Hair on a unit skull: thick on top and behind, thin towards the hairline, parted on the left, in locks that lie back. */
+function hairGeometry() {
+  const geometry = new SphereGeometry(1, 64, 40), place = geometry.attributes.position, smooth = (t) => t * t * (3 - 2 * t);
+  for (let i = 0; i < place.count; i++) {
+    const x = place.getX(i), y = place.getY(i), z = place.getZ(i), angle = Math.abs(Math.atan2(x, z));
+    const full = smooth(clamp((y - hairline(angle)) / 0.22, 0, 1)), behind = smooth(clamp((0.3 - z) / 0.9, 0, 1));
+    const thick = HAIR.side + (HAIR.top - HAIR.side) * smooth(clamp(y, 0, 1)) + (HAIR.back - HAIR.side) * behind;
+    const parting = HAIR.parting * Math.exp(-(((x - 0.34) / 0.07) ** 2)) * clamp(2 * y, 0, 1) * smooth(clamp((z + 0.5) / 0.5, 0, 1));
+    const locks = 0.012 * Math.sin(26 * (x - 0.34) + 5 * z) * smooth(clamp(1.6 * y, 0, 1)) + 0.01 * Math.sin(16 * angle + 3 * y) * behind;
+    const out = 1 - HAIR.sunk + full * (thick + HAIR.sunk - parting + locks);
+    place.setXYZ(i, x * out, y * out, z * out);
+  }
+  return carved(geometry);
 }
 
 export function buildArm(figure, side) {

@@ -7,9 +7,9 @@ const SHEET = [
   ["Play", [["Space", "play, pause"], ["← →", "one frame"], ["Shift ← →", "one block"], ["Home End", "start, end"], ["I O", "in point, out point"],
     ["X", "no in and out point"], ["L", "loop"], ["V", "sound off, on"]]],
   ["Edit", [["Click", "select a block; Shift click: up to it"], ["1 to 5", "the lexeme of that rank"], ["H", "silence, or speech again"], ["M", "mirror"], ["K", "lock"],
-    ["U", "select the gesture unit here, then the next"], ["J", "its phrases: one stroke each"], ["Ctrl Shift ← →", "select more, less"], ["Ctrl ← →", "move what is selected by a beat"], ["Ctrl , .", "move the beat by a frame"],
+    ["J", "select the gesture here, one stroke, then the next"], ["U", "its whole unit, from rest to rest"], ["Ctrl Shift ← →", "select more, less"], ["Ctrl ← →", "move what is selected by a beat"], ["Ctrl , .", "move the beat by a frame"],
     ["Shift ↑ ↓", "raise, lower the curve here"], ["Shift Delete", "no point of the curve here"], ["[ ]", "smaller, larger"], ["N", "draw again"], ["B", "add a beat here"], [", .", "squeeze, stretch the selected blocks"], ["Delete", "delete the beat"], ["Ctrl Z", "undo"], ["Ctrl Shift Z", "redo"],
-    ["Ctrl C Ctrl V", "copy gestures, put them here"], ["Ctrl A", "select all"], ["Ctrl S", "save the plan"], ["Esc", "select nothing"]]],
+    ["Ctrl C Ctrl V", "copy gestures, put them here"], ["Ctrl A", "select all"], ["Ctrl S", "save the plan"], ["Esc", "close the palette or the menu; select nothing"]]],
   ["Look", [["F S C R", "front, side, close, reset"], ["T", "paths of the hands"], ["P", "palette"], ["G", "pose: pin hands and head"], ["D", "side by side"], ["Y", "the other take as a ghost"], ["A", "the other take"], ["+ −", "zoom the timeline"], ["?", "this sheet"]]],
 ];
 

@@ -59,9 +59,9 @@ function performers() {
 async function dress(performer, place) {
   Object.assign(performer, { place, worn });
   const asked = worn;
-  if (!asked) { performer.wear(null); return; }
+  if (!asked) { performer.wear(null); stage.fit(); return; }
   const character = performer.lane === session.lanes[0] ? asked.first : asked.second ??= await readCharacter(asked.bytes, asked.told);
-  if (worn === asked) { performer.wear(character); performer.ghost(over && performer.second); changed(); }
+  if (worn === asked) { performer.wear(character); performer.ghost(over && performer.second); stage.cast(stage.performers, over); changed(); }
 }
 
 async function wear(bytes, told) {
@@ -201,7 +201,6 @@ async function exportAs(kind) {
   changed();
 }
 
-/** Export the plan in a format of the command line, with the character that is shown. */
 // ---------------------------------------------------------------- time
 
 function step(frames) {
@@ -325,6 +324,15 @@ function nudgeCurve(way) {
 
 function toggleOf(id) { $(id).click(); }
 
+/** Close what lies over the page; where nothing does, select nothing. */
+function leave() {
+  const shown = $("file-menu").open || palette?.open;
+  $("file-menu").open = false;
+  if (palette?.open) palette.toggle(false);
+  if (!shown) session.select(null);
+  document.activeElement?.blur();
+}
+
 const actions = {
   " ": () => clock.toggle(), "ArrowLeft": () => step(-1), "ArrowRight": () => step(1), "shift+ArrowLeft": () => stepBlock(-1),
   "shift+ArrowRight": () => stepBlock(1), "Home": () => clock.seek(clock.begin), "End": () => clock.seek(clock.end), "i": setIn, "o": setOut,
@@ -336,7 +344,7 @@ const actions = {
   "u": () => selectNext(units()), "j": () => selectNext(phrases()), "ctrl+shift+ArrowRight": () => extend(1), "ctrl+shift+ArrowLeft": () => extend(-1), "ctrl+ArrowRight": () => shift(1),
   "ctrl+ArrowLeft": () => shift(-1), "shift+ArrowUp": () => nudgeCurve(1), "shift+ArrowDown": () => nudgeCurve(-1), "shift+Delete": () => nudgeCurve(0),
   "ctrl+c": copy, "ctrl+v": paste,
-  "ctrl+a": () => session.select(0, session.plan.blocks.length - 1), "ctrl+s": savePlan, "Escape": () => { session.select(null); $("file-menu").open = false; document.activeElement?.blur(); },
+  "ctrl+a": () => session.select(0, session.plan.blocks.length - 1), "ctrl+s": savePlan, "Escape": leave,
   "f": () => look("front"), "s": () => look("side"), "c": () => look("close"), "r": () => look("reset"), "t": toggleTrails, "d": toggleTogether, "y": toggleGhost,
   "p": () => palette?.toggle(), "g": () => { if (data.live) pins.toggle(); },
   "a": () => session.activate(1 - session.active), "+": () => zoom(1.3), "=": () => zoom(1.3), "-": () => zoom(1 / 1.3), "?": () => $("sheet").showModal(),

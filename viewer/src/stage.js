@@ -1,7 +1,7 @@
 // The stage: light, floor and camera, and one or two performers on it.
 
 import {
-  CanvasTexture, DirectionalLight, HemisphereLight, Mesh, MeshBasicMaterial, PCFShadowMap, PerspectiveCamera, PlaneGeometry, Scene,
+  Box3, CanvasTexture, DirectionalLight, Group, HemisphereLight, Mesh, MeshBasicMaterial, PCFShadowMap, PerspectiveCamera, PlaneGeometry, Scene,
   ShadowMaterial, SRGBColorSpace, Vector3, WebGLRenderer,
 } from "three";
 
@@ -14,8 +14,8 @@ const VIEWS = {
   close: { yaw: 0.2, pitch: 0.04, distance: 2.75, x: 0, y: 1.27, z: 0 },
   reset: { yaw: 0.34, pitch: 0.09, distance: 4.7, x: 0, y: 1.0, z: 0 },
 };
-/** Metres between two performers. */
-const APART = 1.7;
+/** Metres between two performers, and how tall the figure is for which the views and these metres are made. */
+const APART = 1.7, TALL = 1.75;
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 
 export class Stage {
@@ -29,14 +29,20 @@ export class Stage {
     this.view = { ...VIEWS.reset };
     this.goal = { ...VIEWS.reset };
     this.performers = [];
+    /** How many times as tall as our own figure the tallest performer is, and on what height the lowest one stands. */
+    this.size = 1;
+    this.floor = 0;
     this.addLights();
     this.addFloor();
     this.paint();
   }
 
   addLights() {
-    this.sky = new HemisphereLight(0xffffff, 0xb9a88f, 1.7);
-    this.sun = new DirectionalLight(0xfff4e2, 2.1);
+    this.sky = new HemisphereLight(0xffffff, 0xd8cbb8, 1.7);
+    this.sun = new DirectionalLight(0xfff4e2, 1.7);
+    // From the front and low, so that no face is in the dark.
+    this.fill = new DirectionalLight(0xfff8f0, 0.9);
+    this.fill.position.set(-1.2, 1.2, 3.4);
     this.sun.position.set(1.6, 3.6, 2.6);
     this.sun.target.position.set(0, 0.9, 0);
     this.sun.castShadow = true;
@@ -47,10 +53,30 @@ export class Stage {
     this.sun.shadow.radius = 4;
     this.rim = new DirectionalLight(0xcfe4ff, 0.9);
     this.rim.position.set(-2.2, 2.4, -2.5);
-    this.scene.add(this.sky, this.sun, this.sun.target, this.rim);
+    this.scene.add(this.sky, this.sun, this.sun.target, this.fill, this.rim);
+  }
+
+  /** Make views, light and floor fit the performers: a goblin or a giant fills the picture as our own figure does. */
+  fit() {
+    const boxes = this.performers.map(({ character }) => (character ? boxOf(character) : { low: 0, tall: TALL }));
+    this.size = Math.max(...boxes.map(({ tall }) => tall), 0) / TALL || 1;
+    this.floor = Math.min(...boxes.map(({ low }) => low));
+    const { size, sun, rim, camera } = this, shadow = sun.shadow.camera;
+    this.ground.scale.setScalar(Math.max(size, 0.3));
+    this.ground.position.y = this.floor;
+    sun.position.set(1.6, 3.6, 2.6).multiplyScalar(size);
+    sun.target.position.set(0, 0.9 * size, 0);
+    rim.position.set(-2.2, 2.4, -2.5).multiplyScalar(size);
+    Object.assign(shadow, { left: -2.4 * size, right: 2.4 * size, top: 1.7 * size, bottom: -1.7 * size, near: 0.5 * size, far: 10 * size });
+    sun.shadow.normalBias = 0.018 * size;
+    shadow.updateProjectionMatrix();
+    Object.assign(camera, { near: 0.1 * size, far: 60 * size });
+    camera.updateProjectionMatrix();
   }
 
   addFloor() {
+    this.ground = new Group();
+    this.scene.add(this.ground);
     this.floorTexture = new CanvasTexture(document.createElement("canvas"));
     this.floorTexture.anisotropy = 8;
     this.floorTexture.colorSpace = SRGBColorSpace;
@@ -59,7 +85,7 @@ export class Stage {
     const shade = new Mesh(new PlaneGeometry(size, size), new ShadowMaterial({ opacity: 0.26 }));
     for (const plane of [grid, shade]) {
       plane.rotation.x = -Math.PI / 2;
-      this.scene.add(plane);
+      this.ground.add(plane);
     }
     shade.receiveShadow = true;
     shade.position.y = 0.002;
@@ -95,7 +121,7 @@ export class Stage {
     for (const performer of this.performers) performer.paint();
     this.paintFloor();
     this.sky.intensity = 1.7 * Number(colours.light);
-    this.sun.intensity = 2.1 * Number(colours.light);
+    this.sun.intensity = 1.7 * Number(colours.light);
   }
 
   /** Put performers on the stage, from left to right; over: all in one place. */
@@ -103,10 +129,11 @@ export class Stage {
     this.over = over;
     for (const performer of this.performers) this.scene.remove(performer.group);
     this.performers = performers;
+    this.fit();
     performers.forEach((performer, place) => {
       const [x, z] = performer.take.middle();
       // Seen from the front, the first stands on the left.
-      performer.group.position.set((place - (performers.length - 1) / 2) * (over ? 0 : APART) - x, 0, -z);
+      performer.group.position.set((place - (performers.length - 1) / 2) * (over ? 0 : APART * this.size) - x, 0, -z);
       this.scene.add(performer.group);
     });
   }
@@ -156,12 +183,13 @@ export class Stage {
 
   /** posed(): called when all are in their pose, before the picture is drawn. */
   draw(time, posed = () => {}) {
-    const { yaw, pitch, distance, x, y, z } = this.view;
+    const { yaw, pitch } = this.view, [distance, x, y, z] = ["distance", "x", "y", "z"].map((name) => this.view[name] * this.size);
+    const high = y + this.floor;
     // A narrow window needs more room for the arms, and two need more than one.
     const [wide, least] = this.performers.length > 1 && !this.over ? [1.9, 1.2] : [0.8, 1];
     const far = distance * Math.max(least, wide / this.camera.aspect);
-    this.camera.position.set(x + far * Math.sin(yaw) * Math.cos(pitch), y + far * Math.sin(pitch), z + far * Math.cos(yaw) * Math.cos(pitch));
-    this.camera.lookAt(x, y, z);
+    this.camera.position.set(x + far * Math.sin(yaw) * Math.cos(pitch), high + far * Math.sin(pitch), z + far * Math.cos(yaw) * Math.cos(pitch));
+    this.camera.lookAt(x, high, z);
     this.camera.updateMatrixWorld();
     for (const performer of this.performers) performer.show(time, this.camera);
     posed();
@@ -174,7 +202,19 @@ export class Stage {
     const [x, z] = performer.take.middle();
     at.x += x;
     at.z += z;
+    at.y += this.floor;
     at.project(this.camera);
     return [((at.x + 1) / 2) * this.canvas.clientWidth, ((1 - at.y) / 2) * this.canvas.clientHeight];
   }
+}
+
+/** How high a character stands, and how tall it is, in the pose that it is in: metres. Measured once. */
+function boxOf(character) {
+  if (!character.box) {
+    character.group.updateWorldMatrix(true, true);
+    const { min, max } = new Box3().setFromObject(character.group, true), tall = max.y - min.y;
+    // A file without a mesh, or with one that is nowhere, is as tall as ours.
+    character.box = tall > 0.01 && Number.isFinite(tall) ? { low: min.y, tall } : { low: 0, tall: TALL };
+  }
+  return character.box;
 }

@@ -2,6 +2,7 @@
 
 import { cuesOf, cueTime, moveCue } from "./cues.js";
 import { curveOf, withCurve } from "./curves.js";
+import { notice } from "./dom.js";
 import { clamp } from "./numbers.js";
 import { movePin, pinsOf } from "./pins.js";
 import { blockAt, blocksOfUnit, dragged, marksOf, moveBeat, phrasesOf, snapped, stretched } from "./plan.js";
@@ -126,19 +127,21 @@ export class TimelineHands {
     return at;
   }
 
-  /** Select a gesture unit, unless the blocks under the pointer are selected: those may be dragged. */
+  /** Select a gesture (a phrase of a unit), unless the blocks under the pointer are selected: those may be dragged. */
   takeUnit(unit, extend, time) {
     const { selection, plan } = this.session, block = blockAt(plan, time);
     this.drag.time = time;
     this.drag.held = !extend && selection && block >= selection[0] && block <= selection[1];
-    if (!this.drag.held) this.pickUnit(unit, extend);
+    if (!this.drag.held) this.pickUnit(this.phraseAt(unit, time), extend);
   }
 
-  /** A click on a unit that is selected selects the phrase there, and another one the unit again. */
+  /** The phrase of a unit at a time. A unit may last from the first word to the last: its strokes are what is moved. */
+  phraseAt(unit, time) { return phrasesOf(unit).find(({ start, end }) => time >= start && time < end) ?? unit; }
+
+  /** A click on a gesture that is selected selects its whole unit, and another one the gesture again. */
   clickUnit({ unit, time }) {
-    const { selection, plan } = this.session, whole = blocksOfUnit(plan, unit).join() === selection.join();
-    const phrase = phrasesOf(unit).find(({ start, end }) => time >= start && time < end);
-    this.pickUnit(whole && phrase ? phrase : unit, false);
+    const { selection, plan } = this.session, phrase = this.phraseAt(unit, time);
+    this.pickUnit(blocksOfUnit(plan, phrase).join() === selection.join() ? unit : phrase, false);
   }
 
   /** Select the blocks of a gesture unit, or with shift all up to its end. */
@@ -165,7 +168,7 @@ export class TimelineHands {
     const { timeline, session, clock } = this, [x, y] = this.place(event);
     if (!this.pointers.has(event.pointerId)) {
       const { kind, block } = this.hit(x, y, event.pointerType);
-      timeline.canvas.title = kind === "unit" ? "a gesture: click to select its blocks, again for the phrase here; drag to move it, with Ctrl a copy of it" : kind === "stretch" ? "drag to stretch or squeeze the selected blocks" : kind === "pin" ? "a pinned pose: click to go there, drag to another moment" : kind === "cue" ? "drag to another word" : kind === "block" ? session.plan.blocks[block].name ?? "" : kind === "beat" ? "drag to move, Delete to take away" : "";
+      timeline.canvas.title = kind === "unit" ? "a gesture: click to select its blocks, again for its whole unit; drag to move it, with Ctrl a copy of it" : kind === "stretch" ? "drag to stretch or squeeze the selected blocks" : kind === "pin" ? "a pinned pose: click to go there, drag to another moment" : kind === "cue" ? "drag to another word" : kind === "block" ? session.plan.blocks[block].name ?? "" : kind === "beat" ? "drag to move, Delete to take away" : "";
       timeline.canvas.style.cursor = { beat: "col-resize", range: "ew-resize", block: "pointer", unit: "pointer", cue: "grab", pin: "grab", stretch: "ew-resize", point: "crosshair" }[kind] ?? "text";
       return;
     }
@@ -215,8 +218,17 @@ export class TimelineHands {
     drag.moved ??= session.selection;
     const [first, last] = drag.moved, from = blocks[first].start, to = clamp(from + (x - drag.begun) / timeline.scale, 0, this.clock.duration);
     const [plan, place] = dragged(drag.plan, first, last, this.snap(to, event), event.ctrlKey || event.metaKey);
+    drag.stuck = plan === drag.plan;
     session.edit(plan, "dragged");
     session.select(place, place + last - first);
+  }
+
+  /** Why blocks stay where they were dragged from. */
+  whyStuck([first, last]) {
+    const { blocks } = this.session.plan;
+    if (last - first + 1 === blocks.length) return "The whole recording is selected, so there is nowhere to move it: click one gesture, and drag that.";
+    return first && last + 1 < blocks.length ? "The blocks beside it cannot give way that far (a block lasts 0.1 to 1 s): drag it to another beat."
+      : `It ${first ? "ends" : "begins"} with the recording, and moves by whole beats: drag it further.`;
   }
 
   up(event) {
@@ -224,6 +236,7 @@ export class TimelineHands {
     this.timeline.held = false;
     this.timeline.guide = null;
     if (this.drag.held && !this.drag.moved) this.clickUnit(this.drag);
+    if (this.drag.stuck) notice(this.whyStuck(this.drag.moved));
     if (this.drag.kind === "unit" && this.drag.moved && !this.clock.playing) this.clock.seek(this.session.plan.blocks[this.session.selection[0]].start + 0.002);
     this.session.lane.history.settle();
     if (this.drag.kind === "beat") this.session.tell("settled");

@@ -35,9 +35,9 @@ function level(samples) {
 function heard(of, message) {
   if (of !== stream) return;
   if (message.type === "poses") {
-    if ($("first").dataset.of !== String(of.opened)) {
-      $("first").dataset.of = String(of.opened);
-      $("first").textContent = `${Math.round(performance.now() - of.opened)} ms`;
+    if ($("first").dataset.of !== String(of.begun)) {
+      $("first").dataset.of = String(of.begun);
+      $("first").textContent = `${Math.round(performance.now() - of.begun)} ms`;
     }
     voice.heard(message.end);
     $("state").textContent = message.state;
@@ -97,6 +97,7 @@ async function open(file) {
     try {
       character = await readCharacter(new Uint8Array(await file.arrayBuffer()), { name: file.name });
       performer.wear(character);
+      stage.fit();
       $("character").textContent = `${file.name} (${character.kind})`;
       $("undress").hidden = false;
     } catch (error) {
@@ -146,6 +147,7 @@ function bind() {
   $("undress").addEventListener("click", () => {
     character = null;
     performer.wear(null);
+    stage.fit();
     $("character").textContent = "drop a .glb or .vrm";
     $("undress").hidden = true;
   });

@@ -6,6 +6,6 @@ export class Stream extends GestureStream {
   constructor(rate, options, onEvent) {
     const token = new URLSearchParams(location.hash.slice(1)).get("token");
     super(location.origin.replace("http", "ws") + "/stream", { sampleRate: rate, options, token: token ?? undefined, onEvent });
-    this.opened = performance.now();
+    this.begun = performance.now();
   }
 }
