@@ -63,6 +63,9 @@ export class Timeline {
 
   fit() {
     const least = this.width / this.duration, { unit } = sizes;
+    // What is shown as a whole stays so in a window of another size.
+    if (this.scale && this.scale === this.least) this.scale = least;
+    this.least = least;
     // 95 pixels a second leave room for a number in every block.
     this.scale = clamp(this.scale || 95 * unit, least, Math.max(600 * unit, least));
     this.left = clamp(this.left, 0, Math.max(0, this.duration - this.span));
