@@ -148,13 +148,9 @@ def opened_manifest(path: Path) -> Iterator[Manifest]:
 
 
 def estimated_seconds(row: ManifestRow) -> float:
-    """Duration of a recording from its header, else estimated from its size (MP3, whose header takes a process to
-    read); 0 if it cannot be read."""
-    from data_module.speech.audio import header_seconds
-
-    path = Path(row.input)
+    """Duration of a recording, estimated from its size; 0 if it cannot be read."""
     try:
-        return header_seconds(path) or path.stat().st_size / _BYTES_PER_SECOND
+        return Path(row.input).stat().st_size / _BYTES_PER_SECOND
     except OSError:
         return 0.0
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import difflib
-import io
 import os
 import sys
 import warnings
@@ -70,21 +69,11 @@ class Command:
 
     def main(self, program: str, argv: Sequence[str] | None = None) -> int:
         """Parse and run; exit code 2 with one line for bad input."""
-        # Before anything is printed, also where a verb is run without the program.
-        steady_streams()
         with one_line_errors(PROGRAM):
             # Parsed within: errors of arguments are one line, too.
             code = self.run(self.parser(program).parse_args(argv))
             sys.stdout.flush()  # raise errors of a full disk or a closed pipe here
             return code
-
-
-def steady_streams() -> None:
-    """Make sure that printing never fails: characters that the terminal's encoding lacks, and bytes of file names that
-    are not valid text, are printed as escapes."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
 
 
 @contextmanager
@@ -146,7 +135,6 @@ def _check_is_no_verb(word: str, known: Sequence[str]) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the verb named by the first argument."""
-    steady_streams()
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["--version"]:
         print(f"{PROGRAM} {__version__}")

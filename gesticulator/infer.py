@@ -16,6 +16,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line, printable
+from data_module.files import opened
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
 from gesticulator.jobs import CharacterRequest, Job, RunSettings, infer_arguments, jobs_of, run_settings_of
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from gesticulator.performance import Performance
 
 EXIT_PART_FAILED = 1
+LOW_LEVEL = -45.0
+"""Level of speech, dBFS, below which a recording is about 20 dB too low and quiet syllables get lost."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -108,12 +111,10 @@ def _process(jobs: Sequence[Job], settings: RunSettings) -> Callable[[str], floa
 
 def check_job(job: Job) -> None:
     """`InputError` if the recording cannot be processed, as far as can be known without reading it."""
-    from data_module.speech.audio import check_file
-
     if job.fault is not None:
         raise job.fault
     if job.source is not None:
-        check_file(job.source, any_length=True)
+        opened(job.source).close()
     elif sys.stdin is None or sys.stdin.isatty():
         raise InputError("standard input", "holds no recording", f"pipe one into {PROGRAM}, or name a file")
 
@@ -186,13 +187,29 @@ class Worker:
 
 def load(job: Job) -> Speech:
     """The recording; warns if it is too quiet even after the requested gain."""
-    from data_module.speech.audio import amplified, level_note, load_speech
+    from data_module.speech.audio import amplified, load_speech
 
-    speech = load_speech(job.source or sys.stdin.buffer, any_length=True)
+    speech = load_speech(job.source or sys.stdin.buffer)
     note = level_note(amplified(speech, job.options.gain))
     if note is not None:
         complain(f"{PROGRAM}: warning: {job.name}: {note}")
     return speech
+
+
+def level_note(speech: Speech) -> str | None:
+    """A note for the user on a recording whose level is far too low, with the gain to apply; None for others."""
+    from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, TYPICAL_LEVEL, frame_levels, loudness
+
+    frames = loudness(frame_levels(speech.samples, speech.sample_rate))
+    levels = frames.levels
+    if levels.max() <= FAINTEST_SPEECH:
+        return f"all of it is silence (its loudest 10 ms are at {levels.max():.0f} dBFS); record it again"
+    loud = levels > (frames.floor + MARGIN).clip(FAINTEST_SPEECH)
+    level = float(levels[loud].mean() if loud.any() else levels.max())
+    if level >= LOW_LEVEL:
+        return None
+    gain = round(TYPICAL_LEVEL - level)
+    return f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
 
 
 COMMAND = Command(

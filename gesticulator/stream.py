@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -269,6 +269,12 @@ class Stream:
         before its motion is final; up to .6 s later, the gesture is as much late; beyond, it is not made. Returns the
         words as they are spoken, without marks. `InputError` if the stream was opened without text.
         """
+        *_, spoken = self.adding(words)
+        return spoken
+
+    def adding(self, words: Sequence[Word], *batch: int) -> Iterator[tuple[Word, ...]]:
+        """`add_words` in steps, each of which gives the words as they are spoken. batch: beginnings of sentences that
+        a step reads."""
         self._check_open()
         if not self._text:
             raise InputError("words", "are not read by this stream", "open it with text=True")
@@ -278,9 +284,10 @@ class Stream:
         self._express(words)
         if self._meanings is not None:
             self._meanings.add(words)
-        self._utterance().add_words([replace(word, start=word.start - self._begun, end=word.end - self._begun)
-                                     for word in words])
-        return words
+        yield words
+        placed = [replace(word, start=word.start - self._begun, end=word.end - self._begun) for word in words]
+        for _ in self._utterance().add_words(placed, *batch):
+            yield words
 
     def idle(self, seconds: float) -> StreamFrames:
         """Advance media time by seconds without sound: the character comes to rest, with idle motion. Returns the

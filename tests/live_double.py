@@ -21,7 +21,7 @@ from gesticulator.body.motion_path import HISTORY
 from gesticulator.face.visemes import VISEMES
 from gesticulator.live.limits import ServerLimits
 from gesticulator.live.protocol import StreamRequest
-from gesticulator.live.server import LiveServer, Page, ServerAddress
+from gesticulator.live.server import LiveServer, ServerAddress
 from gesticulator.live.session import Session
 from gesticulator.live.vmc import VmcOutput
 from gesticulator.plan.plan import Block, BlockDraw
@@ -92,9 +92,9 @@ class TellingStream:
             self.time = min(at, self.made / self.request.fps)  # as in the stream, no further than there are frames
         return self._all(StreamState.IDLE)
 
-    def add_words(self, words: list[Word]) -> tuple[Word, ...]:
+    def adding(self, words: list[Word], *batch: int) -> Iterator[tuple[Word, ...]]:
         self.words += words
-        return tuple(words)
+        yield tuple(words)
 
     def finish(self) -> StreamFrames:
         return self._until(self.time)
@@ -134,7 +134,7 @@ def opener(limits: ServerLimits, seconds: float = 0.0, share: Share = 0.0) -> Ca
 
 
 @contextmanager
-def served(limits: ServerLimits, pages: Mapping[str, Page], vmc: str | None = None, share: Share = 0.0,
+def served(limits: ServerLimits, pages: Mapping[str, bytes], vmc: str | None = None, share: Share = 0.0,
            address: ServerAddress | None = None) -> Iterator[tuple[LiveServer, int]]:
     """A server of telling streams in a thread of its own, and its port; vmc: where poses are sent, too; share: of work;
     address: who may connect, at any free port unless it names one."""

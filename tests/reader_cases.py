@@ -34,7 +34,7 @@ from data_module.motion import skeletons
 from data_module.motion.bvh import read_bvh, read_hierarchy, write_bvh
 from data_module.motion.representation import TED_JOINTS
 from data_module.motion.smplx import read_smplx
-from data_module.speech.audio import header_seconds, load_speech
+from data_module.speech.audio import load_speech
 from data_module.speech.fingerprint import fingerprint_frames, fingerprint_text
 from data_module.store import Recording, RecordingInfo, Store, StoreWriter, _fingerprint, _sha256
 from data_module.text.transcript import read_transcript
@@ -554,7 +554,7 @@ def _results(folder: Path) -> Path:
 
 
 READERS: dict[str, Case] = {
-    **{kind: Case(_sound(kind, subtype), lambda file: (header_seconds(file), load_speech(file)), examples=share)
+    **{kind: Case(_sound(kind, subtype), load_speech, examples=share)
        # MP3 takes a process each.
        for kind, subtype, share in (("WAV", "PCM_16", 1), ("FLAC", "PCM_16", 1), ("OGG", "VORBIS", 1),
                                     ("AIFF", "PCM_16", 1), ("MP3", None, 0.2))},

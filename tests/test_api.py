@@ -76,7 +76,7 @@ def test_a_path_samples_and_a_speech_are_one(g: Gesticulator, tmp_path: Path) ->
     (np.zeros(0, np.float32), RATE, "too short"), (np.zeros((2, RATE), np.float32), RATE, "samples first"),
     (np.zeros((RATE, 0), np.float32), RATE, "samples first"), (np.zeros((2, 2, RATE)), RATE, "shaped"),
     (np.zeros(RATE, complex), RATE, "complex"), (np.full(RATE, "a"), RATE, "numbers"),
-    (np.full(RATE, np.nan, np.float32), RATE, "full scale"), (np.full(RATE, 20000.0), RATE, "full scale is 1"),
+    (np.full(RATE, np.nan, np.float32), RATE, "not a number"), (np.full(RATE, 20000.0), RATE, "full scale is 1"),
     (np.zeros(RATE, np.float32), 16000.5, "out of range"),
 ])
 def test_samples_that_cannot_be_used(samples: np.ndarray, rate: float | None, said: str, g: Gesticulator) -> None:

@@ -256,6 +256,36 @@ def test_a_mark_waits_for_the_next_words(system: Any) -> None:
     np.testing.assert_array_equal(_streamed(system, [alone, words[5:]]), _streamed(system, [whole, words[6:]]))
 
 
+def test_a_stream_makes_four_marks_a_second_at_most_and_repeats_once() -> None:
+    """Each costs computing time in every block around it, so a message full of them would hold up other streams."""
+    marks, names = StreamMarks(rotations=True), ("shrug", "wave", "nod", "point you", "plea", "thumbs up")
+    for number in range(100):
+        word = "".join(f"[{name}] " * 3 for name in names[number % 6:])
+        marks.take([Word(f"{word}no", 5.0 + 0.02 * number, 5.01 + 0.02 * number)], 0.0)
+    times = np.array([cue.time for cue in marks.cues()])
+    assert (np.diff(times) >= 0.0).all() and len(times) >= 8
+    assert (times[4:] - times[:-4] >= 1.0).all()
+    for name in names:
+        own = np.array([cue.time for cue in marks.cues() if cue.cue.gesture == name])
+        assert (np.diff(own) >= max(span_of_gesture(name)[0], LATEST)).all()
+    marks.interrupt(4.0)  # all are broken off or forgotten, and may be marked again
+    marks.take([Word("[shrug] no", 5.0, 5.2)], 4.0)
+    assert [cue.cue.gesture for cue in marks.cues() if cue.broken_off is None] == ["shrug"]
+
+
+def test_words_in_steps_are_those_of_one_call(system: Any) -> None:
+    """A step reads one beginning of a sentence: as many steps as words, and the words first."""
+    stream = system.stream(RATE, text=True)
+    words = [Word(f"{word}.", 0.4 * n, 0.4 * n + 0.3) for n, word in enumerate(("a", "few", "words", "of", "talk"))]
+    steps = list(stream.adding(words, 1))
+    assert len(steps) == 1 + len(words) and all([word.text for word in step] == [word.text for word in words]
+                                                for step in steps)
+    whole = system.stream(RATE, text=True)
+    whole.add_words(words)
+    samples = _sound().samples
+    np.testing.assert_allclose(stream.feed(samples).rotations, whole.feed(samples).rotations, atol=1e-5)
+
+
 def test_no_more_marks_may_wait_than_a_plan_may_have() -> None:
     """One message with thousands of marks would hold up every other stream of a server for seconds."""
     marks = StreamMarks(rotations=True)

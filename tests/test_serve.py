@@ -56,9 +56,9 @@ class Running:
     def url(self) -> str:
         return f"ws://127.0.0.1:{self.port}/stream"
 
-    async def get(self, path: str, token: str = "") -> tuple[int, str]:
-        request = urllib.request.Request(f"http://127.0.0.1:{self.port}{path}",
-                                         headers={"Authorization": f"Bearer {token}"} if token else {})
+    async def get(self, path: str, token: str = "", host: str = "") -> tuple[int, str]:
+        headers = {"Authorization": f"Bearer {token}" if token else "", "Host": host or f"127.0.0.1:{self.port}"}
+        request = urllib.request.Request(f"http://127.0.0.1:{self.port}{path}", headers=headers)
 
         def fetch() -> tuple[int, str]:
             try:
@@ -384,6 +384,16 @@ async def test_pages_of_other_origins_may_not_connect(origin: str | None, allowe
         async with opening as ws:
             await ws.send(Hello(RATE).text())
             assert json.loads(await ws.recv())["type"] == "hello"
+
+
+@pytest.mark.parametrize(("host", "allowed"), [
+    ("localhost:8765", True), ("[::1]:8765", True), ("good.example", True), ("evil.example:8765", False),
+    ("127.0.0.1.evil.example", False), ("[", False)])
+@in_loop
+async def test_a_page_whose_name_was_turned_to_this_machine_reads_nothing(host: str, allowed: bool) -> None:
+    async with running(origins=("https://good.example",)) as at:
+        for path in ("/healthz", "/readyz", "/metrics"):
+            assert (await at.get(path, host=host))[0] == (200 if allowed else 403)
 
 
 @in_loop

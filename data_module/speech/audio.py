@@ -9,7 +9,9 @@ import contextlib
 import io
 import math
 import os
+import shutil
 import tempfile
+import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -20,22 +22,10 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.files import opened, write_bytes
-from data_module.speech.silence import (
-    FAINTEST_SPEECH,
-    MARGIN,
-    TYPICAL_LEVEL,
-    frame_levels,
-    loudness,
-)
-from data_module.speech.sound_files import (
-    BrokenSoundError,
-    NoSoundError,
-    Sound,
-    decoder,
-)
+from data_module.speech.sound_files import BrokenSoundError, NoSoundError, Sound, decoder
 from data_module.types import Samples, Speech
 
-__all__ = ["as_speech", "load_speech"]
+__all__ = ["SoundWarning", "as_speech", "load_speech"]
 
 SpeechInput: TypeAlias = "Speech | str | os.PathLike[str] | BinaryIO | NDArray[Any]"
 """A recording: a `Speech`, a sound file by its path or as a binary stream, or samples [n] or [n, channels]."""
@@ -44,46 +34,65 @@ SAMPLE_RATE = 16000
 """Sample rate of every `Speech` that this module returns, hertz."""
 SHORTEST = 0.3
 """Shortest recording, seconds; anything shorter has no block."""
-LONGEST = 3600.0
-"""Longest recording without `any_length`, seconds: an hour takes 0.7 GB and some minutes."""
 SOUNDS = (".flac", ".wav", ".mp3", ".ogg", ".opus", ".m4a", ".aac", ".webm", ".mp4", ".mkv", ".mov")
 """Suffixes of sound files, and of videos with sound, in order of preference."""
-LOW_LEVEL = -45.0
-"""Level of speech, dBFS, below which a recording is about 20 dB too low and quiet syllables get lost."""
 
 # Range of sample rates, hertz: below the first there is no intelligible speech, and no sound card exceeds the second.
 _LOWEST_RATE, _HIGHEST_RATE = 1000, 768_000
+# Hertz of a telephone, below which consonants are lost: at 5.5 kHz the hands are 10 cm from those of the whole sound.
+_TELEPHONE_RATE = 8000
 # Largest sample in floating point, times full scale (24 dB), that is clipped; more indicates another unit.
 _FULL_SCALE = 16.0
 # Most channels; more indicate that samples and channels are swapped.
 _MOST_CHANNELS = 1024
 # Channels (7.1) above which as few samples indicate the same.
 _USUAL_CHANNELS = 8
+# Numbers of channels with a centre (5.1, 7.1), and its least power with speech, of that of the strongest: -12 dB.
+_WITH_CENTRE, _LEAST_CENTRE = (6, 8), 0.06
+# Power of the mean of channels, of what it would be if they were unrelated, below which they cancel one another.
+_CANCELLED = 0.25
+# Levels that are told apart up to full scale; the share of samples at the loudest one above which a recording is
+# clipped, and their part of the samples within a hundredth of it: a sine has a fifth there, a cut wave nearly all.
+_LEVELS, _CLIPPED, _CUT_OFF = 2048, 0.002, 0.4
 # Seconds that may be missing at the end, because of encoder padding and rounding.
 _CUT = 0.25
-# Bytes that are read from a pipe at a time.
-_STREAM_PIECE = 1 << 20
 
 
-def load_speech(source: str | os.PathLike[str] | BinaryIO, any_length: bool = False) -> Speech:
+class SoundWarning(UserWarning):
+    """A recording that is not as a microphone gives it, and what was done about it."""
+
+
+def load_speech(source: str | os.PathLike[str] | BinaryIO) -> Speech:
     """Read a recording (any rate, any number of channels) as mono speech at `SAMPLE_RATE`.
 
     source: a path, or a binary stream such as `sys.stdin.buffer` with a sound file: WAV, FLAC, OGG, MP3 and other
-    formats of libsndfile, and with PyAV installed M4A, MP4, WebM and other containers. any_length: accept more than
-    `LONGEST` seconds. Channels are averaged.
+    formats of libsndfile, and with PyAV installed M4A, MP4, WebM and other containers. Channels are averaged; of 5.1
+    the centre is taken, and where channels cancel one another, the one with the strongest speech. `SoundWarning` for
+    that, for a low sample rate and for a clipped recording.
 
     `InputError` for anything that is not a recording of at least `SHORTEST` seconds, and for one with fewer samples
     than its header promises.
     """
     name = _name_of(source)
+
+    def read(channel: int | None = None) -> tuple[Samples, _Survey]:
+        with decoder(raw, name) as sound:
+            _check_rate(sound.rate, name)
+            survey = _Survey(sound.rate, sound.centre)
+            return np.concatenate(list(_mono(sound, name, survey, channel))), survey
+
     try:
-        with _opened(source, any_length) as raw, decoder(raw, name) as sound:
-            _check_sound(sound, name, any_length)
-            return Speech(np.concatenate(list(_mono(sound, name, any_length))), SAMPLE_RATE)
+        with _opened(source) as raw:
+            samples, survey = read()
+            if (channel := survey.channel()) is not None:
+                # Once more from its beginning: all channels of an hour would not fit into memory.
+                samples, _ = read(channel)
     except NoSoundError as error:
         raise InputError(name, "is not sound that can be decoded", "give a WAV, FLAC, OGG or MP3 file") from error
     except OSError as error:
         raise InputError(name, f"cannot be read ({error.strerror or error})", "check the path and its rights") from None
+    survey.warn(name, channel)
+    return Speech(samples, SAMPLE_RATE)
 
 
 def as_speech(given: SpeechInput, sample_rate: float | None = None) -> Speech:
@@ -97,22 +106,26 @@ def as_speech(given: SpeechInput, sample_rate: float | None = None) -> Speech:
     if sample_rate is None:
         raise InputError("sample_rate", "is missing", "give it with the samples: g(samples, 16000)")
     _check_rate(sample_rate)
-    samples = _as_mono(np.asarray(given))
-    if len(samples) < SHORTEST * sample_rate:
-        raise InputError("speech", f"lasts {len(samples) / sample_rate:.2f} s, too short for a gesture",
+    rate, samples = round(sample_rate), _checked(np.asarray(given), sample_rate)
+    survey = _Survey(rate)
+    survey.add(samples)
+    channel = survey.channel()
+    if len(samples) < SHORTEST * rate:
+        raise InputError("speech", f"lasts {len(samples) / rate:.2f} s, too short for a gesture",
                          f"give {SHORTEST} s or more")
-    return Speech(samples, round(sample_rate))
+    survey.warn("speech", channel)
+    return Speech(np.clip(_mixed(samples, channel), -1.0, 1.0), rate)
 
 
-def _check_rate(rate: float) -> None:
+def _check_rate(rate: float, name: object = "") -> None:
     if not _LOWEST_RATE <= rate <= _HIGHEST_RATE or rate != round(rate):
-        raise InputError(f"sample_rate {rate:g}", "is out of range",
-                         f"give {_LOWEST_RATE} to {_HIGHEST_RATE} samples per second")
+        raise InputError(name or f"sample_rate {rate:g}", f"{rate:g} samples per second are out of range",
+                         f"give {_LOWEST_RATE} to {_HIGHEST_RATE}")
 
 
 class SampleFeed:
     """Streamed samples to mono at `SAMPLE_RATE`: the same result as of `as_speech`, `amplified` and `resample` for all
-    of them, whatever the pieces."""
+    of them, whatever the pieces. Channels are averaged always: which one has the speech is not known at the start."""
 
     def __init__(self, sample_rate: float, gain: float = 0.0) -> None:
         _check_rate(sample_rate)
@@ -131,7 +144,7 @@ class SampleFeed:
     def take(self, samples: NDArray[Any]) -> Samples:
         """The output at `SAMPLE_RATE` after some more samples [n] or [n, channels]; `InputError` for invalid samples,
         which are not taken."""
-        mono = _as_mono(np.asarray(samples))
+        mono = np.clip(_mixed(_checked(np.asarray(samples), self.rate, self._taken)), -1.0, 1.0)
         self._taken += len(mono)
         if self._gain:
             mono = np.clip(mono * 10.0 ** (self._gain / 20), -1.0, 1.0).astype(np.float32)
@@ -144,42 +157,6 @@ class SampleFeed:
         if self._resampler is None:
             return mono
         return np.clip(self._resampler.resample_chunk(mono, last=last), -1.0, 1.0).astype(np.float32)
-
-
-def check_file(name: Path, any_length: bool = False) -> None:
-    """`InputError` if a path cannot be a recording, or its header indicates more than `LONGEST`; without decoding."""
-    with opened(name) as raw:
-        _check_size(raw, name)
-    seconds = 0.0 if any_length else header_seconds(name)
-    if seconds > LONGEST:
-        raise _too_long(name, f"its header indicates {_hours(seconds)}")
-
-
-def _check_size(raw: BinaryIO, name: object) -> None:
-    if not raw.seek(0, io.SEEK_END):
-        raise InputError(name, "is empty", "record or copy it again")
-    raw.seek(0)
-
-
-def header_seconds(name: Path) -> float:
-    """Length of a recording from its header, seconds; 0 if unknown."""
-    with contextlib.suppress(OSError, NoSoundError, InputError), name.open("rb") as raw, decoder(raw, name) as sound:
-        return sound.frames / sound.rate
-    return 0.0
-
-
-def level_note(speech: Speech) -> str | None:
-    """A note for the user on a recording whose level is far too low, with the gain to apply; None for others."""
-    frames = loudness(frame_levels(speech.samples, speech.sample_rate))
-    levels = frames.levels
-    if levels.max() <= FAINTEST_SPEECH:
-        return f"all of it is silence (its loudest 10 ms are at {levels.max():.0f} dBFS); record it again"
-    loud = levels > np.maximum(frames.floor + MARGIN, FAINTEST_SPEECH)
-    level = float(levels[loud].mean() if loud.any() else levels.max())
-    if level >= LOW_LEVEL:
-        return None
-    gain = round(TYPICAL_LEVEL - level)
-    return f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
 
 
 def amplified(speech: Speech, decibels: float) -> Speech:
@@ -208,8 +185,8 @@ def write_flac(path: str | os.PathLike[str], speech: Speech) -> None:
     write_bytes(path, memory.getvalue())
 
 
-def _as_mono(samples: NDArray[Any]) -> Samples:
-    """[n] or [n, channels] of any type of number to [n] in [-1, 1]."""
+def _checked(samples: NDArray[Any], rate: float, before: int = 0) -> NDArray[np.floating[Any]]:
+    """Samples of any type of number as [n, channels] in floating point. before: samples that came before these."""
     if samples.ndim not in (1, 2) or samples.dtype.kind not in "fiu":
         raise InputError("speech", f"is an array of {samples.dtype} shaped {list(samples.shape)}",
                          "give samples [n] or [n, channels] as numbers")
@@ -221,12 +198,76 @@ def _as_mono(samples: NDArray[Any]) -> Samples:
         half = 2.0 ** (8 * samples.dtype.itemsize - 1)
         # Unsigned samples (8-bit WAV) are centred on half of their range.
         samples = (samples.astype(np.float64) - (half if samples.dtype.kind == "u" else 0.0)) / half
-    if samples.ndim == 2:
-        samples = samples.mean(axis=1, dtype=np.float64)
-    if len(samples) and not np.abs(samples).max() <= _FULL_SCALE:  # also NaN
-        raise InputError("speech", f"holds samples up to {np.abs(samples).max():.3g}, where full scale is 1",
-                         "scale them to [-1, 1]")
-    return np.clip(samples, -1.0, 1.0).astype(np.float32)
+    samples = samples.reshape(-1, channels)
+    _check_scale(samples, "speech", rate, before)
+    return samples
+
+
+def _check_scale(samples: NDArray[np.floating[Any]], name: object, rate: float, before: int) -> None:
+    """`InputError` for samples that are not numbers or far beyond full scale. before: samples before these."""
+    if not len(samples) or (peak := np.abs(samples).max()) <= _FULL_SCALE:
+        return
+    if np.isfinite(peak):
+        raise InputError(name, f"holds samples up to {peak:.3g}, where full scale is 1",
+                         "export it again, scaled to [-1, 1]")
+    at = (before + int(np.argmin(np.isfinite(samples).all(axis=1)))) / rate
+    raise InputError(name, f"holds a sample that is not a number (NaN or infinite) at {at:.1f} s",
+                     "export it again from its source")
+
+
+def _mixed(samples: NDArray[np.floating[Any]], channel: int | None = None) -> Samples:
+    """[n, channels] as [n]: the mean of the channels, or one of them."""
+    return np.ascontiguousarray(samples.mean(axis=1) if channel is None else samples[:, channel], dtype=np.float32)
+
+
+class _Survey:
+    """Where in the channels of a recording the speech is, and whether it is clipped; from its pieces, in order."""
+
+    def __init__(self, rate: int, centre: int = 2) -> None:
+        self.rate, self.centre, self._channels = rate, centre, 1
+        self._powers: list[NDArray[np.float32]] = []
+        self._counts = np.zeros(_LEVELS + 1, np.int64)
+
+    def add(self, piece: NDArray[np.floating[Any]]) -> None:
+        heights = np.minimum(np.abs(piece), 1.0) * _LEVELS
+        self._counts += np.bincount(heights.ravel().astype(np.intp), minlength=_LEVELS + 1)
+        self._channels = piece.shape[1]
+        if self._channels > 1 and len(piece):
+            # Power in stretches of 10 ms of each channel, and of their mean.
+            size = min(len(piece), max(1, self.rate // 100))
+            count = len(piece) // size
+            parts = piece[:count * size].reshape(count, size, -1)
+            parts = np.concatenate([parts, parts.mean(axis=2, keepdims=True)], axis=2)
+            self._powers.append((parts ** 2).mean(axis=1).astype(np.float32))
+
+    def channel(self) -> int | None:
+        """The channel that is to be taken; None for the mean of all."""
+        if not self._powers:
+            return None
+        powers = np.concatenate(self._powers)
+        # Speech comes and goes; hum and noise stay.
+        *alone, mean = (powers.mean(axis=0) - np.percentile(powers, 10, axis=0)).tolist()
+        loudest = int(np.argmax(alone))
+        if len(alone) in _WITH_CENTRE and alone[self.centre] > _LEAST_CENTRE * alone[loudest]:
+            return self.centre
+        return loudest if mean < _CANCELLED * sum(alone) / len(alone) ** 2 else None
+
+    def warn(self, name: object, channel: int | None) -> None:
+        if channel is not None:
+            why = "of which it is the centre" if self._channels in _WITH_CENTRE and channel == self.centre \
+                else "which cancel one another when they are mixed"
+            _warn(name, f"channel {channel + 1} is taken of {self._channels}, {why}")
+        if self.rate < _TELEPHONE_RATE:
+            _warn(name, f"has {self.rate} samples per second and so lacks consonants; record it at 16 kHz or more")
+        top = int(np.flatnonzero(self._counts)[-1]) if self._counts.any() else 0
+        cut, near = self._counts[top] / max(1, self._counts.sum()), self._counts[math.ceil(0.99 * top):].sum()
+        # What is never louder than a tenth of full scale is silence with a step.
+        if top > 0.1 * _LEVELS and cut > _CLIPPED and self._counts[top] > _CUT_OFF * near:
+            _warn(name, f"is clipped ({cut:.1%} of its samples), and strokes may follow that; record it less loudly")
+
+
+def _warn(name: object, remark: str) -> None:
+    warnings.warn(SoundWarning(f"{name}: {remark}"), stacklevel=4)
 
 
 # ---------------------------------------------------------------------------------------------------- reading
@@ -239,7 +280,7 @@ def _name_of(source: str | os.PathLike[str] | BinaryIO) -> object:
 
 
 @contextlib.contextmanager
-def _opened(source: str | os.PathLike[str] | BinaryIO, any_length: bool) -> Iterator[BinaryIO]:
+def _opened(source: str | os.PathLike[str] | BinaryIO) -> Iterator[BinaryIO]:
     """The sound file as a seekable stream, from its beginning."""
     with contextlib.ExitStack() as files:
         if isinstance(source, str | os.PathLike):
@@ -249,38 +290,23 @@ def _opened(source: str | os.PathLike[str] | BinaryIO, any_length: bool) -> Iter
         else:
             # Decoders seek, and a pipe cannot.
             raw = cast(BinaryIO, files.enter_context(tempfile.TemporaryFile()))
-            _spool(source, raw, any_length)
-        _check_size(raw, _name_of(source))
+            shutil.copyfileobj(source, raw)
+        if not raw.seek(0, io.SEEK_END):
+            raise InputError(_name_of(source), "is empty", "record or copy it again")
+        raw.seek(0)
         yield raw
 
 
-def _spool(source: BinaryIO, copy: BinaryIO, any_length: bool) -> None:
-    most = math.inf if any_length else LONGEST * _HIGHEST_RATE  # bytes: an hour of 96 kHz stereo in floating point
-    while data := source.read(_STREAM_PIECE):
-        copy.write(data)
-        if copy.tell() > most:
-            raise _too_long("standard input", "it has more bytes than an hour of sound")
-
-
-def _check_sound(sound: Sound, name: object, any_length: bool) -> None:
-    rate = sound.rate
-    if not _LOWEST_RATE <= rate <= _HIGHEST_RATE:
-        raise InputError(name, f"has {rate} samples per second", "record at 8 kHz or more, or export it again")
-    if not any_length and sound.frames > LONGEST * rate:
-        raise _too_long(name, f"its header indicates {_hours(sound.frames / rate)}")
-
-
-def _mono(sound: Sound, name: object, any_length: bool) -> Iterator[Samples]:
-    """All samples as mono at `SAMPLE_RATE`, piece by piece; `InputError` for too few or too many."""
+def _mono(sound: Sound, name: object, survey: _Survey, channel: int | None) -> Iterator[Samples]:
+    """All samples as mono at `SAMPLE_RATE`, piece by piece; `InputError` for too few."""
     rate, feed = sound.rate, SampleFeed(sound.rate)
-    most = math.inf if any_length else LONGEST * rate
     frames = given = 0
     try:
         for piece in sound.pieces:
             frames += len(piece)
-            if frames > most:
-                raise _too_long(name, "it continues beyond that")
-            mono = feed.resampled(_averaged(piece, name))
+            _check_scale(piece, name, rate, frames - len(piece))
+            survey.add(piece)
+            mono = feed.resampled(_mixed(piece, channel))
             given += len(mono)
             yield np.clip(mono, -1.0, 1.0)  # resampling overshoots a little at full scale
     except BrokenSoundError as error:
@@ -299,18 +325,3 @@ def _mono(sound: Sound, name: object, any_length: bool) -> Iterator[Samples]:
         raise InputError(name, f"lasts {given / SAMPLE_RATE:.2f} s, too short for a gesture",
                          f"give {SHORTEST} s or more")
 
-
-def _averaged(piece: np.ndarray, name: object) -> Samples:
-    if not np.abs(piece).max() <= _FULL_SCALE:  # also NaN
-        raise InputError(name, f"holds samples that are not numbers, or up to {np.abs(piece).max():.3g}, where full "
-                         "scale is 1", "export it again, scaled to [-1, 1]")
-    return np.ascontiguousarray(piece.mean(axis=1, dtype=np.float32))
-
-
-def _too_long(name: object, why: str) -> InputError:
-    return InputError(name, f"lasts longer than {_hours(LONGEST)} ({why})",
-                      "cut it, or say any_length=True")
-
-
-def _hours(seconds: float) -> str:
-    return f"{seconds / 3600:.3g} hour{'' if seconds == 3600 else 's'}"

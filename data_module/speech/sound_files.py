@@ -11,6 +11,7 @@ import contextlib
 import io
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
@@ -35,11 +36,13 @@ _MOST_OFFSET = 60.0
 @dataclass(frozen=True)
 class Sound:
     """A sound file that is being decoded. rate: samples per second. frames: samples per channel that its header
-    promises, 0 if unknown. pieces: samples [n, channels], to be iterated once; they raise `BrokenSoundError`."""
+    promises, 0 if unknown. pieces: samples [n, channels], to be iterated once; they raise `BrokenSoundError`. centre:
+    which channel is the centre, if there are six (5.1) or eight (7.1)."""
 
     rate: int
     frames: int
     pieces: Iterator[NDArray[np.float32]]
+    centre: int = 2
 
 
 class NoSoundError(Exception):
@@ -54,14 +57,23 @@ class BrokenSoundError(Exception):
 
 # Samples (two years) above which a decoder's length means that it is unknown.
 _OPEN_END = 1 << 40
-# Bytes in which the header of a WAV ends, and how it ends in one that was written to a pipe: with a length of 0.
-_HEAD, _OPEN_WAV = 512, b"data\0\0\0\0"
-# (offset, bytes there, FFmpeg's name of the format): MP4 and M4A, WebM, AVI, WMA and WMV, AMR, MPEG.
+# Bytes from which a format is recognised: the samples of a WAV seldom begin later, whatever notes come before them.
+_HEAD = 1 << 16
+# How the header of a WAV ends whose length was left open, as 0, by a program that could not go back to fill it in.
+_OPEN_WAV = b"data\0\0\0\0"
+# (offset, bytes there, FFmpeg's name of the format): MP4 and M4A, WebM, AVI, WMA and WMV, AMR, MPEG, Flash, DTS.
 _CONTAINERS: tuple[tuple[int, bytes, str], ...] = (
     (4, b"ftyp", "mov,mp4,m4a,3gp,3g2,mj2"), (4, b"moov", "mov,mp4,m4a,3gp,3g2,mj2"),
     (4, b"mdat", "mov,mp4,m4a,3gp,3g2,mj2"), (0, b"\x1aE\xdf\xa3", "matroska,webm"), (8, b"AVI ", "avi"),
     (0, b"0&\xb2u\x8ef\xcf\x11", "asf"), (0, b"#!AMR", "amr"), (0, b"\0\0\x01\xba", "mpeg"),
+    (0, b"FLV", "flv"), (0, b"\x7f\xfe\x80\x01", "dts"),
 )
+# The same for formats of which libsndfile reads some codecs only: WAV, Ogg, AIFF, CAF; and for WavPack, which it lacks.
+_SECOND_TRY = ((8, b"WAVE", "wav"), (0, b"OggS", "ogg"), (0, b"FORM", "aiff"), (0, b"caff", "caf"), (0, b"wvpk", "wv"))
+# Streams of frames without a header, of which FFmpeg guesses the length from the first frame.
+_HEADLESS = frozenset({"aac", "ac3", "eac3", "dts"})
+# Telephone sound without any header, by its suffix: 8 kHz, one channel.
+_TELEPHONE = {".ul": "ULAW", ".ulaw": "ULAW", ".mulaw": "ULAW", ".al": "ALAW", ".alaw": "ALAW"}
 
 
 class Patched(io.RawIOBase):
@@ -105,6 +117,9 @@ def container_of(head: bytes) -> str:
     # AAC without a container: the 12 bits that MPEG's frames begin with, then layer 0, which MP3 never has.
     if len(head) > 1 and head[0] == 0xFF and head[1] & 0xF6 == 0xF0:
         return "aac"
+    # AC-3 without a container; E-AC-3 has a number above 10 in the 5 bits of its version.
+    if head[:2] == b"\x0b\x77" and len(head) > 5:
+        return "eac3" if head[5] >> 3 > 10 else "ac3"
     # A transport stream: packets of 188 bytes, each beginning with G.
     return "mpegts" if head[:1] == b"G" and head[188:189] == b"G" and head[376:377] == b"G" else ""
 
@@ -118,16 +133,26 @@ def is_mpeg(head: bytes) -> bool:
 
 @contextlib.contextmanager
 def decoder(raw: BinaryIO, name: object) -> Iterator[Sound]:
-    """A seekable sound file in the decoder of its format. `NoSoundError` if no decoder knows it."""
+    """A seekable sound file, from its beginning, in the decoder of its format. `NoSoundError` if no decoder knows it.
+    """
+    raw.seek(0)
     head = raw.read(_HEAD)
     raw.seek(0)
     kind = container_of(head)
-    with container(raw, kind, name) if kind else _sndfile(raw, head) as sound:
+    with contextlib.ExitStack() as files:
+        try:
+            sound = files.enter_context(container(raw, kind, name) if kind else _sndfile(raw, head, name))
+        except NoSoundError:
+            second = next((kind for at, mark, kind in _SECOND_TRY if head[at:at + len(mark)] == mark), "")
+            if kind or not second:
+                raise
+            raw.seek(0)
+            sound = files.enter_context(container(raw, second, name))
         yield sound
 
 
 @contextlib.contextmanager
-def _sndfile(raw: BinaryIO, head: bytes) -> Iterator[Sound]:
+def _sndfile(raw: BinaryIO, head: bytes, name: object) -> Iterator[Sound]:
     import soundfile
 
     class ForwardOnlyFile(soundfile.SoundFile):
@@ -136,16 +161,19 @@ def _sndfile(raw: BinaryIO, head: bytes) -> Iterator[Sound]:
         def seekable(self) -> bool:
             return False
 
-    # The decoder would trust the length of 0.
+    # The decoder would trust a length of 0; one beyond the end of the file it corrects.
     place = head.find(_OPEN_WAV) + 4 if head[:4] == b"RIFF" and _OPEN_WAV in head else 0
+    law = _TELEPHONE.get(PurePath(str(name)).suffix.lower()) if head[:4] not in (b"RIFF", b".snd") else None
+    form: dict[str, Any] = {"format": "RAW", "subtype": law, "samplerate": 8000, "channels": 1} if law else {}
     try:
-        file = ForwardOnlyFile(io.BufferedReader(Patched(raw, place)))
+        file = ForwardOnlyFile(io.BufferedReader(Patched(raw, place)), **form)
     except (soundfile.SoundFileError, TypeError, ValueError) as error:
         raise NoSoundError from error
     # Of an MP3 without a count in its header the decoder guesses the length from the first frame.
     frames = 0 if is_mpeg(head) or file.frames > _OPEN_END else int(file.frames)
     with file:
-        yield Sound(int(file.samplerate), frames, _of_sndfile(file))
+        # Vorbis and Opus have the centre between left and right.
+        yield Sound(int(file.samplerate), frames, _of_sndfile(file), 1 if file.format == "OGG" else 2)
 
 
 def _of_sndfile(file: Any) -> Iterator[NDArray[np.float32]]:
@@ -171,7 +199,7 @@ def container(raw: BinaryIO, kind: str, name: object) -> Iterator[Sound]:
     try:
         import av
     except ImportError:
-        raise InputError(name, "is a video or container, and its decoder (PyAV) is not installed",
+        raise InputError(name, f"needs the decoder PyAV (a video, or a codec in {kind}), which is not installed",
                          f"{PYAV}, or convert it to WAV") from None
     try:
         file: Any = av.open(raw, mode="r", format=kind.split(",")[0])
@@ -185,9 +213,11 @@ def container(raw: BinaryIO, kind: str, name: object) -> Iterator[Sound]:
         rate = int(stream.rate or 0) if stream.codec_context is not None else 0
         if rate <= 0:
             raise NoSoundError
-        known = stream.duration is not None and stream.time_base is not None
+        known = kind not in _HEADLESS and stream.duration is not None and stream.time_base is not None
         seconds = float(stream.duration * stream.time_base) if known else 0.0
-        late = float(stream.start_time * stream.time_base) if stream.start_time and stream.time_base else 0.0
+        # Late is what begins after the file does: the clocks of transport and program streams begin anywhere.
+        begin = float(stream.start_time * stream.time_base) if stream.start_time and stream.time_base else 0.0
+        late = begin - (file.start_time or 0) / av.time_base if begin else 0.0
         late = late if _OFFSET < late < _MOST_OFFSET else 0.0
         yield Sound(rate, round((seconds + late) * rate), _of_container(file, stream, rate, late))
 

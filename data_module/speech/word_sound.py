@@ -10,14 +10,15 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, sosfiltfilt
 
+from data_module.speech.silence import PITCH_HOP, PITCH_WINDOW, pitch_of
 from data_module.types import Array, Speech, Word
 
 _EXPECTED, _TO_PEAK = 0.3, 0.04
 """A stressed vowel is expected to begin at this share of its word, and to be loudest so many seconds later."""
-_HOP = 0.01
 _AROUND = 0.1
 """Seconds of sound around a word that are filtered with it, so that its ends are not those of the filter."""
 _STRAYS = 60.0
@@ -25,10 +26,6 @@ _STRAYS = 60.0
 tenth word of several syllables takes an unstressed one; 30 to 100 make no difference."""
 _RISES, _LONGEST_RISE = 5.0, 0.15
 """A vowel begins where its level is so many decibels under its peak, at most so many seconds before it."""
-_VOICED = 0.5
-"""Least autocorrelation of a voiced frame."""
-_FRAME, _PITCHES = 0.04, (70.0, 400.0)
-"""Seconds of a frame for voicing and pitch, and hertz between which pitch is sought."""
 _NEIGHBOURS, _FEWEST = 2.5, 3
 """Seconds on both sides of a word within which its neighbours begin, and how many are needed."""
 _SPREAD = (6.0, 4.0, 0.4)
@@ -50,7 +47,7 @@ class WordSounds:
         level, voiced, _ = self._frames(word)
         if not voiced.any():
             return None
-        times = word.start + _HOP * np.arange(len(level))
+        times = word.start + PITCH_HOP * np.arange(len(level))
         # The best frame, then uphill to the top of its vowel, then back to where the vowel rises.
         expected = word.start + _EXPECTED * (word.end - word.start) + _TO_PEAK
         peak = int(np.argmax(np.where(voiced, level - _STRAYS * np.abs(times - expected), -np.inf)))
@@ -58,7 +55,7 @@ class WordSounds:
             peak += 1
         while peak > 0 and level[peak - 1] > level[peak]:
             peak -= 1
-        begin, first = peak, max(peak - round(_LONGEST_RISE / _HOP), 0)
+        begin, first = peak, max(peak - round(_LONGEST_RISE / PITCH_HOP), 0)
         while begin > first and level[begin - 1] > level[peak] - _RISES:
             begin -= 1
         return float(times[begin])
@@ -79,47 +76,26 @@ class WordSounds:
         """Peak level, decibels; median pitch, semitones; logarithm of duration over what its letters take; or NaN."""
         level, voiced, pitch = self._frames(word)
         letters = sum(mark.isalnum() for mark in word.text)
-        lasts = math.log(max(word.end - word.start, _HOP) / (0.12 + 0.045 * letters))
+        lasts = math.log(max(word.end - word.start, PITCH_HOP) / (0.12 + 0.045 * letters))
         if not voiced.any():
             return math.nan, math.nan, lasts
         return float(level[voiced].max()), float(np.median(pitch[voiced])), lasts
 
-    def _frames(self, word: Word) -> tuple[Array, Array, Array]:
-        """Of a word every `_HOP` seconds: [T] level of vowels, decibels; whether it is voiced; its pitch, semitones."""
-        # Frames are centred on their moment, and one more period of the lowest pitch follows for the lags.
-        hop, length = round(_HOP * self._rate), round(_FRAME * self._rate)
-        longest = round(self._rate / _PITCHES[0])
-        count = max(round((word.end - word.start) / _HOP), 1)
+    def _frames(self, word: Word) -> tuple[Array, NDArray[np.bool_], Array]:
+        """Of a word every 10 ms: [T] level of vowels, decibels; whether it is voiced; its pitch, semitones."""
+        # Frames are centred on their moment.
+        hop, length = round(PITCH_HOP * self._rate), round(PITCH_WINDOW * self._rate)
+        count = max(round((word.end - word.start) / PITCH_HOP), 1)
         first, margin = round(word.start * self._rate), round(_AROUND * self._rate)
-        # The frames of the word, with room for the filter and for the longest lag; silence beyond the recording.
-        wanted = np.arange(first - margin, first + count * hop + margin + length + longest)
+        # The frames of the word, with room for the filter; silence beyond the recording.
+        wanted = np.arange(first - margin, first + count * hop + margin + length)
         inside = (wanted >= 0) & (wanted < len(self._samples))
         sound = np.where(inside, self._samples[np.clip(wanted, 0, len(self._samples) - 1)], 0.0).astype(np.float64)
-        loudest = float(np.abs(sound).max())
-        if loudest == 0.0:
-            return np.full(count, -np.inf), np.zeros(count, bool), np.full(count, np.nan)
         # Between 300 and 2500 Hz, where vowels are loud.
         band = butter(2, (300, min(2500, 0.45 * self._rate)), "bandpass", fs=self._rate, output="sos")
         power = sosfiltfilt(band, sound) ** 2
         means = power[:len(power) // hop * hop].reshape(-1, hop).mean(axis=1)
         level = gaussian_filter1d(10.0 * np.log10(means + 1e-12 * power.max() + 1e-300), 2.0)
-        starts = margin + hop * np.arange(count) + hop // 2 - length // 2
-        frames = sound[starts[:, None] + np.arange(length + longest)]
-        return level[margin // hop:margin // hop + count], *_voicing(frames, length, self._rate, loudest)
-
-
-def _voicing(frames: Array, length: int, rate: float, loudest: float) -> tuple[Array, Array]:
-    """[T] whether frames [T, length + longest lag] are voiced, and their pitch, semitones: by autocorrelation."""
-    low, high = round(rate / _PITCHES[1]), round(rate / _PITCHES[0])
-    frames = frames - frames.mean(axis=1, keepdims=True)
-    # Normalised autocorrelation by FFT, of the frame's beginning with all lags of a voice.
-    size = 1 << (frames.shape[1] + length - 1).bit_length()
-    begin = np.fft.rfft(frames[:, :length], size)
-    shared = np.fft.irfft(np.conj(begin) * np.fft.rfft(frames, size), size)[:, low:high]
-    squares = np.cumsum(np.pad(frames ** 2, ((0, 0), (1, 0))), axis=1)
-    energies = squares[:, length + low:length + high] - squares[:, low:high]
-    # The floor keeps frames of near silence from counting as periodic.
-    floor = (1e-6 * loudest ** 2 * length) ** 2
-    likeness = shared / np.sqrt(np.maximum(energies * squares[:, length:length + 1], floor))
-    best = np.argmax(likeness, axis=1)
-    return likeness.max(axis=1) > _VOICED, 12.0 * np.log2(rate / (low + best))
+        begin = margin + hop // 2 - length // 2
+        pitch, voiced = pitch_of(sound[begin:begin + (count - 1) * hop + length].astype(np.float32), self._rate)
+        return level[margin // hop:margin // hop + count], voiced, 12.0 * pitch

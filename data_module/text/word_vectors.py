@@ -88,16 +88,21 @@ class WordEncoder:
         changes nothing before it.
         """
         out = np.zeros((len(words), self.width), np.float32)
+        list(self.encode_into(out, words, so_far))  # to its last step
+        return out
+
+    def encode_into(self, out: Vectors, words: Sequence[Word], so_far: bool, batch: int = _BATCH) -> Iterator[None]:
+        """`encode` in steps of a `batch` of texts, which fill `out` [W, width]."""
         parts = [part for sentence in sentences(words) for part in self._fitting(words, sentence)]
         if so_far:
             # A BERT attends in both directions, so a causal vector takes a pass over each beginning of the sentence.
             parts = [beginning for part in parts for beginning in part.beginnings()]
-        for start in range(0, len(parts), _BATCH):
-            batch = parts[start:start + _BATCH]
-            for part, states in zip(batch, self._model([part.pieces for part in batch]), strict=True):
+        for start in range(0, len(parts), batch):
+            read = parts[start:start + batch]
+            for part, states in zip(read, self._model([part.pieces for part in read]), strict=True):
                 for number in set(part.owners) - {-1}:
                     out[number] = states[np.array(part.owners) == number].mean(axis=0)
-        return out
+            yield
 
     def _fitting(self, words: Sequence[Word], sentence: Sequence[int]) -> list[_Pieces]:
         """The sentence in word pieces; halved if it is too long for the model, down to a truncated word."""
@@ -213,8 +218,7 @@ def _bert(folder: Path) -> BertEncoder:
 
 def _renamed(key: str) -> str:
     """The name of a tensor without the prefix and in place of the older words for scale and shift."""
-    return key.removeprefix("bert.").replace("LayerNorm.gamma", "LayerNorm.weight").replace("LayerNorm.beta",
-                                                                                            "LayerNorm.bias")
+    return key.removeprefix("bert.").replace("Norm.gamma", "Norm.weight").replace("Norm.beta", "Norm.bias")
 
 
 def _fingerprint(folder: Path) -> str:

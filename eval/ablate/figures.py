@@ -73,8 +73,8 @@ def onset_intervals(rg: RgRows, rows: Summaries) -> Picture:
     """RG Fig. 5 and 8a."""
     store = rg.context.store
     infos = evenly(store, "train", COUNTED)
-    counted = sum((intervals.measure(store.load(info.name).speech)[1] for info in infos), intervals.Intervals())
-    return interval_bars(counted, f"{store.corpus}, {len(infos)} recordings: {counted.line()}")
+    counted = np.sum([intervals.measure(store.load(info.name).speech)[1] for info in infos], axis=0)
+    return interval_bars(counted, f"{store.corpus}, {len(infos)} recordings: {intervals.within_bounds(counted[0])}")
 
 
 def lexicon(rg: RgRows, rows: Summaries) -> Picture:

@@ -24,7 +24,7 @@ import numpy as np
 
 from data_module.blocks import BlockSettings
 from data_module.controls import FEATURES, LEVELS
-from data_module.intervals import STEP, Intervals
+from data_module.intervals import STEP, Counts
 from data_module.speech.onsets import merged
 from data_module.types import Array, Beats, Speech, Word
 from eval.metrics import pmb
@@ -244,13 +244,13 @@ def _draw_hands(axis: Axes, speed: Array, fps: float, beat_times: Array, start: 
 
 # ----------------------------------------------------------------------------------------------------------- Fig. 5
 
-def interval_bars(counted: Intervals, title: str) -> Figure:
+def interval_bars(counted: Counts, title: str) -> Figure:
     """Shares of the intervals by length, since onsets and beats differ in number, with the default bounds of a block.
     """
     figure, bounds = canvas(4), BlockSettings().beats
     axes = figure.subplots()
-    for kind, counts, colour in (("onsets", counted.onsets, BLUE), ("beats", counted.beats, ORANGE)):
-        axes.bar(np.arange(len(counts)) * STEP, np.array(counts) / max(1, sum(counts)), STEP, align="edge", alpha=0.5,
+    for kind, counts, colour in zip(("onsets", "beats"), counted, (BLUE, ORANGE), strict=True):
+        axes.bar(np.arange(len(counts)) * STEP, counts / max(1, sum(counts)), STEP, align="edge", alpha=0.5,
                  color=colour, label=f"between {kind} ({sum(counts)})")
     for bound, name in ((bounds.d_min, "d_min"), (bounds.d_max, "d_max")):
         axes.axvline(bound, color=INK, linestyle=":", label=f"{name} {bound:g} s")

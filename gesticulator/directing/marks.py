@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import difflib
 import warnings
+from bisect import bisect_left, bisect_right, insort
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from operator import attrgetter
 
 from data_module.errors import InputError
 from data_module.text.marks import NONE, mark_name, marked_words
@@ -27,6 +29,7 @@ SOURCE = "mark"
 """The source of a cue in a plan that comes from a mark."""
 LATEST = 0.6
 """Seconds that a stroke may come after its word, where the word came too late to prepare it; beyond, it is dropped."""
+_TIME = attrgetter("time")
 
 
 class MarkWarning(UserWarning):
@@ -98,19 +101,19 @@ class StreamMarks:
     def __init__(self, rotations: bool) -> None:
         """rotations: whether the bundle's poses are joint rotations, which gestures need."""
         self._rotations = rotations
-        self._marked: list[tuple[float, TimedCue]] = []  # with the starts of their words
+        self._marked: list[TimedCue] = []
         self._late: tuple[str, ...] = ()
         self._known: set[str] = set()
 
     def take(self, words: Sequence[Word], final: float) -> tuple[Word, ...]:
         """The words as they are spoken, with their marks noted; a mark after the last one waits for the next call.
         final: seconds of motion that are final, so that a gesture can begin no earlier. `InputError` for a mark where
-        the bundle's poses are no rotations, and for too many marks."""
+        the bundle's poses are no rotations, and for too many marks that wait."""
         parts, late = marked_words([word.text for word in words])
         out, waiting = [], self._late
         for word, (text, marks) in zip(words, parts, strict=True):
             if text.strip():
-                out.append(replace(word, text=text, marks=(*word.marks, *waiting, *marks)))
+                out.append(replace(word, text=text, marks=tuple(dict.fromkeys((*word.marks, *waiting, *marks)))))
                 waiting = ()
             elif not word.text.strip():
                 out.append(word)
@@ -119,7 +122,7 @@ class StreamMarks:
         for word in out:
             for gesture in gestures_of(word):
                 self._add(word, gesture, final)
-        self._marked = [(start, cue) for start, cue in self._marked if cue.time >= final - LONGEST_HISTORY]
+        self._marked = [cue for cue in self._marked if cue.time >= final - LONGEST_HISTORY]
         return tuple(out)
 
     def _add(self, word: Word, gesture: str, final: float) -> None:
@@ -128,22 +131,27 @@ class StreamMarks:
                              "leave them out")
         spoken = stroke_of_word(word)
         time = max(spoken, final + span_of_gesture(gesture)[0])
-        # A recogniser sends a word again when it has understood it better.
-        again = any(cue.cue.gesture == gesture and start == word.start for start, cue in self._marked)
-        if time - spoken <= LATEST and not again:
-            # Each costs computing time in every block around it, which other streams would wait for.
-            waiting = sum(cue.time > final for cue in self.cues())
-            if waiting >= ALLOWED_CUES or len(self._marked) >= max(ALLOWED_CUES, int(CUES_PER_SECOND * final)):
-                raise InputError("gesture marks", f"more than {ALLOWED_CUES} wait or {CUES_PER_SECOND:g} per second "
-                                 "came", "send fewer")
-            self._marked.append((word.start, TimedCue(GestureCue(gesture, time=time, source=SOURCE), time)))
+        # A recogniser sends a word again when it has understood it better, and what is marked again before its stroke
+        # is the same gesture.
+        within = max(span_of_gesture(gesture)[0], LATEST)
+        first, last = (bisect_left(self._marked, time + apart, key=_TIME) for apart in (-1.0 - within, 1.0 + within))
+        around = [cue for cue in self._marked[first:last] if cue.broken_off is None]
+        again = any(cue.cue.gesture == gesture and abs(cue.time - time) < within for cue in around)
+        # Each costs computing time in every block around it, which other streams would wait for.
+        strokes = sorted([time, *(cue.time for cue in around)])
+        crowded = any(after - before < 1.0 for before, after in zip(strokes, strokes[int(CUES_PER_SECOND):],
+                                                                    strict=False))
+        if time - spoken <= LATEST and not (again or crowded):
+            if len(self._marked) - bisect_right(self._marked, final, key=_TIME) >= ALLOWED_CUES:
+                raise InputError("gesture marks", f"more than {ALLOWED_CUES} wait", "send fewer")
+            insort(self._marked, TimedCue(GestureCue(gesture, time=time, source=SOURCE), time), key=_TIME)
 
     def interrupt(self, at: float) -> None:
         """Forget what begins after `at` seconds, and break off what is being made."""
         self._late = ()
         # A gesture whose preparation has begun cannot be taken back at once; it ends as the hands come to rest.
-        self._marked = [(start, cue.ended(at)) for start, cue in self._marked if cue.span[0] < at]
+        self._marked = [cue.ended(at) for cue in self._marked if cue.span[0] < at]
 
     def cues(self) -> list[TimedCue]:
-        """The marked gestures, in order of their words."""
-        return [cue for _, cue in self._marked]
+        """The marked gestures, in order of their times."""
+        return list(self._marked)

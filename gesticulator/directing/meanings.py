@@ -8,8 +8,10 @@ does; one whose words come later leaves out what no longer fits.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import NamedTuple
 
 from data_module.speech.word_sound import WordSounds
@@ -27,6 +29,10 @@ AGAIN = 20.0
 _WORDS, _GESTURES = 60.0, 660.0
 """Seconds of the past that a stream keeps: of words, enough for the beginning of the sentence that is spoken; of
 gestures, more than it can go back."""
+
+_TEXT = 4000
+"""Characters that a stream reads at a time, from the words that it keeps on: five minutes of speech. More would cost
+more than a block, and nobody says it in a minute."""
 
 
 class Level(NamedTuple):
@@ -51,12 +57,14 @@ class Called:
 def chosen(calls: Sequence[Called], level: Level, begun: Sequence[Called] = (), taken: Sequence[float] = (),
            begin: float = 0.0) -> list[Called]:
     """The calls that are shown, in order of time. Left out are: a call under the level's score; one within the level's
-    distance of a shown one or of `taken` (seconds of cues, which outrank it); a meaning that was shown within `AGAIN`
-    seconds; one with a better one so near after it; one that would begin before `begin`. begun: those shown before."""
+    distance of a shown one or of `taken` (seconds of cues, which outrank it); a meaning that was shown within
+    `AGAIN` seconds; one with a better one so near after it; one that would begin before `begin`. begun: those shown
+    before."""
     # Cues of the user, marks and stillness come first; words fill what is left.
+    taken = sorted(taken)
     good = [call for call in sorted(calls, key=lambda call: call.cue.time)
             if call.gesture.score >= level.score and call.cue.span[0] >= begin
-            and all(abs(call.cue.time - other) >= level.apart for other in taken)]
+            and bisect_right(taken, call.cue.time - level.apart) == bisect_left(taken, call.cue.time + level.apart)]
     out = list(begun)
 
     def barred(call: Called) -> bool:
@@ -87,7 +95,7 @@ class MeaningTrack:
         self._words: list[Word] = []
         self._begun: list[Called] = []
         self._next: list[Called] | None = None
-        self._until = 0.0
+        self._until, self._known = 0.0, 0.0
 
     def add(self, words: Sequence[Word]) -> None:
         """Add words with their times, seconds. Words with a mark show no meaning, and their gesture outranks others."""
@@ -105,14 +113,14 @@ class MeaningTrack:
 
     def cues(self, until: float) -> list[TimedCue]:
         """The gestures that begin up to a time; what was given once stays."""
-        if self._next is None:
+        if self._next is None or until > self._known:
             self._next = self._chosen()
         if until > self._until:
             self._begun += [call for call in self._next if call.cue.span[0] <= until]
             self._next = [call for call in self._next if call.cue.span[0] > until]
             self._until = until
             self._begun = [call for call in self._begun if call.cue.time > until - _GESTURES]
-            self._words = [word for word in self._words if word.end > until - _WORDS]
+            self._words = [word for word in self._words if word.start > until - _WORDS]
         return [call.cue for call in self._begun]
 
     def meanings(self) -> tuple[PlanMeaning, ...]:
@@ -124,7 +132,11 @@ class MeaningTrack:
             for call in calls)
 
     def _chosen(self) -> list[Called]:
-        words = self._words
+        words, self._known = self._words, math.inf
+        if self._speech is None:
+            words = words[:bisect_right(list(accumulate(len(word.text) for word in words)), _TEXT)]
+            if len(words) < len(self._words):
+                self._known = words[-1].start - AGAIN if words else -math.inf
         texts = [word.text for word in words]
         pauses = [max(after.start - word.end, 0.0) for word, after in zip(words, words[1:], strict=False)]
         sounds = None if self._speech is None else WordSounds(self._speech, words)

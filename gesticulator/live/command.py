@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from data_module.errors import InputError
 from data_module.files import read_text
+from data_module.registry import Requirement
 from gesticulator.cli import Command, limited_threads
 
 if TYPE_CHECKING:
@@ -47,6 +48,8 @@ def arguments(p: argparse.ArgumentParser) -> None:
                             metavar="S" if isinstance(default, float) else "N",
                             help=f"{text} (default {default:{'g' if isinstance(default, float) else ''}})")
     _common_arguments(p, "the first stream")
+    # Commands of before the release still start: the server's share of a core is what its streams take.
+    p.add_argument("--core-share", type=float, help=argparse.SUPPRESS)
 
 
 def _common_arguments(p: argparse.ArgumentParser, stream: str) -> None:
@@ -68,12 +71,8 @@ def run(args: argparse.Namespace) -> int:
 
 def check_library() -> None:
     """`InputError` without the packages of the extra `live`."""
-    try:
-        import jsonschema  # noqa: F401
-        import prometheus_client  # noqa: F401
-        import websockets  # noqa: F401
-    except ImportError as error:
-        raise InputError("serve", f"needs the package {error.name}", "pip install 'gesticulator[live]'") from None
+    for module in ("jsonschema", "prometheus_client", "websockets"):
+        Requirement(module, module, "live").check("serve")
 
 
 def read_token(args: argparse.Namespace) -> str:

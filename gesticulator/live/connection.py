@@ -16,6 +16,7 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -49,6 +50,8 @@ _REASON_BYTES = 120
 """Bytes of the reason in a close frame; the limit is 123."""
 _MOST_WAITING = 10_000
 """Most queued messages: a minute of 6 ms packets; bounds empty commands too."""
+_SHORT = 2000
+"""Characters of a message that is checked at once, within half a millisecond."""
 _WAITS = ("idle", "think")
 
 
@@ -211,7 +214,9 @@ class Connection:
                 sound = _Sound(samples, other_voice, time.monotonic())
                 await self._wait_with(sound, len(samples) / request.sample_rate)
                 continue
-            command = read_message(message)
+            # Checking a long message takes longer than a block, and the loop serves everybody.
+            command = read_message(message) if len(message) < _SHORT else \
+                await self.place.compute.run(partial(read_message, message))
             if command["type"] == "hello":
                 raise RefusedError(CloseCode.BAD_MESSAGE, "a second hello came")
             other_voice = command["type"] == "listen" or (other_voice and command["type"] != "speak")

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from gesticulator.live.vmc import VmcOutput
 
 LOG = logging.getLogger("gesticulator.live")
+_SILENT = logging.getLogger("gesticulator.live.websockets")
+_SILENT.setLevel(logging.CRITICAL)  # the library would print a traceback for every invalid message of a client
 FINISH_SECONDS = 10.0
 """Least time for finishing received audio when the server stops, seconds."""
 RETRY_SECONDS = 5.0
@@ -47,7 +49,7 @@ _PING_SECONDS = 20.0
 _MESSAGES_AHEAD = 4
 """Messages read ahead by the WebSocket library; the queue of a connection is bounded in seconds of audio."""
 _TEXT = "text/plain; charset=utf-8"
-_PAGE_KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".txt": "text/plain"}
+_PAGE_KINDS = {".js": "text/javascript", ".css": "text/css", ".txt": "text/plain"}
 
 
 @dataclass(frozen=True)
@@ -86,11 +88,12 @@ class ServerAddress:
         """
         if "*" in self.origins or origin in self.origins:
             return True
-        try:
-            host = urlsplit(origin).hostname
-        except ValueError:
-            return False
-        return self.local and host in _LOOPBACK
+        return self.local and _host_of(origin) in _LOOPBACK
+
+    def is_host(self, host: str) -> bool:
+        """Whether a request's Host is a name of this server. A page whose name was re-resolved to 127.0.0.1 is of the
+        same origin as what it asks for there, and could read it, but sends its own name."""
+        return not self.local or _host_of(f"//{host}") in (*_LOOPBACK, *filter(None, map(_host_of, self.origins)))
 
     def listen(self) -> socket.socket:
         """Open a listening socket; `InputError` if that fails."""
@@ -108,21 +111,18 @@ class ServerAddress:
         return listening
 
 
-@dataclass(frozen=True)
-class Page:
-    """A file served to browsers."""
+def _host_of(url: str) -> str | None:
+    try:
+        return urlsplit(url).hostname
+    except ValueError:
+        return None
 
-    body: bytes
-    kind: str
 
-
-def live_pages() -> dict[str, Page]:
+def live_pages() -> dict[str, bytes]:
     """URL path -> file of the page of `gesticulator live`."""
     folder = resources.files("gesticulator") / "assets" / "live"
-    names = {"/": "live.html", **{f"/{name}": name for name in ("live.css", "live.min.js", "capture.js",
-                                                                "licences.txt")}}
-    return {path: Page((folder / name).read_bytes(), f"{_PAGE_KINDS[name[name.rindex('.'):]]}; charset=utf-8")
-            for path, name in names.items()}
+    names = ("live.html", "live.css", "live.min.js", "capture.js", "licences.txt")
+    return {f"/{name}".removesuffix("live.html"): (folder / name).read_bytes() for name in names}
 
 
 @dataclass
@@ -137,7 +137,7 @@ class LiveServer:
     limits: ServerLimits
     open_session: Callable[[str, StreamRequest], Session]
     output: VmcOutput | None = None
-    pages: Mapping[str, Page] = field(default_factory=dict)
+    pages: Mapping[str, bytes] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.metrics = ServerMetrics()
@@ -169,7 +169,7 @@ class LiveServer:
             self._serve_one, sock=listening, process_request=self._answer, select_subprotocol=_subprotocol,
             max_size=self.limits.message_bytes, max_queue=_MESSAGES_AHEAD, compression=None,
             ping_interval=_PING_SECONDS, ping_timeout=_PING_SECONDS, close_timeout=CLOSE_SECONDS,
-            logger=_silent_log(), server_header=None)
+            logger=_SILENT, server_header=None)
         playing = None if self.output is None else asyncio.create_task(self.output.play())
         try:
             if ready is not None:
@@ -242,6 +242,8 @@ class LiveServer:
             origin = request.headers.get("Origin")
             return None if origin is None or self.address.admits(origin) else _response(
                 HTTPStatus.FORBIDDEN, b"pages of this origin may not connect; see --origin\n")
+        if not self.address.is_host(request.headers.get("Host", "")):
+            return _response(HTTPStatus.FORBIDDEN, b"this is not the server of that name; see --origin\n")
         if path == "/healthz":
             return _response(HTTPStatus.SERVICE_UNAVAILABLE, b"stopping\n") if self.draining \
                 else _response(HTTPStatus.OK, b"ok\n")
@@ -250,7 +252,8 @@ class LiveServer:
         if path == "/metrics":
             return self._metrics(request)
         if path in self.pages:
-            return _response(HTTPStatus.OK, self.pages[path].body, self.pages[path].kind)
+            kind = _PAGE_KINDS.get(path[path.rfind("."):], "text/html")
+            return _response(HTTPStatus.OK, self.pages[path], f"{kind}; charset=utf-8")
         return _response(HTTPStatus.NOT_FOUND,
                          f"there are {published()['path']}, /healthz, /readyz and /metrics\n".encode())
 
@@ -286,8 +289,3 @@ def _response(status: HTTPStatus, body: bytes, kind: str = _TEXT) -> Response:
     return Response(status.value, status.phrase, headers, body)
 
 
-def _silent_log() -> logging.Logger:
-    """The WebSocket library's log, silenced: it would print a traceback for every invalid client message."""
-    log = logging.getLogger("gesticulator.live.websockets")
-    log.setLevel(logging.CRITICAL)
-    return log

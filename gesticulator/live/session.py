@@ -121,7 +121,7 @@ class Session:
             if unseen > 0.5 / self.request.fps:
                 yield from self.wait("idle", unseen)
         elif kind == "words":
-            self._add_words(message["words"])
+            yield from self._add_words(message["words"])
         elif kind in ("finish", "leave"):
             if self._stream.time > 0:  # a stream without input has no remaining frames
                 yield from map(self._answer, self._stream.steps("finish"))
@@ -143,8 +143,8 @@ class Session:
     def _pass_over(self, seconds: float) -> Work:
         yield from map(self._answer, self._stream.steps("pass_over", seconds))
         later = [word for word in self._words if word.start >= self._stream.time]
-        if later:
-            self._stream.add_words(later)  # only words of the skipped audio are dropped
+        # Only words of the skipped audio are dropped.
+        yield from (SessionAnswer() for _ in self._stream.adding(later, 1))
 
     def _interrupt(self, at: float | None) -> list[StreamFrames]:
         stream = self._stream
@@ -153,7 +153,7 @@ class Session:
         except InputError:  # too long ago to take back: stop after what was sent
             return list(stream.steps("interrupt", None))
 
-    def _add_words(self, entries: list[dict[str, Any]]) -> None:
+    def _add_words(self, entries: list[dict[str, Any]]) -> Work:
         if not self.request.options.get("text", False):
             raise RefusedError(CloseCode.BAD_MESSAGE, "words came for a stream without the option text")
         try:
@@ -162,8 +162,10 @@ class Session:
             raise RefusedError(CloseCode.BAD_MESSAGE, str(error)) from None
         if len(self._words) + len(words) > _MOST_WORDS:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {_MOST_WORDS} words wait for their sound")
-        spoken = self._stream.add_words(words)
-        self._words = sorted([*self._words, *spoken], key=lambda word: word.start)
+        adding = self._stream.adding(words, 1)
+        self._words = sorted([*self._words, *next(adding)], key=lambda word: word.start)
+        # Reading a text takes longer than a block, so other streams take turns between two.
+        yield from (SessionAnswer() for _ in adding)
 
     def _answer(self, frames: StreamFrames) -> SessionAnswer:
         answer = SessionAnswer()

@@ -23,6 +23,7 @@ import numpy as np
 
 from data_module.errors import InputError
 from data_module.motion.skeletons import standing
+from data_module.registry import Requirement
 from data_module.settings import whole_number
 
 if TYPE_CHECKING:
@@ -53,10 +54,7 @@ def read_target(text: str) -> tuple[str, int]:
     number = whole_number(port, 65535)
     if not host or not number:
         raise InputError(f"--vmc {text[:80]}", "is not HOST:PORT", f"such as 127.0.0.1:{PORT}")
-    try:
-        import pythonosc  # noqa: F401
-    except ImportError:
-        raise InputError("--vmc", "needs the package python-osc", "pip install 'gesticulator[live]'") from None
+    Requirement("pythonosc", "python-osc", "live").check("--vmc")
     return host.strip("[]"), number
 
 

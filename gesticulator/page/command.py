@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_module.errors import InputError
+from data_module.files import opened
 from gesticulator.cli import Command, limited_threads, our_warnings
 from gesticulator.infer import Worker, load
 from gesticulator.jobs import Job, RunSettings, performance_arguments, run_settings_of, settings_of
@@ -59,11 +60,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _job(args: argparse.Namespace) -> Job:
     """The recording; `InputError` for errors that can be found before loading anything."""
-    from data_module.speech.audio import check_file
-
     if args.character is not None and Path(args.character).suffix.lower() not in SHOWN:
         raise InputError(args.character, "cannot be shown by the page", f"give one of {', '.join(SHOWN)}")
-    check_file(args.speech, any_length=True)
+    opened(args.speech).close()
     return replace(settings_of(args), source=args.speech, text=None if args.text is None else Path(args.text))
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 from bisect import bisect_left, insort
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -182,10 +183,10 @@ class BlockCutter:
         """Seconds of sound so far."""
         return (self._processed + self._waiting) / SAMPLE_RATE
 
-    def add_words(self, words: Sequence[Word]) -> None:
-        """Add words with their times in the sound, seconds; they affect the blocks that are returned from now on."""
-        if self._words is not None:
-            self._words.add(words)
+    def add_words(self, words: Sequence[Word], *batch: int) -> Iterator[None]:
+        """Add words with their times in the sound, seconds, in steps; they affect the blocks that are returned after
+        the last step. batch: texts that a step reads (`WordEncoder.encode_into`)."""
+        return iter(()) if self._words is None else self._words.add(words, *batch)
 
     def feed(self, samples: Samples) -> list[SpeechBlock]:
         """Feed sound, float32 [n] in [-1, 1]; return the blocks that became certain."""
@@ -340,9 +341,11 @@ class WordTrack:
         self._words: list[tuple[float, int, Word, Features]] = []  # by their start
         self._count = 0
 
-    def add(self, words: Sequence[Word]) -> None:
-        """Add words with their times in the sound, seconds; the words of one call are encoded together."""
-        for word, vector in zip(words, self._encoder.encode(words, so_far=self._so_far), strict=True):
+    def add(self, words: Sequence[Word], *batch: int) -> Iterator[None]:
+        """Add words with their times in the sound, seconds, in steps; the words of one call are encoded together."""
+        vectors = np.zeros((len(words), self._encoder.width), np.float32)
+        yield from self._encoder.encode_into(vectors, words, self._so_far, *batch)
+        for word, vector in zip(words, vectors, strict=True):
             row = np.append(vector, np.float32(0.0)).astype(np.float32)
             insort(self._words, (word.start, self._count, word, row))
             self._count += 1
@@ -385,7 +388,7 @@ def encode_speech(speech: Speech, config: Config, front: FrontEnd | None = None,
     # Without words the audio-only models are used, which take no rows of text.
     read = words if speech.words is not None else None
     cutter = BlockCutter(config, front, read)
-    cutter.add_words(speech.words or ())
+    deque(cutter.add_words(speech.words or ()), maxlen=0)
     if blocks is not None:
         cutter.cut_at([(float(edge), BeatFlag(int(flag)))
                        for edge, flag in zip(blocks.edges[1:], blocks.flags, strict=True)])
