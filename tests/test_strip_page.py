@@ -1,4 +1,4 @@
-"""Pages of strips: several systems at the same seconds, with the credit that a licence asks for."""
+"""Pages of strips: several systems at the same seconds."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def test_four_poses_a_second_as_far_as_the_motion_goes() -> None:
 
 def test_every_source_stands_front_and_side_in_every_line_that_it_reaches() -> None:
     long, short = perform(seconds=8.0), perform(seconds=3.0, seed=4)
-    figure = draw_page([Source("first", long.motion), Source("second", short.motion, "made by somebody")],
+    figure = draw_page([Source("first", long.motion), Source("second", short.motion)],
                        page_times(0.0, 8.0, 8.0), long.speech)
     found = texts(figure)
     # 32 poses are two lines; the second source ends before the first line does, so it has none.
     assert PAGE.line < 32 and found.count("first") == 2 and found.count("second") == 0
     assert found.count("front") == found.count("side") == 2
-    assert {"0.00 s", "3.75 s", "4.00 s", "7.75 s", "made by somebody"} <= set(found)
+    assert {"0.00 s", "3.75 s", "4.00 s", "7.75 s"} <= set(found)
     both = [Source("first", long.motion), Source("second", short.motion)]
     reached = texts(draw_page(both, page_times(0.0, 2.0, 8.0)))
     assert reached.count("second") == 1 and reached.count("side") == 2

@@ -38,8 +38,8 @@ _UNSAID: dict[str, dict[str, Any]] = {
 _TRAIL_STEPS = 40
 POSES = 4.0
 """Figures a second on a page."""
-_CAPTION, _SOUND, _CLOCK, _CREDIT = 0.24, 0.46, 0.26, 0.16
-"""Metres of height: of a source's name, the waveform, the seconds with the gap below them, a credit."""
+_CAPTION, _SOUND, _CLOCK = 0.24, 0.46, 0.26
+"""Metres of height: of a source's name, the waveform, the seconds with the gap below them."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,10 @@ PAGE = Layout(0.98, 0.88, 0.60, 2.02, 16, 0.84)
 
 @dataclass(frozen=True)
 class Source:
-    """A motion to draw, its name, and what is to be said of its rights."""
+    """A motion to draw, and its name."""
 
     name: str
     motion: Motion
-    credit: str = ""
 
 
 def page_times(start: float, seconds: float, longest: float) -> Array:
@@ -84,8 +83,7 @@ def draw_page(sources: Sequence[Source], times: Array, speech: Speech | None = N
               layout: Layout = PAGE) -> Figure:
     """Every source at the same `times` [n] seconds, a row for each view; the sound with its beats below each line.
 
-    A source that ends earlier is left out of the lines that it does not reach. The credits of sources stand at the
-    foot. InputError for no source or no time.
+    A source that ends earlier is left out of the lines that it does not reach. InputError for no source or no time.
     """
     from matplotlib.figure import Figure as NewFigure
 
@@ -106,8 +104,6 @@ def draw_page(sources: Sequence[Source], times: Array, speech: Speech | None = N
             rows.append((_SOUND, partial(_draw_sound, speech=speech, beats=beats, times=line, layout=layout,
                                          wide=wide)))
         rows.append((_CLOCK, partial(_draw_clock, times=line, layout=layout, wide=wide)))
-    rows += [(_CREDIT, partial(_draw_text, text=credit, size=7.5, colour=SOFT))
-             for credit in dict.fromkeys(source.credit for source in sources) if credit]
     heights = [height for height, _ in rows]
     figure = NewFigure(figsize=(wide * layout.scale, sum(heights) * layout.scale), facecolor="white")
     axes = figure.subplots(len(rows), 1, squeeze=False, height_ratios=heights, gridspec_kw={

@@ -124,8 +124,7 @@ def saved_beside(source: Path) -> Path | None:
 
 def put_aside(place: Path, why: str) -> str:
     """Rename a plan file to a name that is free, and say so. Returns what is said."""
-    aside = free_name(place)
-    place.rename(aside)
+    place.rename(aside := free_name(place))
     said = f"{place}: is not opened, and is now {aside.name}: {why}"
     complain(said)
     return said
