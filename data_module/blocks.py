@@ -203,7 +203,7 @@ class KnotPath:
         self.fps, self.prompt = fps, prompt
         self.next = 0
         """Number of the next frame to return."""
-        self._sigma, self._half = smooth_over, _half(fps, smooth_over)
+        self._sigma, self._half = smooth_over, half_of(fps, smooth_over)
         self._times, self._values = np.zeros(1), np.array(first, dtype=np.float64)[None]
         self._slopes = np.zeros_like(self._values)
         self._settled = prompt
@@ -233,8 +233,7 @@ class KnotPath:
         return self._given(max(certain if until is None else min(certain, until), self.next))
 
     def _certain(self, limit: float, last: float) -> int:
-        """The number of frames before the first one at or after the limit, or after the end of a recording that ends at
-        the last knot, less half of the kernel."""
+        """The number of frames before the limit and the end of a recording at the last knot, less half the kernel."""
         return min(math.ceil(limit * self.fps - 1e-9), round(last * self.fps)) - self._half
 
     def finish(self, duration: float) -> Array:
@@ -256,8 +255,8 @@ class KnotPath:
     def _given(self, until: int, count: int | None = None) -> Array:
         out = self._frames(np.arange(self.next, until), count)
         self.next = max(until, self.next)
-        # Keep two knots before the first one in reach of the next frame's kernel.
-        old = int(np.searchsorted(self._times, (self.next - self._half) / self.fps, side="right")) - 3
+        # Keep two knots before the first one in reach of the next frame's kernel, and some for a longer one.
+        old = int(np.searchsorted(self._times, (self.next - self._half) / self.fps, side="right")) - 12
         if old > 0:
             self._times, self._values, self._slopes = self._times[old:], self._values[old:], self._slopes[old:]
         return out
@@ -272,7 +271,7 @@ class KnotPath:
         if count is not None and at[-1] >= count:
             last = hermite(self._times, self._values, np.array([(count - 1) / self.fps]), self._slopes)
             frames[at >= count] = 2.0 * last - frames[at >= count]
-        return _kernel(frames, self.fps, self._sigma)[half:len(at) - half] if half else frames
+        return smooth(frames, self.fps, self._sigma)[half:len(at) - half] if half else frames
 
 
 def slopes(times: Array, values: Array) -> Array:
@@ -308,13 +307,14 @@ def _mirrored(at: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     return at * 0 if count == 1 else np.abs((at + count - 1) % (2 * (count - 1)) - (count - 1))
 
 
-def _half(fps: float, sigma: float) -> int:
+def half_of(fps: float, sigma: float) -> int:
     """Frames of the kernel on either side."""
     return int(_REACH * sigma * fps + 1e-9)
 
 
-def _kernel(frames: Array, fps: float, sigma: float) -> Array:
-    half, count = _half(fps, sigma), len(frames)
+def smooth(frames: Array, fps: float, sigma: float) -> Array:
+    """Frames [T, D], mirrored at their ends, after a Gaussian of `sigma` seconds that ends at two of them."""
+    half, count = half_of(fps, sigma), len(frames)
     # Normalised after it is cut off at two sigma, so that a constant pose stays as it is.
     weights = np.exp(-0.5 * (np.arange(-half, half + 1) / (sigma * fps)) ** 2)
     weights /= weights.sum()

@@ -158,8 +158,7 @@ class Stream:
         self._begun = self._committed = 0.0  # media time at which the utterance begins, and of the last knot
         self._past_blocks = 0
         rest = bundle.rest_feature(setup.speaker).reshape(1, -1)
-        # The resting pose at time 0 is the knot from which the first frames come.
-        self._shown = deque([(RestKnots(np.zeros(1), rest, np.zeros((1, 2, 2))), rest)])
+        self._shown = deque([(RestKnots(np.zeros(1), rest, np.zeros((1, 3, 2))), rest)])
 
     # ------------------------------------------------------------------------------------------------------- state
 

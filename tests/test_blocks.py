@@ -17,13 +17,13 @@ from data_module.blocks import (
     _WSOLA,
     BlockSettings,
     KnotPath,
-    _kernel,
     cut,
     denormalise,
     first_pose,
     hermite,
     normalise_motion,
     samples_per_frame,
+    smooth,
     stretch_speech,
     windows_of,
 )
@@ -144,7 +144,7 @@ def test_smoothing_is_scipys_correlation_with_a_gaussian(count: int, sigma: floa
     half = int(2.0 * sigma * 20.0 + 1e-9)
     weights = np.exp(-0.5 * (np.arange(-half, half + 1) / (sigma * 20.0)) ** 2)
     expected = correlate1d(frames, weights / weights.sum(), axis=0, mode="mirror")
-    np.testing.assert_allclose(_kernel(frames, 20.0, sigma), expected, atol=1e-13)
+    np.testing.assert_allclose(smooth(frames, 20.0, sigma), expected, atol=1e-13)
 
 
 def test_windows_hold_three_blocks_and_zeros_outside() -> None:

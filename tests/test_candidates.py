@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from data_module.types import Array
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of
 from gesticulator.sampling import candidates
 from gesticulator.sampling.candidates import (
-    FASTEST,
     CandidateChooser,
     apart_from_hands,
     behind_trunk,
+    beyond,
     depth,
     in_time,
     retimings,
-    slow_enough,
+    swivel,
 )
 from tests.untrained import MOVING, PLAIN, untrained
 
@@ -29,7 +32,7 @@ RATE, FRAMES = 16000, 10
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """Lexeme, timing and controls alone."""
-    for name in ("SEAM", "BODY", "TOGETHER", "PITCH"):
+    for name in ("SEAM", "BODY", "TOGETHER", "PITCH", "NATURAL"):
         monkeypatch.setattr(candidates, name, 0.0)
     return monkeypatch
 
@@ -160,15 +163,31 @@ def test_of_those_that_nearly_show_it_the_one_is_kept_that_does_what_is_asked(
     assert choice(chooser, speech, past, blocks, np.array([99.0, 1.0]), asked(0.0)) == 1, "it shows another lexeme"
 
 
-def test_a_hand_that_is_thrown_counts_only_where_all_are() -> None:
+def test_arms_that_people_do_not_have_are_beyond_them_by_how_much_they_are() -> None:
     times = np.arange(-3, 11) * 0.05
+    rest = np.array([[-0.2, 0.1, 0.3], [0.2, 0.1, 0.3], [-0.25, 0.2, 0.1], [0.25, 0.2, 0.1], [-0.2, 0.45, 0.0],
+                     [0.2, 0.45, 0.0], [0.0, 0.4, 0.0], [0.0, 0.6, 0.0]])
 
-    def hands(*speeds: float) -> Array:
-        way = np.outer(speeds, np.maximum(times, 0.0))[..., None, None] * np.array([1.0, 0.5])[:, None]
-        return np.concatenate([way, np.zeros((*way.shape[:3], 2))], axis=-1)
+    def moved(joints: slice, way: Array) -> float:
+        places = np.repeat(rest[None], len(times), axis=0)
+        places[:, joints, 2] += way[:, None]
+        return float(beyond(places[None], times)[0])
 
-    assert slow_enough(hands(1.0, FASTEST + 0.1, FASTEST - 0.1), times).tolist() == [0, 2]
-    assert slow_enough(hands(9.0, 5.0, 7.0), times).tolist() == [1], "the slowest of them"
+    hands, elbow, late = slice(0, 2), slice(2, 3), np.maximum(times, 0.0)
+    assert moved(hands, 0.0 * times) == 0 and moved(hands, 0.5 * late) == 0
+    # From 0 to 2.4 m/s within a frame of .05 s is twice 24 m/s^2.
+    assert moved(hands, 2.4 * late) == pytest.approx(1.0)
+    assert moved(slice(0, 8), 7.0 * times) == pytest.approx(1.0), "twice the greatest speed"
+    assert moved(elbow, 1.25 * late) >= 1.0, "25 m/s^2 of an elbow"
+    turn = np.minimum(np.maximum(times, 0.0), 0.3)
+    places = np.repeat(rest[None], len(times), axis=0)
+    # About the line from shoulder to wrist, at 460 degrees a second, twice the limit.
+    line = rest[0] - rest[4]
+    spin = Rotation.from_rotvec(math.radians(460.0) * turn[:, None] * line / np.linalg.norm(line))
+    places[:, 2] = rest[4] + spin.apply(rest[2] - rest[4])
+    turns, _ = swivel(*(places[:, k] for k in (4, 2, 0)))
+    assert np.abs(turns) == pytest.approx(np.diff(math.radians(460.0) * turn), abs=1e-6)
+    assert beyond(places[None], times)[0] >= 1.0 - 1e-6
 
 
 def test_an_onset_a_deviation_away_counts_as_a_gaussian_says() -> None:

@@ -31,9 +31,28 @@ def test_an_offset_begins_with_the_pose_and_velocity_shown_and_ends_at_rest(begi
 
 
 def test_first_poses_lie_between_the_speakers_pose_and_rest_each_arm_for_itself() -> None:
-    poses = np.stack([first_pose(Keys(1), NAMES, REST, 0.2 * n) for n in range(2000)])
-    assert (poses[:, :3] == 0).all(), "the trunk begins in the mean pose"
+    keys = Keys(1)
+    poses = np.stack([first_pose(keys.uniform(0.2 * n, 2), keys.posture(0.2 * n), NAMES, REST) for n in range(2000)])
     shares = poses[:, [3, 6]] / REST[[3, 6]]
     assert shares.min() > -0.45 and shares.max() < 0.55
     assert stats.kstest(shares.ravel(), stats.uniform(-0.45, 1.0).cdf).pvalue > 0.01
     assert abs(stats.spearmanr(*shares.T).statistic) < 0.1
+
+
+def test_the_trunk_wanders_over_seconds_by_the_seed() -> None:
+    postures = np.stack([Keys(seed).posture(0.4 * n) for seed in range(4) for n in range(2000)])
+    assert postures.std(0) == pytest.approx([1, 1, 1], abs=0.1), "standard normal"
+    r = [np.corrcoef(postures[:-lag, 0], postures[lag:, 0])[0, 1] for lag in (1, 20)]
+    assert r[0] > 0.95 and abs(r[1]) < 0.15, "near for a block, independent after eight seconds"
+    assert first_pose(np.zeros(2), np.array([1.0, -2.0, 0.5]), NAMES, REST)[:3] == pytest.approx([0.8, -1.6, 0.4])
+
+
+def test_what_the_sound_decides_does_not_depend_on_its_level_and_hardly_on_a_little_noise() -> None:
+    rng = np.random.default_rng(0)
+    spectra = rng.normal(size=(300, 40)) @ rng.normal(size=(40, 40)) / 6.0
+    numbers = np.stack([Keys(3).of_voice(spectrum, 4) for spectrum in spectra])
+    assert numbers.min() >= 0 and numbers.max() <= 1 and numbers.std(0) == pytest.approx(np.full(4, 0.29), abs=0.05)
+    assert Keys(3).of_voice(spectra[0] - 6.0, 4) == pytest.approx(numbers[0]), "6 dB fainter"
+    assert Keys(3).of_voice(spectra[0] + 0.01 * rng.normal(size=40), 4) == pytest.approx(numbers[0], abs=0.2)
+    assert Keys(3).of_voice(np.zeros(40), 4) == pytest.approx(np.ones(4)), "digital silence"
+    assert np.abs(Keys(4).of_voice(spectra[0], 4) - numbers[0]).max() > 0.1, "another seed"

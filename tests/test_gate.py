@@ -8,19 +8,15 @@ import math
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from learning import learn
 from runners import played_gate
 from torch import Tensor
 
-from gesticulator.sampling.loop import opened
 from interpreters.base import BlockFeatures
 from interpreters.gate import ActivityGate, GateConfig
 
 FRAMES, AUDIO, SPEAKERS, BLOCKS = 4, 3, 2, 9
 
-share = st.floats(0, 1)
 
 
 def gate(**changes: object) -> ActivityGate:
@@ -90,10 +86,3 @@ def test_loss_is_the_cross_entropy_by_hand_and_ignores_padding() -> None:
     spoilt["audio_low"] = batch["audio_low"].clone()
     spoilt["audio_low"][0, 4:] = 50.0  # the padding at the end of a window comes after all that counts
     assert float(model.losses(spoilt)["activity"].detach()) == pytest.approx(expected, rel=1e-5)
-
-
-@given(share, share, share, share)
-def test_opening_is_monotone(p: float, more: float, activity: float, livelier: float) -> None:
-    p, more = sorted((p, more))
-    activity, livelier = sorted((activity, livelier))
-    assert opened(more, livelier) >= opened(p, activity)

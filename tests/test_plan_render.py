@@ -37,7 +37,7 @@ from gesticulator.plan.plan import GestureCue, GesturePlan
 from interpreters.base import BlockFeatures
 
 SECONDS, SEED = 7.0, 1
-REACH = 0.13
+REACH = 0.27
 """Seconds: the smoothing's kernel and two frames of a block to either side of what was changed."""
 
 

@@ -21,19 +21,16 @@ from data_module.motion.motion_beats import acting_positions, acting_speed, moti
 from data_module.speech.beats import find_beats
 from data_module.speech.onsets import detect_onsets
 from data_module.store import Recording
-from eval.ablate import style_editing
 from eval.ablate.rows import COLUMNS, OURS, PERFORMER, REAL_TAKE, ROWS, TABLES
-from eval.ablate.run import SHOWN_SEED, RgRows, configured
+from eval.ablate.run import RgRows, configured
 from eval.clip.excerpts import evenly
-from eval.metrics import audio_clusters, pmb
+from eval.metrics import pmb
 from eval.metrics.encode import EncodedMotion, latents_of
 from eval.metrics.evaluate import WIDE
-from eval.pictures import plots
 from eval.pictures.canvas import STYLE
 from eval.pictures.embedding import embed, embedding_panels, joint_embedding, neighbours_agree
-from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curves, interval_bars, overview, size_sweep
+from eval.pictures.plots import Overview, beat_strips, delta_curves, interval_bars, overview, size_sweep
 from eval.pictures.strips import PAGE, Source, draw_page, save_strip
-from gesticulator.gesticulator import Gesticulator
 from gesticulator.training.stages import LABELS
 
 if TYPE_CHECKING:
@@ -115,35 +112,11 @@ def strip(name: str) -> Draw:
     return drawn
 
 
-def edited(rg: RgRows, rows: Summaries) -> Picture:
-    """RG Fig. 10."""
-    bundle, _ = rg.trained("style-editing", SHOWN_SEED)
-    assert bundle.levels is not None
-    clips = style_editing.excerpts(rg.context.store)
-    return plots.style_editing(style_editing.figures(Gesticulator(bundle), clips, bundle.levels))
-
-
 def curves(rg: RgRows, rows: Summaries) -> Picture:
     """RG Fig. 11."""
     beside = [PERFORMER, REAL_TAKE, "shuffled"]
     names = [*(line.row for line in TABLES["RG Table 1"].lines), *beside]
     return delta_curves({name: rows[name]["pmb_curve"] for name in names if name in rows}, pmb.DELTAS, dashed=beside)
-
-
-def clusters(rg: RgRows, rows: Summaries) -> Picture:
-    """RG Fig. 14."""
-    corpus, frames, names = rg.context.corpus, rg.first.config.rhythm.frames, rg.names("test")
-    blocks = [corpus.blocks_of(corpus.names.index(name)) for name in names]
-    spoken = [~np.asarray(corpus.silent)[numbers].astype(bool) for numbers in blocks]
-    every = np.concatenate([numbers[voiced] for numbers, voiced in zip(blocks, spoken, strict=True)])
-    place = np.repeat(np.arange(len(blocks)), [int(voiced.sum()) for voiced in spoken])
-    # Features hold the block before and the one after it too; the block itself is the middle third.
-    levels = {f"{kind} level": audio_clusters.cluster(
-        features[every][:, frames:2 * frames].float().mean(dim=1).numpy())
-        for kind, features in (("low", corpus.low), ("high", corpus.high))}
-    return cluster_bars({name: audio_clusters.association(levels, np.concatenate([
-        clip.labels[voiced] for clip, voiced in zip(encoded(rg, name), spoken, strict=True)]), place)
-        for name in (PERFORMER, OURS)})
 
 
 def panels(*names: str) -> Draw:
@@ -201,8 +174,7 @@ FIGURES: dict[str, PaperFigure] = {
     "figure-5": PaperFigure(onset_intervals), "figure-6": PaperFigure(lexicon, dots=True),
     "figure-9-performer": PaperFigure(strip(PERFORMER), (PERFORMER,), dots=True),
     "figure-9-ours": PaperFigure(strip(OURS), (OURS,), dots=True),
-    "figure-10": PaperFigure(edited, ("style-editing",), dots=True),
-    "figure-11": PaperFigure(curves), "figure-14": PaperFigure(clusters, (PERFORMER, OURS)),
+    "figure-11": PaperFigure(curves),
     "figure-15": PaperFigure(panels(*_STEPS), _STEPS, dots=True),
     "figure-16": PaperFigure(strips_of_beats, (*_RANGES, PERFORMER)),
     "figure-17": PaperFigure(panels(*_LEXEMES), _LEXEMES, dots=True),

@@ -2,11 +2,9 @@
 
     interval_bars      intervals between onsets and between beats      RG Fig. 5, 8a
     delta_curves       PMB against its tolerance                        RG Fig. 11
-    cluster_bars       entropy of lexemes within clusters of sound      RG Fig. 14
     beat_strips        motion beats beside onsets                       RG Fig. 16
     size_sweep         metrics against the size of the lexicon          RG Fig. 18
     overview           a few seconds of speech, blocks and motion       RG Fig. 2
-    style_editing      what was asked for, and what came of it          RG Fig. 10
 
 Each takes numbers and gives a figure. Colours are of the palette of Okabe and Ito (2008), which people with any colour
 vision tell apart, and no meaning hangs on colour alone: lines have markers, lexemes, of which there are too many for
@@ -23,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from data_module.blocks import BlockSettings
-from data_module.controls import FEATURES, LEVELS
 from data_module.intervals import STEP, Counts
 from data_module.speech.onsets import merged
 from data_module.types import Array, Beats, Speech, Word
@@ -139,32 +136,6 @@ def size_sweep(sizes: Sequence[int], figures: Mapping[str, Sequence[Triple]], re
     return figure
 
 
-# ---------------------------------------------------------------------------------------------------------- Fig. 14
-
-def cluster_bars(panels: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Figure:
-    """How much the cluster of a block's sound tells of its lexeme, for each level of the encoder (RG Fig. 14).
-
-    panels: whose motion -> `eval.metrics.audio_clusters.association`. The entropy of the lexeme given the cluster
-    beside what the same lexemes, turned round, have by chance, under the entropy of the lexeme alone. Clusters of a few
-    blocks have a low entropy whatever they hold, so a bar means something only beside its chance.
-    """
-    # One bar for each level of each motion, the performer's beside ours.
-    bars = [(f"{whose}\n{level}", value) for whose, levels in panels.items() for level, value in levels.items()]
-    figure, at = canvas(3.9), np.arange(len(bars))
-    axis = figure.subplots()
-    told, chance, alone = ([value[key] for _, value in bars] for key in ("entropy", "by_chance", "alone"))
-    axis.bar(at - 0.2, told, 0.38, color=BLUE, label="given the cluster")
-    axis.bar(at + 0.2, chance, 0.38, facecolor="white", edgecolor=BLUE, hatch="///", label="by chance")
-    axis.hlines(alone, at - 0.45, at + 0.45, color=INK, linestyle=DASHES[0], label="lexeme alone")
-    for place, (_, value) in enumerate(bars):
-        axis.text(place - 0.2, value["entropy"], f"p {value['p']:.2f}", ha="center", va="bottom")
-    axis.set_xticks(at, [name for name, _ in bars])
-    axis.set(ylabel="entropy of the lexeme, nats")
-    axis.grid(axis="y")
-    legend(figure, (axis,))
-    return figure
-
-
 # ----------------------------------------------------------------------------------------------------------- Fig. 2
 
 @dataclass(frozen=True)
@@ -256,33 +227,4 @@ def interval_bars(counted: Counts, title: str) -> Figure:
         axes.axvline(bound, color=INK, linestyle=":", label=f"{name} {bound:g} s")
     axes.set(title=title, xlabel="seconds (the last bar: all that are longer)", ylabel="share of the intervals")
     axes.legend()
-    return figure
-
-
-# ---------------------------------------------------------------------------------------------------------- Fig. 10
-
-def style_editing(result: Mapping[str, Any]) -> Figure:
-    """For each feature the first clip over time beside what was asked, and box plots of all clips.
-
-    result: of `eval.ablate.style_editing.figures`. Whiskers reach the extremes; dashes are what was asked for.
-    """
-    figure = canvas(3 * len(FEATURES))
-    for index, (feature, axes) in enumerate(zip(FEATURES, figure.subplots(
-            len(FEATURES), 2, width_ratios=(2, 1), sharey="row"), strict=True)):
-        over_time, boxes = axes
-        rows, requested = {level: f"{feature} {level}" for level in LEVELS} | result["beside"], result["asked"][feature]
-        drawn = boxes.boxplot([result["values"][row][feature] for row in rows.values()], whis=(0, 100))
-        boxes.set_xticks(range(1, len(rows) + 1), list(rows))
-        for place, (level, colour) in enumerate(zip(LEVELS, PALETTE, strict=False), 1):
-            series = result["series"][rows[level]]
-            curve = series["values"][index]
-            over_time.plot(np.arange(len(curve)) / series["fps"], curve, color=colour, label=level)
-            over_time.axhline(requested[level], color=colour, linestyle="--", linewidth=0.8)
-            boxes.hlines(requested[level], place - 0.4, place + 0.4, color=colour, linestyle="--")
-            drawn["boxes"][place - 1].set_color(colour)
-        over_time.set_ylabel(result["titles"][feature])
-        if index == 0:
-            over_time.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(LEVELS))
-    over_time.set_xlabel(f"seconds of {result['clips'][0]['name']} (mean over 4 s)")
-    boxes.set_xlabel(f"means over {len(result['clips'])} clips")
     return figure

@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.blocks import KnotPath
+from data_module.blocks import KnotPath, half_of, smooth
 from data_module.types import Array, Motion
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import representation_of
@@ -28,6 +29,34 @@ HISTORY, LONGEST_HISTORY = 60.0, 600.0
 played over minutes). A second takes 25 kB."""
 
 
+SMOOTHED = 0.07
+"""Deviation of the Gaussian by which corrections of the path are smoothed, seconds."""
+
+
+class ClearedPath(KnotPath):
+    """A path whose hands are out of the body. A correction sets in with a kink, so it is smoothed over time, unless the
+    path is prompt; what is left is for the one who takes the frames to correct. cleared: of poses [T, D]."""
+
+    def __init__(self, first: Array, fps: float, smooth_over: float, cleared: Callable[[Array], Array],
+                 prompt: bool = False) -> None:
+        super().__init__(first, fps, smooth_over, prompt)
+        self._cleared, self._wide = cleared, half_of(fps, SMOOTHED)
+
+    @property
+    def reach(self) -> float:
+        return super().reach + (0.0 if self.prompt else self._wide / self.fps)
+
+    def _certain(self, limit: float, last: float) -> int:
+        return super()._certain(limit, last) - (0 if self.prompt else self._wide)
+
+    def _frames(self, numbers: NDArray[np.int64], count: int | None = None) -> Array:
+        if self.prompt or not len(numbers) or count == 1:
+            return super()._frames(numbers, count)
+        frames = super()._frames(np.arange(numbers[0] - self._wide, numbers[-1] + self._wide + 1), count)
+        moved = smooth(self._cleared(frames) - frames, self.fps, SMOOTHED)
+        return np.asarray((frames + moved)[self._wide:len(frames) - self._wide])
+
+
 class MotionPath:
     """Turns successive normalised blocks of one performer into motion (RG 4.2.2, 7.1.2)."""
 
@@ -39,7 +68,12 @@ class MotionPath:
         self._statistics, self._speaker, self._options = bundle.statistics, speaker, options
         self._representation = representation_of(bundle.config)
         first: Array = bundle.statistics.rest_pose[speaker]
-        self._knots = KnotPath(first, float(options.fps), bundle.config.motion.smoothing, prompt)
+        # Nobody saw what was before: a body that can begin elsewhere than at rest begins in its first knot.
+        self._unseen = bundle.config.rests_by_phrase
+        self._free = partial(cleared_poses, representation=self._representation, sits=options.seated)
+        path = partial(ClearedPath, cleared=self._free) if self._unseen else KnotPath
+        self._path = partial(path, fps=float(options.fps), smooth_over=bundle.config.motion.smoothing)
+        self._knots = self._path(first, prompt=prompt)
         # Joint positions give rotations only as a whole: their frames wait for the end.
         self._whole: list[Array] | None = None if bundle.config.motion.representation == "rotations" else []
         self._last: Array | None = None
@@ -86,6 +120,8 @@ class MotionPath:
 
     def push_poses(self, times: Array, poses: Array, until: int | None = None) -> Motion | None:
         """`push` of poses [K, D_m] that are not normalised and have the knobs and gestures applied."""
+        if self._unseen and len(poses):
+            self._knots, self._unseen = self._path(self._free(poses[:1])[0], prompt=self.prompt), False
         frames = self._knots.push(times, self._cleared(poses), until)
         if self._whole is None:
             return self._motion(frames)
@@ -110,7 +146,7 @@ class MotionPath:
     def rewind_poses(self, times: Array, poses: Array, first: int) -> None:
         """`rewind` with poses [M, D_m] as in `push_poses`; the legs stay as they are."""
         self._knots.rewind(times, self._cleared(poses), first)
-        self._last = None
+        self._last, self._unseen = None, False
 
     @property
     def has_legs(self) -> bool:
@@ -124,10 +160,9 @@ class MotionPath:
         return poses if self._shaping is None else self._shaping(poses, times)
 
     def _cleared(self, poses: Array) -> Array:
-        """Poses [K, D_m] with the hands out of the body."""
-        return poses if self._whole is not None or not len(poses) else \
-            cleared_poses(poses, self._representation, self._options.seated)
-
+        """Knots [K, D_m] with the hands out of the body, if their path does not see to it."""
+        return poses if self._whole is not None or not len(poses) or isinstance(self._knots, ClearedPath) else \
+            self._free(poses)
     def _motion(self, frames: Array) -> Motion | None:
         if len(frames) == 0:
             return None

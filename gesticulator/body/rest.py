@@ -50,6 +50,9 @@ BREAKS_OFF = 0.18
 """Duration of the stop after an interruption, seconds: within 0.3 s of the word, including motion already generated."""
 STILL_HOLD, STILL_SINKING = 1.6, 0.065
 """The same seconds and greatest speed where the hands are asked to hold still."""
+HELD_MOVES, HELD_RETURNS, _HELD_EASES = 0.22, 0.8, 0.3
+"""Share of the generated movement that a held hand makes, and seconds in which that fades and sets in: a hand that a
+person holds drifts by one to three centimetres."""
 LETS_DOWN, HANGS = 0.24, 1.15
 """Seconds after an interrupting word at which the hands start down, still slow at 0.3 s, and at which they hang: as
 late as a limit of 1.2 s allows after smoothing, because a raised hand has 0.4 m to travel."""
@@ -86,10 +89,10 @@ _SINKS_IN = 2.0
 # ---------------------------------------------------------------------------------------------------- pauses
 
 class Pauses:
-    """Frames of rest from quiet frames, block by block. The body rests before the first block."""
+    """Frames of rest from quiet frames, block by block. resting: whether the body rests before the first block."""
 
-    def __init__(self) -> None:
-        self._resting = True
+    def __init__(self, resting: bool = True) -> None:
+        self._resting = resting
         self._quiet_for = 0.0
 
     def step(self, span: Span) -> Flags:
@@ -242,15 +245,16 @@ class RestingPart:
         self._stop: _Stop | None = _Stop(_ALWAYS, rest, np.zeros_like(rest), rest, np.ones_like(rest), rest, 1.0, HOLD)
         self._join: _Join | None = None
         self._last = [(-1.0, rest), (0.0, rest)]
+        self._drift = np.zeros_like(rest)
 
-    def step(self, times: Array, generated: Array, rests: Flags, hold_still: bool = False) -> Array:
+    def step(self, times: Array, generated: Array, rests: Flags, hold_still: bool = False, moves: float = 0.0) -> Array:
         """[K, D] a generated block [K, D] at `times` [K] with rest applied in the frames `rests` [K].
-        hold_still: the user requested a rest that begins in this block, so the hands hold still instead of
-        retracting."""
+        hold_still: a rest that begins in this block was asked for, so the hands hold still instead of retracting;
+        moves: the share of the generated movement that is still made at rest."""
         out = np.empty_like(generated)
         for k, time in enumerate(times):
             if rests[k] and self._stop is None:
-                self._stop, self._join = self._stopping(hold_still), None
+                self._stop, self._join, self._drift = self._stopping(hold_still), None, np.zeros_like(self.rest)
             elif not rests[k] and self._stop is not None and (k == 0 or times[-1] - self._last[1][0] >= _LEAST_FADE):
                 # A generator that uses its past starts from the frame before; one that ignores it is extrapolated.
                 before = generated[k - 1] if k else 2.0 * generated[0] - generated[1]
@@ -260,7 +264,12 @@ class RestingPart:
                 jump = self._velocity() - (generated[k] - before) / (float(time) - now)
                 self._join, self._stop = _Join(now, float(times[-1]), pose - before, jump), None
             if self._stop is not None:
-                out[k] = self._stop.at(float(time))
+                now, pose = self._last[1]
+                eased = moves * min((time - self._stop.begin) / _HELD_EASES, 1.0)
+                # It fades, so that what is held stays about where it stopped.
+                self._drift = (math.exp((now - time) / HELD_RETURNS) * self._drift
+                               + eased * (generated[k] - (generated[k - 1] if k else pose)))
+                out[k] = self._stop.at(float(time)) + self._drift
             else:
                 out[k] = generated[k] if self._join is None else generated[k] + self._join.at(float(time))
             self._last = [self._last[1], (float(time), out[k])]
@@ -270,7 +279,7 @@ class RestingPart:
     def break_off(self, last: list[tuple[float, Array]], word: float) -> None:
         """Stop and go to rest at once from the last two times and poses (later motion is discarded). word: time of the
         interruption in seconds, a little earlier."""
-        self._last, self._join = last, None
+        self._last, self._join, self._drift = last, None, np.zeros_like(self.rest)
         now, pose = last[1]
         # The speed falls as v (1 - t / T)^2, whose integral is v T / 3.
         stopped = np.clip(pose + self._velocity() * BREAKS_OFF / 3.0, *self.bounds)
@@ -296,11 +305,11 @@ class RestingPart:
 
 
 class _Hands:
-    """The hands, the right first, by the dimensions of the body without the head: where they are and how they rest."""
+    """The hands, the right first, by the dimensions of the arms: where they are and how they rest."""
 
     def __init__(self, representation: Representation, statistics: Statistics, speaker: int, columns: NDArray[np.int64]
                  ) -> None:
-        """columns: the dimensions of the body among those of the pose."""
+        """columns: the dimensions of the arms among those of the pose."""
         self._representation, self._statistics, self._speaker = representation, statistics, speaker
         self._columns = columns
         skeleton = representation.motion(statistics.rest_pose[speaker][None], 1.0).skeleton
@@ -310,8 +319,8 @@ class _Hands:
         self._arms = [np.flatnonzero([name.startswith(side) for name in names]) for side in SIDES]
 
     def places(self, features: Array) -> Array:
-        """[M, 2, 3] metres for features [M, D] of the body."""
-        # The head keeps its resting pose: it does not move the hands.
+        """[M, 2, 3] metres for features [M, D] of the arms."""
+        # Trunk and head keep their resting pose: what is asked is how the hands move on the trunk.
         poses = np.repeat(self._statistics.rest_pose[self._speaker][None], len(features), axis=0)
         whole = self._statistics.normalise(poses, self._speaker)
         whole[:, self._columns] = features
@@ -351,7 +360,7 @@ class _Hands:
 @dataclass(frozen=True)
 class RestKnots:
     """The last frames shown, from which `Rest` continues: times [M] seconds, poses [M, D_m] without idle motion, and
-    gains [M, 2, 2] of the idle motion of head and body with their slopes."""
+    gains [M, 3, 2] of the idle motion of head, trunk and arms with their slopes."""
 
     times: Array
     poses: NDArray[np.float32]
@@ -369,19 +378,21 @@ class Rest:
                  ) -> None:
         """representation: of exponential maps; activity: share of speech time that is gestured; seed: of the choice of
         phrases and of the idle motion."""
-        # Head and body rest apart: in a phrase without gestures the head still moves.
+        self.speaker = speaker
+        # They rest apart: in a phrase without gestures the head still moves, and where hands hold, the trunk does.
         rest_pose = statistics.rest_pose[speaker]
         names = representation.motion(rest_pose[None], 1.0).skeleton.names
-        turned = np.repeat([name in HEAD for name in names], 3)
-        head, body = np.flatnonzero(turned), np.flatnonzero(~turned)
+        turned, armed = (np.repeat([name.startswith(part) for name in names], 3) for part in (HEAD, SIDES))
+        arms = np.flatnonzero(armed)
         rest = statistics.normalise(rest_pose, speaker)
-        hands = _Hands(representation, statistics, speaker, body)
+        hands = _Hands(representation, statistics, speaker, arms)
         self._parts = [(columns, RestingPart(rest[columns], statistics.bounds[:, columns], moves))
-                       for columns, moves in ((head, None), (body, hands))]
+                       for columns, moves in ((np.flatnonzero(turned), None), (np.flatnonzero(~turned & ~armed), None),
+                                              (arms, hands))]
         self._life = LifeLayer(seed, statistics, representation, speaker, [columns for columns, _ in self._parts])
         self._pauses, self._phrases = Pauses(), Phrases(activity, seed)
         self._rests: list[Flags] = []
-        self._asked = False
+        self._asked, self._moves = False, 0.0
         self._span: Span | None = None
 
     def fork(self) -> Rest:
@@ -392,22 +403,34 @@ class Rest:
         twin._pauses, twin._phrases = copy.copy(self._pauses), self._phrases.fork()
         return twin
 
+    def begins_at_rest(self, span: Span) -> bool:
+        """Whether a performance that begins with this block begins with a pause, or may begin without gestures."""
+        return self._phrases.activity < 1.0 or bool(Pauses(resting=False).step(span)[0])
+
+    def begin_in(self, pose: Array) -> None:
+        """Begin in a pose [D_m] instead of at rest."""
+        self._pauses = Pauses(resting=False)
+        for columns, part in self._parts:
+            part._stop, part._last = None, [(-1.0, pose[columns]), (0.0, pose[columns])]
+        self._life.go_back(np.zeros((len(self._parts), 2)), pose)
+
     def stand_as(self, other: Rest) -> None:
         """Take over position and velocity of the body from another performance by the same speaker."""
         self._parts = other.fork()._parts
         self._life.stand_as(other._life)
 
-    def analyse(self, span: Span, score: float = math.nan, still: Flags | None = None) -> bool:
+    def analyse(self, span: Span, score: float = math.nan, still: Flags | None = None, held: bool = False) -> bool:
         """Analyse a block; True if the hands rest for half of it or more. score: the gate's probability; still: [K]
-        frames in which the hands must rest."""
+        frames in which the hands must rest; held: they hold a gesture there, and so are not quite still."""
         pause = self._pauses.step(span)
         gestured = self._phrases.step(span, pause, score)
         self._span = span
         # In a phrase that is not gestured the hands rest as in a pause.
         hands = pause if gestured else np.ones_like(pause)
-        self._rests = [pause, hands if still is None else hands | still]
+        self._rests = [pause, hands, hands if still is None else hands | still]
         self._asked = still is not None and bool(still.any())
-        return bool(self._rests[1].mean() >= 0.5)
+        self._moves = HELD_MOVES if held and not hands.any() else 0.0
+        return bool(self._rests[-1].mean() >= 0.5)
 
     @property
     def rests_wholly(self) -> bool:
@@ -417,9 +440,9 @@ class Rest:
     def rest(self, span: Span) -> None:
         """Instead of `analyse`, for a block without sound: rest throughout."""
         # A new `Pauses` starts at rest, as after a long silence.
-        self._pauses, self._span, self._asked = Pauses(), span, False
+        self._pauses, self._span, self._asked, self._moves = Pauses(), span, False, 0.0
         # Nothing is heard, so nothing is decided: a phrase begins anew afterwards.
-        self._rests = [np.ones(len(span.quiet), bool)] * 2
+        self._rests = [np.ones(len(span.quiet), bool)] * len(self._parts)
 
     def break_off(self, shown: RestKnots, word: float) -> None:
         """Go back to the last frames shown and go to rest from there; word: see `RestingPart.break_off`."""
@@ -430,7 +453,7 @@ class Rest:
 
     @property
     def gains(self) -> Array:
-        """[K, 2, 2] gains of the idle motion in each frame of the last block, see `RestKnots`."""
+        """[K, 3, 2] gains of the idle motion in each frame of the last block, see `RestKnots`."""
         return self._life.gains
 
     def step(self, generated: NDArray[np.floating]) -> Array:
@@ -439,7 +462,7 @@ class Rest:
         out = np.empty_like(generated, dtype=np.float64)
         for (columns, part), rests in zip(self._parts, self._rests, strict=True):
             out[:, columns] = part.step(self._span.times, generated[:, columns].astype(np.float64), rests,
-                                        self._asked)
+                                        self._asked, self._moves)
         return out
 
     def alive(self, block: NDArray[np.floating]) -> Array:

@@ -4,8 +4,8 @@ a small change of pose or sound rarely changes the choice.
 The terms are the distance of the movement to the lexeme to play, -2 log(d / d_0) with d_0 that to its nearest lexeme;
 braking in time with the onsets (`in_time`); the seam (`jolt`); hands in the body (`depth`); a head that moves when the
 hands do (`apart_from_hands`); a trunk that goes with the pitch (`with_pitch`); and the distance of height, speed and
-radius of the hands from their controls, in standard deviations. A candidate in which a hand or an elbow is faster than
-people's is rejected, unless all are: one frame in a thousand of the corpus has such a jump.
+radius of the hands from their controls, in standard deviations; and how far an arm goes beyond what people's do
+(`beyond`).
 
 Most candidates share the arms of the first (`systems.movement`); the choice is then of torso and head. What timing
 loses by that is more than made up for by `retimings` of the block that was chosen. The onsets are those at which beats
@@ -14,6 +14,7 @@ are placed (`data_module.speech.onsets`); evaluation of timing uses two other de
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
 
@@ -36,7 +37,13 @@ _NEAR = 0.05
 _STILL = 3.0
 """b0: summed braking of hands that hardly move, m/s^2 over a block's frames."""
 FASTEST = 3.5
-"""Speed limit of a hand, m/s: in the real takes, hands stay under 3.1 in 99 of 100 seconds."""
+"""Speed limit of a hand or an elbow, m/s: in the real takes, hands stay under 3.1 in 99 of 100 seconds."""
+_SWIVELS, _ACCELERATES = math.radians(230.0), (24.0, 12.5)
+"""Rad/s of an elbow about its arm's line, and m/s^2 of a wrist and of an elbow: people exceed it in .1 % of frames."""
+_BENT, _REACHES = 0.08, 0.2
+"""Metres: an elbow nearer to that line, or a wrist nearer to its shoulder, has no swivel to speak of."""
+_BEHIND = 0.03, 0.05
+"""Metres that an arm may be behind the trunk, and those over which that becomes as bad as twice another limit."""
 _SEAM = 0.02
 """Seconds at the start of a block in which braking does not count: a jolt at the seam is not a beat."""
 _BEFORE = 4
@@ -63,7 +70,7 @@ _SHIFTS, _STAYS = np.linspace(-1.0, 1.0, 7), 0.1
 """Shares of the most shift of a block's middle that are tried; and what the whole of it must be worth in timing."""
 
 
-LEXEME, SEAM, BODY, TOGETHER, PITCH, CONTROLS = 2.0, 0.25, 16.0, 1.0, 1.5, 2.0
+LEXEME, SEAM, BODY, TOGETHER, PITCH, CONTROLS, NATURAL = 2.0, 0.25, 16.0, 1.0, 1.5, 2.0, 2.0
 """The weights of the terms, relative to timing; chosen on the validation split."""
 
 
@@ -76,14 +83,6 @@ class CandidateMotion:
     poses: Array
     places: Array
     shown: Array
-
-    def __len__(self) -> int:
-        return len(self.poses)
-
-    def joined(self, other: CandidateMotion) -> CandidateMotion:
-        """Those and more."""
-        return CandidateMotion(*(np.concatenate(pair) for pair in (
-            (self.poses, other.poses), (self.places, other.places), (self.shown, other.shown))))
 
 
 class CandidateChooser:
@@ -116,27 +115,23 @@ class CandidateChooser:
                ) -> int:
         """The index of the best candidate; the first of equals. motion: of C candidates; apart: [C] squared distance of
         each to the lexeme to play over that to its nearest lexeme; control: rows [K, 2 F], or None."""
-        # A stream in a hurry samples one candidate; there is nothing to weigh.
-        if len(motion) == 1:
-            return 0
         poses, places = motion.poses, motion.places
         times = self._times(speech, poses.shape[1] - _BEFORE)
-        # Only the speed limit is about what is shown: a shift depends on how the hands came here, so two takes that
-        # parted would go on choosing differently while it fades.
-        allowed = slow_enough(motion.shown[:, :, :4], times)
-        hands = places[allowed, :, :2]
-        score = -LEXEME * np.log(apart[allowed].astype(np.float64))
-        score -= BODY * depth(places[allowed, _BEFORE:])
+        hands = places[:, :, :2]
+        score = -LEXEME * np.log(apart.astype(np.float64))
+        # Only this is about what is shown: by a shift, two takes that parted would choose differently while it fades.
+        score -= NATURAL * beyond(motion.shown, times)
+        score -= BODY * depth(places[:, _BEFORE:])
         if len(speech.onsets) > 0:
             score += in_time(hands, times, speech.start, speech.onsets)
-        score -= TOGETHER * apart_from_hands(poses[allowed][..., self._head], hands, times)
+        score -= TOGETHER * apart_from_hands(poses[..., self._head], hands, times)
         if speech.pitch is not None:
-            score += PITCH * with_pitch(poses[allowed][..., self._trunk], times, speech.pitch)
+            score += PITCH * with_pitch(poses[..., self._trunk], times, speech.pitch)
         # Bounded, because a block that begins at rest has a large ratio and nothing wrong.
         score -= SEAM * jolt(hands, times)
         if control is not None:
             score -= CONTROLS * self._control_error(hands, times, control)
-        return int(allowed[score.argmax()])
+        return int(score.argmax())
 
     def retimed(self, speech: SpeechBlock, past: Floating, block: Floating) -> Floating:
         """The block [K, D_m], earlier or later in its middle by up to `RETIMING` of its length, so that more
@@ -148,15 +143,11 @@ class CandidateChooser:
         worth = in_time(hands, self._times(speech, len(block)), speech.start, speech.onsets) - _STAYS * np.abs(_SHIFTS)
         return np.asarray(blocks[int(worth.argmax())], dtype=block.dtype)
 
-    def too_fast(self, speech: SpeechBlock, motion: CandidateMotion) -> bool:
-        """Whether a hand or an elbow is faster than `FASTEST` in every candidate, as it is shown."""
+    def natural(self, speech: SpeechBlock, motion: CandidateMotion) -> bool:
+        """Whether arms stay within what people do in some candidate, and are not before the face in one."""
         times = self._times(speech, motion.poses.shape[1] - _BEFORE)
-        return bool((fastest(motion.shown[:, :, :4], times) > FASTEST).all())
-
-    @staticmethod
-    def before_face(motion: CandidateMotion) -> bool:
-        """Whether an arm comes before the face in every candidate."""
-        return bool((_to_face(motion.places[:, _BEFORE:]).min((1, 2)) < _BEFORE_FACE).all())
+        nearest = _to_face(motion.places[:, _BEFORE:]).min((1, 2))
+        return bool(not beyond(motion.shown, times).all() and (nearest >= _BEFORE_FACE).any())
 
     def _poses(self, past: Floating, blocks: Floating, shift: Floating | None = None) -> Array:
         """[C, T, D_m] as of `CandidateMotion`; see `motion` for the arguments."""
@@ -190,8 +181,7 @@ class CandidateChooser:
     def _control_error(self, hands: Array, times: Array, control: Floating) -> Array:
         """[C] distance of each candidate's hands [C, T, 2, 3] from the controlled features, in standard deviations."""
         levels, width, inside = self._statistics.levels, len(controls.FEATURES), hands[:, _BEFORE:]
-        if levels is None:
-            return np.zeros(len(hands))
+        assert levels is not None, "there are no controls without levels"
         # The same definition as of the training data (`data_module.controls`), mean over the block.
         steps = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1).mean(-1)
         measured = np.stack([inside[:, :, 0, 1].mean(1), steps.sum(1) / (times[-1] - times[_BEFORE - 1]),
@@ -200,18 +190,37 @@ class CandidateChooser:
         return np.asarray((np.abs((measured - levels.mean) / levels.spread - target) * given).sum(-1))
 
 
-def fastest(hands: Array, times: Array) -> Array:
-    """[C] the greatest speed of a hand, or of a hand and an elbow, in each block, m/s. hands: [C, T, 2 or 4, 3] metres
-    at times [T] seconds, the frames before the block and those of the block."""
-    speed = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1) / np.diff(times[_BEFORE - 1:])[:, None]
-    return np.asarray(speed.max((1, 2)))
+def beyond(places: Array, times: Array) -> Array:
+    """[C] by how much the arms of each block go beyond people's, 0 for not: the sum of what speed, swivel of the elbow,
+    accelerations of wrist and elbow, and place behind the trunk exceed their limits by.
+    places: [C, T, 8, 3] as of `CandidateMotion`, at times [T] seconds."""
+    velocity = np.diff(places[:, :, :4], axis=1) / np.diff(times)[:, None, None]
+    between = 0.5 * (times[2:] - times[:-2])
+    acceleration = np.linalg.norm(np.diff(velocity, axis=1) / between[:, None, None], axis=-1)[:, _BEFORE - 2:]
+    most = (acceleration / np.repeat(_ACCELERATES, 2)).max(1)
+    behind = (behind_trunk(places[:, _BEFORE:]).max((1, 2)) - _BEHIND[0]) / _BEHIND[1]
+    wrist, elbow, shoulder = (np.swapaxes(places[:, _BEFORE - 1:, k:k + 2], 1, 2) for k in (0, 2, 4))
+    turns, off = swivel(shoulder, elbow, wrist)
+    clear = (off > _BENT) & (np.linalg.norm(wrist - shoulder, axis=-1) > _REACHES)
+    turned = np.abs(turns) / np.diff(times[_BEFORE - 1:]) * (clear[..., 1:] & clear[..., :-1])
+    shares = [np.linalg.norm(velocity[:, _BEFORE - 1:], axis=-1).max((1, 2)) / FASTEST, 1.0 + behind,
+              turned.max((1, 2)) / _SWIVELS, most[:, :2].max(1), most[:, 2:].max(1)]
+    return np.asarray(sum(np.maximum(share - 1.0, 0.0) for share in shares))
 
 
-def slow_enough(hands: Array, times: Array) -> NDArray[np.int64]:
-    """Indices of the candidates whose hands and elbows stay under `FASTEST` (see `fastest`), or of the slowest one."""
-    speeds = fastest(hands, times)
-    slow = np.flatnonzero(speeds <= FASTEST)
-    return slow if len(slow) else np.array([speeds.argmin()])
+def swivel(shoulder: Array, elbow: Array, wrist: Array) -> tuple[Array, Array]:
+    """[..., T - 1] radians that an elbow turns about the line from its shoulder to its wrist from frame to frame, and
+    [..., T] metres that it is off that line; places [..., T, 3]."""
+    line, upper = wrist - shoulder, elbow - shoulder
+    line = line / np.maximum(np.linalg.norm(line, axis=-1, keepdims=True), 1e-9)
+    out = upper - (upper * line).sum(-1, keepdims=True) * line
+    one, other, before, after = line[..., :-1, :], line[..., 1:, :], out[..., :-1, :], out[..., 1:, :]
+    # Carried along by the smallest rotation from line to line.
+    axis, cosine = cross(one, other), (one * other).sum(-1, keepdims=True)
+    carried = (cosine * before + cross(axis, before)
+               + axis * (axis * before).sum(-1, keepdims=True) / np.maximum(1.0 + cosine, 1e-6))
+    sine = (cross(carried, after) * other).sum(-1)
+    return np.arctan2(sine, (carried * after).sum(-1)), np.asarray(np.linalg.norm(out, axis=-1))
 
 
 def depth(places: Array) -> Array:
@@ -290,7 +299,8 @@ def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:
 def apart_from_hands(head: Array, hands: Array, times: Array) -> Array:
     """[C] |log(h / h_0) - log(s / s_0)|: how far the head's turning speed h in each block is from what goes with the
     speed s of the hands. head: [C, T, 3 n] rotations of the joints of neck and head as exponential maps, whose sum
-    turns as the head does while they are small; hands, times: see `fastest`."""
+    turns as the head does while they are small; hands: [C, T, 2, 3]
+    metres at times [T] seconds, the frames before the block and those of the block."""
     seconds = times[-1] - times[_BEFORE - 1]
     turns = head[:, _BEFORE - 1:].reshape(*head[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
     turned = np.linalg.norm(np.diff(turns, axis=1), axis=-1).sum(1) / seconds
@@ -307,7 +317,8 @@ def with_pitch(trunk: Array, times: Array, pitch: Array) -> Array:
 
 
 def jolt(hands: Array, times: Array) -> Array:
-    """[C] the hands' acceleration at the start of each block over the mean within it, at most 2; see `fastest`."""
+    """[C] the hands' acceleration at the start of each block over the mean within it, at most 2; arguments as of
+    `apart_from_hands`."""
     velocity = np.diff(hands, axis=1) / np.diff(times)[:, None, None]
     between = 0.5 * (times[2:] - times[:-2])
     acceleration = np.linalg.norm(np.diff(velocity, axis=1) / between[:, None, None], axis=-1).sum(-1)

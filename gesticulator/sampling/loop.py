@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 
 from data_module.controls import Controls, Levels
 from data_module.layers_run import Floats
+from data_module.motion.skeletons import CHARACTERS
 from data_module.types import Array, Blocks
-from gesticulator.body.life import normal
+from gesticulator.body.life import SIDES, normal
 from gesticulator.body.rest import Rest, RestKnots
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import Flags, Span, SpeechBlock, SpeechFeatures, control_rows, representation_of
@@ -49,10 +50,14 @@ CONTIGUOUS = 1e-3
 _MILLISECONDS = 100
 """Milliseconds between independent numbers: half of the shortest block."""
 _MOTION, _CHOICE = 0, 1
-_POSE, _PLAN, _ACTIVITY = 1 << 20, (1 << 20) + 1, (1 << 20) + 2
-"""Kinds of numbers: of the motion, of the choice of lexemes, of first poses, of the planner and of activity."""
-_WAXES = 3000
-"""Milliseconds between independent numbers of activity: people's gestures wax and wane over a few seconds."""
+_POSE, _PLAN, _ACTIVITY, _POSTURE, _VOICE = range(1 << 20, (1 << 20) + 5)
+"""Kinds of numbers: of motion, choice of lexemes, first poses, planner, activity, posture and what sound decides."""
+_WAXES, _LEANS = 3000, 4000
+"""Milliseconds between independent numbers of activity and of posture: both wax and wane over a few seconds."""
+ELBOW = np.radians((6.0, 140.0, 10.0))
+"""Least and greatest bend of an elbow, and the last part of either, in which it is slowed, radians."""
+_ENLARGED = 4.0
+"""Units of a number for a deviation of a spectrum's shape: voices are alike, so what differs is enlarged."""
 _CHANNELS = 1 << 32
 """The first channel of `life.mixed` here; the idle motion and the choice of phrases use lower ones."""
 
@@ -96,6 +101,18 @@ class Keys:
     def activity(self, time: float) -> float:
         """A standard normal number that changes over seconds: how lively the gestures are at `time`."""
         return float(self._normal(_ACTIVITY, time, 1, _WAXES)[0])
+
+    def posture(self, time: float) -> Array:
+        """[3] standard normal numbers that change over seconds: how the trunk leans, turns and tilts at `time`."""
+        return self._normal(_POSTURE, time, 3, _LEANS)
+
+    def of_voice(self, spectrum: Array, count: int) -> Array:
+        """[count] numbers in 0 to 1, about uniform over voices, from the shape of a spectrum [B] in decibels or the
+        like: they change gradually with it, and not with its level."""
+        shape = spectrum - spectrum.mean()
+        mix = self._normal(_VOICE, 0.0, count * len(shape)).reshape(count, -1)
+        numbers = _ENLARGED * (mix @ shape) / math.sqrt(float(shape @ shape) + 1e-9)
+        return np.asarray(np.abs(numbers % 2.0 - 1.0))
 
     def _normal(self, kind: int, time: float, count: int, apart: int = _MILLISECONDS) -> Array:
         """[count] standard normal numbers at a time in seconds; times within a millisecond are the same. apart:
@@ -233,12 +250,11 @@ def begin(bundle: Bundle, setup: Setup, text: bool = False, keys: Keys | None = 
 
 def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
     """The next block, and the state after it."""
-    take = bundle.system.step
-    block, after = take(bundle, setup, state, request)
+    block, after = bundle.system.step(bundle, setup, state, request)
     if state.varied is None:
         return block, after
     # The lexeme is given, so both states hear the same decisions and move otherwise.
-    varied, varied_after = take(bundle, setup, state.varied, replace(request, lexeme=block.lexeme))
+    varied, varied_after = bundle.system.step(bundle, setup, state.varied, replace(request, lexeme=block.lexeme))
     return varied, replace(after, varied=varied_after)
 
 
@@ -326,28 +342,19 @@ class Resting:
     rest: Rest | None
 
 
-def opened(probability: float, activity: float) -> bool:
-    """Whether a block may have a gesture: probability >= 1 - activity, and never at activity 0. activity: 0 for no
-    gestures, 0.5 for gestures that are more likely than not, 1 for a gesture on every block. Raising either number
-    never closes the gate. ValueError for a number outside 0 to 1."""
-    if not (0 <= probability <= 1 and 0 <= activity <= 1):
-        raise ValueError(f"probability {probability} and activity {activity} must lie in 0 to 1")
-    # At activity 0 a certain gesture (probability 1) would pass the comparison.
-    return activity > 0 and probability >= 1 - activity
-
-
-def resting(bundle: Bundle, setup: Setup, state: State, request: Request, features: BlockFeatures, still: Flags | None
+def resting(bundle: Bundle, setup: Setup, state: State, request: Request, features: BlockFeatures, held: bool = False
             ) -> Resting:
-    """Decide whether the hands rest: by the gate, by pauses and phrases, and in the frames `still` [K]."""
-    # At activity 0 the hands rest whatever the gate says.
+    """Decide whether the hands rest: by the gate, by pauses and phrases, and where it is requested; held: they hold a
+    gesture throughout."""
     closed, probability, gate = setup.activity == 0, math.nan, state.gate
+    still = np.ones(bundle.frames, bool) if held else request.still
     if gate is not None:
         probability, gate = bundle.runners["gate"].step(gate, features)
-        closed = not opened(probability, setup.activity)
+        closed = closed or probability < 1 - setup.activity
     if state.rest is None:
         return Resting(closed or (still is not None and bool(still.mean() >= 0.5)), probability, gate, None)
     rest = state.rest.fork()
-    return Resting(rest.analyse(request.speech.span, probability, still), probability, gate, rest)
+    return Resting(rest.analyse(request.speech.span, probability, still, held), probability, gate, rest)
 
 
 def scores_of(bundle: Bundle, setup: Setup, state: State, features: BlockFeatures) -> tuple[Scores, Any, Any]:
@@ -381,9 +388,22 @@ def shown(bundle: Bundle, rest: Rest | None, block: Floats, offset: Floats | Non
         return block, block
     if offset is not None:
         block = block + offset
+    block = _hinged(bundle, rest.speaker, block)
     # Rest shapes what the generator continues from; idle motion is only laid over what is shown.
     past = rest.step(block).astype(np.float32)
     return past, rest.alive(past).astype(np.float32)
+
+
+def _hinged(bundle: Bundle, speaker: int, block: Floats) -> Floats:
+    """A block [K, D_m] whose elbows bend as people's do: neither backwards nor until the hand is at the shoulder."""
+    statistics, names = bundle.statistics, CHARACTERS[bundle.config.motion.joints].names
+    columns = [3 * names.index(side + "ForeArm") + 1 for side in SIDES]
+    signs, scale, mean = np.array([1.0, -1.0]), statistics.deviation[columns], statistics.mean_pose[speaker][columns]
+    bends = signs * (block[:, columns] * scale + mean)
+    low, high, ease = ELBOW
+    inside, out = np.clip(bends, low + ease, high - ease), block.copy()
+    out[:, columns] = (signs * (inside + ease * np.tanh((bends - inside) / ease)) - mean) / scale
+    return out
 
 
 def decided(speech: SpeechBlock, lexeme: int, scores: Scores, keys: Keys, gate: float = math.nan) -> Block:

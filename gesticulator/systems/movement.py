@@ -17,6 +17,7 @@ speed of the hands, then by timing and smooth joins.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -31,7 +32,7 @@ from data_module.types import Array
 from generator.flow_run import Circumstances, FlowConditions, FlowRunner, alone
 from generator.settings import GeneratorWidths
 from gesticulator.body.life import SIDES
-from gesticulator.bundle.features import CONTROL_WIDTH, Flags, SpeechBlock, body_columns
+from gesticulator.bundle.features import CONTROL_WIDTH, SpeechBlock, body_columns
 from gesticulator.sampling.candidates import CandidateChooser
 from gesticulator.sampling.loop import (
     CONTIGUOUS,
@@ -155,6 +156,8 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     speech = request.speech
     if abs(speech.start - state.until) > CONTIGUOUS:  # an offset does not fade while nothing is seen
         state = replace(state, generated=state.past, offset=None)
+    if speech.number == 0 and speech.start == 0.0 and state.rest and not state.rest.begins_at_rest(speech.span):
+        state = begun(bundle, setup, state, speech)
     features = features_of(bundle, request, state.generated)
 
     # 1. The planner: what the hands do in this block.
@@ -165,7 +168,9 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
         features = replace(features, past=state.generated)
 
     # 2. Rest: whether they move at all.
-    rested = resting(bundle, setup, state, request, features, still_frames(bundle, state, request, unit))
+    # A requested gesture is shown whatever the phase: only silent lexemes can be held.
+    held = unit is not None and unit.holds and (request.lexeme is None or request.lexeme in bundle.silent)
+    rested = resting(bundle, setup, state, request, features, held)
     rest = rested.rest
 
     # 3. The lexeme: which movement, given the phase.
@@ -241,15 +246,6 @@ def within_phase(bundle: Bundle, scores: Scores, unit: UnitDecision | None) -> S
     return within - (np.logaddexp.reduce(within) - np.logaddexp.reduce(scores))
 
 
-def still_frames(bundle: Bundle, state: State, request: Request, unit: UnitDecision | None) -> Flags | None:
-    """[K] frames in which the hands hold still, by the request or by the planner; None for none. A requested gesture is
-    shown whatever the phase: only silent lexemes can be held."""
-    holds = unit is not None and unit.holds and state.rest is not None
-    if holds and (request.lexeme is None or request.lexeme in bundle.silent):
-        return np.ones(bundle.frames, bool)
-    return request.still
-
-
 # ------------------------------------------------------------------------------------------------- each gesture afresh
 
 # People decide stroke by stroke: a preparation begins where the hand happens to be, but what is prepared does not
@@ -268,6 +264,10 @@ AFRESH = 1.6
 """Seconds of strokes after which the next one is prepared anew."""
 _LOWEST, _HIGHEST = 0.55, -0.45
 """How far towards the resting pose an arm's first pose may be, as a share of the way from the mean pose."""
+_BEGINS = 0.6
+"""Deviation from there where a performance begins, in deviations of the arms' joints: people begin anywhere."""
+_POSTURE = 0.8
+"""Deviation of the trunk's first pose in lean, turn and tilt, in deviations of each joint."""
 
 
 @dataclass(frozen=True)
@@ -290,15 +290,38 @@ class Offset:
         return time >= self.begin + FADES
 
 
-def first_pose(keys: Keys, names: Sequence[str], rest: Array, time: float) -> NDArray[np.float32]:
-    """[D_m] h of a preparation that begins at `time` seconds, normalised: each arm is somewhere between the mean and
-    the resting pose, or a little above the mean pose. names: of the J joints; rest: [D_m] the normalised resting pose,
-    three numbers a joint; 0 is the mean pose."""
-    pose = np.zeros_like(rest)
+def first_pose(chances: Array, posture: Array, names: Sequence[str], rest: Array) -> NDArray[np.float32]:
+    """[D_m] h of a preparation, normalised: each arm is somewhere between the mean and the resting pose, or a little
+    above the mean pose, by the chances [2] from 0 to 1, and the trunk in a posture [3], deviations of lean, turn and
+    tilt. names: of the J joints; rest: [D_m] the normalised resting pose, three numbers a joint; 0 is the mean pose."""
+    pose = np.where([[name.startswith(("Hips", "Spine"))] for name in names], _POSTURE * posture, 0.0).ravel()
     arms = [np.repeat([name.startswith(side) for name in names], 3) for side in SIDES]
-    for columns, chance in zip(arms, keys.uniform(time, len(arms)), strict=True):
+    for columns, chance in zip(arms, chances, strict=True):
         pose[columns] = (_HIGHEST + (_LOWEST - _HIGHEST) * chance) * rest[columns]
     return pose.astype(np.float32)
+
+
+def _first_of(bundle: Bundle, setup: Setup, chances: Array, posture: Array) -> Floats:
+    """[D_m] `first_pose` of the speaker, within the training data."""
+    names, rest = CHARACTERS[bundle.config.motion.joints].names, bundle.rest_feature(setup.speaker)
+    return np.clip(first_pose(chances, posture, names, rest), *bundle.statistics.bounds.astype(np.float32))
+
+
+def begun(bundle: Bundle, setup: Setup, state: State, speech: SpeechBlock) -> State:
+    """The state before a first block in which somebody speaks: in a pose that the sound decides."""
+    assert state.rest is not None
+    frames, names = bundle.frames, CHARACTERS[bundle.config.motion.joints].names
+    arms = np.repeat([name.endswith("Arm") for name in names], 3)
+    # The spectrum of this block and, if it is known, the next one, without the energy in the last column.
+    heard = bundle.statistics.low.apply(speech.low)[frames:(2 if speech.foreseen else 3) * frames, :-1].mean(0)
+    numbers = state.keys.of_voice(heard, 5 + arms.sum())
+    deviations = math.sqrt(12.0) * (numbers[2:] - 0.5)
+    pose = _first_of(bundle, setup, numbers[:2], deviations[:3])
+    pose[arms] += _BEGINS * deviations[3:].astype(np.float32)
+    rest = state.rest.fork()
+    rest.begin_in(pose.astype(np.float64))
+    past = np.repeat(pose[None], frames, axis=0)
+    return replace(state, past=past, generated=past, rest=rest)
 
 
 def sets_out(state: State, speech: SpeechBlock, unit: UnitDecision | None) -> bool:
@@ -311,13 +334,11 @@ def sets_out(state: State, speech: SpeechBlock, unit: UnitDecision | None) -> bo
 
 def set_out(bundle: Bundle, setup: Setup, state: State, speech: SpeechBlock) -> State:
     """The state in which the block is generated as the first of a performance."""
-    statistics, speaker, past = bundle.statistics, setup.speaker, state.past
+    past, time = state.past, speech.keyed_at
     velocity = (past[-1] - past[-2]) * (len(past) / speech.durations[0])
-    rest, names = statistics.rest_pose[speaker], CHARACTERS[bundle.config.motion.joints].names
-    pose = first_pose(state.keys, names, statistics.normalise(rest, speaker), speech.keyed_at)
-    first = np.clip(pose, *statistics.bounds.astype(np.float32))
-    lexeme = bundle.rest_lexeme(speaker)
-    interpreter = setup.interpreter.start(speaker, lexeme)
+    first = _first_of(bundle, setup, state.keys.uniform(time, len(SIDES)), state.keys.posture(time))
+    lexeme = bundle.rest_lexeme(setup.speaker)
+    interpreter = setup.interpreter.start(setup.speaker, lexeme)
     return replace(state, offset=Offset(speech.start, past[-1] - first, velocity),
                    generated=np.repeat(first[None], len(past), axis=0), lexeme=lexeme, interpreter=interpreter,
                    unguided=interpreter,
@@ -331,7 +352,7 @@ def set_out(bundle: Bundle, setup: Setup, state: State, speech: SpeechBlock) -> 
 
 AUDIO_GUIDANCE, LEXEME_GUIDANCE, UNIT_GUIDANCE = 0.7, 0.4, 0.5
 """Guidance on the audio, the lexeme and the planner's decision: extrapolation from the prediction without each."""
-NOISE = 0.76
+NOISE = 0.84
 """Standard deviation of the initial noise; below 1 is calmer."""
 FLOW_STEPS = 3
 """Steps of the Adams method from noise to a block."""
@@ -339,7 +360,7 @@ CANDIDATES = 4
 """Candidates sampled for a block, of which the best is kept (`gesticulator.sampling.candidates`)."""
 TRUNK_GUIDANCE = 0.3
 """Share of all guidance that torso and head get: full guidance makes their large turns larger than people's."""
-TRUNK_NOISE, FINGER_NOISE = 0.94, 1.75
+TRUNK_NOISE, FINGER_NOISE = 0.85, 1.58
 """Factors on the noise of torso and head, and of the fingers."""
 LIVELY_NOISE = 0.08
 """How much more noise the arms have the livelier the style code is: its natural logarithm, per unit of liveliness."""
@@ -445,7 +466,7 @@ class FlowSampler:
             # One candidate, few steps, no guidance.
             context, pull, steps = context[:1], pull[:0], FAST_STEPS
             _, only = self._drawn(base, context, pull, steps, self._noise(block, 1, code))
-            if not self.chooser.too_fast(speech, self.chooser.motion(past, only, block.shift)):
+            if self.chooser.natural(speech, self.chooser.motion(past, only, block.shift)):
                 return only[0]
         # What is requested of the hands can only be followed by a choice among different arms; otherwise all candidates
         # share the arms of the first. A choice of arms would turn every small change of sound into another gesture.
@@ -453,14 +474,14 @@ class FlowSampler:
         noise = self._noise(block, CANDIDATES, code)
         coefficients, blocks = self._drawn(base, context, pull, steps, noise, same)
         motion = self.chooser.motion(past, blocks, block.shift)
-        if self.chooser.too_fast(speech, motion) or self.chooser.before_face(motion):
+        if not self.chooser.natural(speech, motion):
             # Guidance extrapolates, now and then beyond anything in the data; so does the noise.
             further = [self._drawn(base, context[:1], pull[:0], steps, np.float32(_CALM) * noise, same)]
             if same and not block.fast:  # other arms
                 further.append(self._drawn(base, context, pull, steps, np.roll(noise, -1, 0), same))
             coefficients = np.concatenate([coefficients, *(each for each, _ in further)])
             blocks = np.concatenate([blocks, *(each for _, each in further)])
-            motion = motion.joined(self.chooser.motion(past, blocks[len(motion):], block.shift))
+            motion = self.chooser.motion(past, blocks, block.shift)
         distances = self.lexicon.distances(coefficients)
         apart = distances[:, block.lexeme] / np.maximum(distances.min(-1), np.float32(_NEAREST))
         best = self.chooser.choose(speech, motion, apart, block.features.control)

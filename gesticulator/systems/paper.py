@@ -165,7 +165,7 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     features = features_of(bundle, request, state.past)
 
     # The lexeme s_i from speech, speaker and the lexemes before (Eq. 16 to 18).
-    rested = resting(bundle, setup, state, request, features, request.still)  # addition
+    rested = resting(bundle, setup, state, request, features)  # addition
     scores, interpreter, unguided = scores_of(bundle, setup, state, features)
     # In silence only silent lexemes may follow (6.4.1).
     quiet = rested.closed or (features.silent and settings.mask)

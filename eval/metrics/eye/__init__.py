@@ -5,9 +5,10 @@ strokes with a pulse at every block. These figures see that. They are defined on
 people and rigs of all sizes compare; each chapter tells its theory, unit, and what fools it.
 
 `hands` (two hands, speeds, drift) · `trunk` (head, chest, freezes, contact, fingers) · `strokes` (size, seams,
-repetition) · `posture` (forearms, elbows, wrists, fingers, shoulders) · `together` (head and trunk with the hands,
-activity over seconds) · `units` (gesture units, holds, pauses, first movements) · `voice` (timing by two detectors,
-silence) · `frechet` (everything at once). `stability` compares two takes, `pitch` many recordings.
+repetition) · `arms` (jumps, freezes, lean, preparations) · `posture` (forearms, elbows, wrists, fingers, shoulders) ·
+`together` (head and trunk with the hands, activity over seconds) · `units` (gesture units, holds, pauses, first
+movements) · `voice` (timing by two detectors, silence) · `frechet` (everything at once). `stability` compares two
+takes, `pitch` many recordings.
 
 Real people differ, and the anchors that the chapters quote are those of a few. Which values a system must keep is told
 by the bounds of `gesticulator acceptance`.
@@ -19,7 +20,7 @@ import math
 
 from data_module.types import Array, Motion
 from eval.metrics import EYE_METRICS
-from eval.metrics.eye import hands, posture, strokes, together, trunk, units, voice
+from eval.metrics.eye import arms, hands, posture, strokes, together, trunk, units, voice
 from eval.metrics.eye.body import CommonBody, common_body
 from eval.metrics.eye.frechet import ReferenceSpace
 from eval.metrics.eye.voice import VoiceActivity, hear
@@ -47,7 +48,7 @@ def of_body(body: CommonBody, voice_activity: VoiceActivity | None = None, edges
     out = dict.fromkeys(EYE_METRICS, math.nan)
     if body.duration < SHORTEST:
         return out
-    for chapter in (hands, trunk, posture, together):
+    for chapter in (hands, trunk, posture, together, arms):
         out |= chapter.figures(body)
     out |= strokes.figures(body, edges)
     if voice_activity is not None:

@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 
 from data_module.motion.phases import lasting, runs
 from data_module.types import Array
+from eval.metrics.eye.arms import frozen
 from eval.metrics.eye.body import HZ, CommonBody
 from eval.metrics.eye.hands import HANGS, MOVES, correlation
 from eval.metrics.eye.together import hand_speeds, variation
@@ -185,4 +186,4 @@ def figures(body: CommonBody, voice: VoiceActivity) -> dict[str, float]:
     speed = hand_speeds(body)[:frames]
     pauses, mean = lasting(silent_frames(voice, frames), PAUSE * HZ), speed.mean(axis=1)
     return {**_held(body, speed, ~pauses), **_pauses(speed, pauses), **_loudness(mean, voice),
-            "eye_variation_speech": variation(mean, ~pauses)}
+            "eye_variation_speech": variation(mean, ~pauses), "eye_frozen": frozen(body, ~pauses)}
