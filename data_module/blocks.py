@@ -102,8 +102,8 @@ def _linear(x: Array, y: Array, fill_value: str) -> Callable[[Array], Array]:
 
 
 def _import_wsola() -> Callable[..., Array]:
-    """`pytsmod.wsola`. All it takes of scipy is a linear interpolation, whose import would be a sixth of the time of a
-    short recording and a third of its memory: pytsmod is given `_linear` instead."""
+    """`pytsmod.wsola`. All it takes of scipy is a linear interpolation, whose import would be an eighth of the time of
+    a short recording and a third of its memory: pytsmod is given `_linear` instead."""
     light = ModuleType("scipy.interpolate")
     light.interp1d, light.median_filter = _linear, None  # type: ignore[attr-defined]
     lent = {name: light for name in ("scipy.interpolate", "scipy.ndimage") if name not in sys.modules}
@@ -229,12 +229,10 @@ class KnotPath:
             return self._values[:0]
         # The slope at the newest knot depends on the next one, so the path is certain up to the knot before.
         limit = self._times[-1] if self.prompt else self._times[-2]
-        certain = self._certain(float(limit), float(self._times[-1]))
+        # Frames before the limit and the last knot, at which the recording may end, less what later knots reach.
+        certain = min(math.ceil(float(limit) * self.fps - 1e-9), round(float(self._times[-1]) * self.fps))
+        certain -= round(self.reach * self.fps)
         return self._given(max(certain if until is None else min(certain, until), self.next))
-
-    def _certain(self, limit: float, last: float) -> int:
-        """The number of frames before the limit and the end of a recording at the last knot, less half the kernel."""
-        return min(math.ceil(limit * self.fps - 1e-9), round(last * self.fps)) - self._half
 
     def finish(self, duration: float) -> Array:
         """[T, D] the remaining frames of a recording of `duration` seconds."""

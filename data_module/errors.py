@@ -19,8 +19,8 @@ EXIT_PIPE = 141
 """Exit code of a program ended by SIGPIPE (13): 128 + 13."""
 EXIT_STOPPED = 130
 """Exit code of a program ended by SIGINT (2): 128 + 2."""
-# Packages of the extra `train`.
-_FOR_TRAINING = frozenset({"torch", "librosa", "sklearn"})
+# Extra of each package that is imported without a check before (`registry.Requirement`).
+EXTRAS = {"torch": "train", "librosa": "train", "sklearn": "train", "matplotlib": "figures", "PIL": "video"}
 # Control characters, which can clear a terminal or change its title, and those that hide text or change its direction.
 _INVISIBLE = re.compile("[\x00-\x1f\x7f-\x9f\u200b\u200e\u200f\u2028-\u202e\u2060\u2066-\u2069\ufeff\ud800-\udfff]")
 
@@ -65,8 +65,10 @@ def one_line(error: InputError | OSError | MemoryError | ImportError) -> str:
         return printable(f"memory: there is too little{f' ({reason})' if reason else ''}; "
                          "give a shorter recording or a smaller file, or close other programs")
     name = error.name or "a package"
-    remedy = 'training and evaluation need more: pip install "gesticulator[train]"' if name.partition(".")[0] in \
-        _FOR_TRAINING else "install gesticulator again with the extra that needs it"
+    from data_module.registry import install_line  # which has errors of this module
+
+    extra = EXTRAS.get(name.partition(".")[0])
+    remedy = f"run {install_line(extra)}" if extra else "install gesticulator again"
     return printable(f"{name}: cannot be imported ({reason}); {remedy}")
 
 
@@ -95,6 +97,16 @@ def one_line_errors(program: str) -> Iterator[None]:
         raise SystemExit(EXIT_STOPPED) from None
 
 
+def status(line: str, logged: bool = False) -> None:
+    """Show what is being done: on a terminal in one line of standard error, "" to blank it; elsewhere, if it is
+    `logged`, in lines of standard output. The import of tqdm would take a fortieth of a short recording."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        # Back to its start, where a warning is written over it.
+        print(f"\r{line[:79]:<79}\r", end="", file=sys.stderr, flush=True)
+    elif logged:
+        print(line, flush=True)
+
+
 def complain(line: str) -> None:
     """Print a line on standard error, if it is open; characters that its encoding lacks, and invalid bytes in file
     names, are written as \\x escapes."""
@@ -103,6 +115,7 @@ def complain(line: str) -> None:
         return
     encoding = getattr(stream, "encoding", None) or "utf-8"
     line = "\n".join(map(printable, line.split("\n")))
+    line = f"{line:<79}" if stream.isatty() else line  # over a status
     # An encoding error would print a traceback in place of the message.
     with contextlib.suppress(OSError, ValueError):  # closed since
         print(line.encode(encoding, "backslashreplace").decode(encoding), file=stream, flush=True)

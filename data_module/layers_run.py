@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from data_module.errors import InputError
 
 __all__ = ["BlockDense", "Conv", "Convolutions", "Dense", "Floats", "Gru", "Lstm", "Norm", "Tensors", "attention",
-           "gelu", "leaky_relu", "log_softmax", "normed", "repeat_frames", "side_by_side", "sigmoid", "softmax"]
+           "gelu", "leaky_relu", "log_softmax", "normed", "side_by_side", "sigmoid", "softmax"]
 
 Floats = NDArray[np.float32]
 
@@ -248,11 +248,6 @@ def attention(query: Floats, key: Floats, value: Floats, heads: int, mask: Float
     scores = query @ key.swapaxes(1, 2) / np.float32(math.sqrt(query.shape[-1]))
     attended = softmax(scores if mask is None else scores + mask) @ value
     return attended.swapaxes(0, 1).reshape(attended.shape[1], -1)
-
-
-def repeat_frames(vector: Floats, frames: int) -> Floats:
-    """[..., D] to [..., K, D]: the same vector on every frame of a block."""
-    return np.broadcast_to(vector[..., None, :], (*vector.shape[:-1], frames, vector.shape[-1]))
 
 
 def side_by_side(parts: Sequence[Floats]) -> Floats:

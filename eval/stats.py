@@ -67,11 +67,11 @@ class Interval:
         return asdict(self)
 
     def text(self, digits: int = 2, sign: bool = False) -> str:
-        """"1.23 [1.10, 1.40]"; without bounds the mean alone, and "-" where it is undefined."""
+        """"1.23 [1.10, 1.40]"; without bounds, or of one clip, the mean alone, and "-" where it is undefined."""
         if not math.isfinite(self.mean):
             return "-"
         shown = f"{self.mean:{'+' if sign else ''}.{digits}f}"
-        bounded = math.isfinite(self.low) and math.isfinite(self.high)
+        bounded = math.isfinite(self.low) and math.isfinite(self.high) and not (self.n == 1 and self.low == self.high)
         return f"{shown} [{self.low:.{digits}f}, {self.high:.{digits}f}]" if bounded else shown
 
     def times(self, factor: float) -> Interval:

@@ -20,7 +20,6 @@ from data_module.layers_run import (
     gelu,
     leaky_relu,
     normed,
-    repeat_frames,
     side_by_side,
     softmax,
 )
@@ -129,7 +128,7 @@ class FlowRunner:
         count = len(given.lexeme)
         audio = np.where(given.without_audio[:, None, None], self._unheard, self._encode_audio(given.audio))
         name = self._name[given.lexeme]
-        rows = [self._encode_motion(given.before), audio, repeat_frames(name, self.frames), self._position]
+        rows = [self._encode_motion(given.before), audio, name[:, None], self._position]
         pose, velocity, acceleration = state_before(given.before[-PAST:], given.ratio)
         beside = [] if self._hear is None else [gelu(self._hear(audio.reshape(count, -1))), name]
         known = [*beside, pose, 4.0 * velocity, 6.0 * acceleration, given.added, given.place, given.speaker]

@@ -20,12 +20,12 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
 
 from data_module.errors import InputError, complain, one_line
 from data_module.files import lock, parse_json, read_bytes, remove_unfinished_of, write_bytes
+from data_module.registry import Requirement
 from data_module.settings import NotNegative, check, from_dict, whole_number
 from gesticulator.bundle.files import INDEX, bundle_folder, read_index
 from gesticulator.cli import PROGRAM, __version__
@@ -149,10 +149,8 @@ def opened_manifest(path: Path) -> Iterator[Manifest]:
 
 def estimated_seconds(row: ManifestRow) -> float:
     """Duration of a recording, estimated from its size; 0 if it cannot be read."""
-    try:
-        return Path(row.input).stat().st_size / _BYTES_PER_SECOND
-    except OSError:
-        return 0.0
+    path = Path(row.input)
+    return path.stat().st_size / _BYTES_PER_SECOND if path.is_file() else 0.0
 
 
 def parse_shard(text: str | None) -> tuple[int, int]:
@@ -265,9 +263,7 @@ def _hashed(row: ManifestRow) -> ManifestRow:
 
 def check_ray(given: str) -> None:
     """`InputError` if Ray is not installed or the value of --ray is invalid."""
-    if find_spec("ray") is None:
-        raise InputError("--ray", "needs Ray, which is not installed", "pip install 'gesticulator[scale]', or use "
-                         "--shard")
+    Requirement("ray", "Ray (or use --shard)", "scale").check("--ray")
     if given.startswith(_LOCAL) and not whole_number(given[len(_LOCAL):], _MOST_WORKERS):
         raise InputError(f"--ray {given[:40]}", "is not a number of workers", "write --ray local:4")
 

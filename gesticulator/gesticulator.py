@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
     from gesticulator.directing.lexeme_names import LexemeName
-    from gesticulator.editing.render import PlanRenderer
+    from gesticulator.editing.render import OnBlock, PlanRenderer
     from gesticulator.editing.retiming import Retimed
     from gesticulator.plan.plan import GesturePlan
     from gesticulator.stream import Stream
@@ -48,6 +48,7 @@ class Gesticulator:
         self.resolver = SetupResolver(bundle)
         self.keeps_generations = False
         """Whether performances keep the state before each block (`Performance.generation`), from which edits start."""
+        self.on_block: OnBlock | None = None  # of the recording that is being generated
         self._front_end = front_end_for(bundle.config, bundle.runners.get("encoder"))
         self._names: tuple[LexemeName, ...] | None = None
 
@@ -162,7 +163,7 @@ class Gesticulator:
         if any(word.marks for word in speech.words or ()):
             from gesticulator.directing.marks import with_mark_cues
 
-            options = with_mark_cues(options, speech.words or ())
+            options = with_mark_cues(options, speech.words or (), speech.duration)
         setup = self._setup(speech, options)
         generated, generation = self._looped(speech, options, setup, encoded)
         performance = self.assemble(Assembler(self.bundle, speech, options, setup), generated)
@@ -182,6 +183,8 @@ class Gesticulator:
             blocks.append(block)
             if self.keeps_generations:
                 states.append(state)
+            if self.on_block is not None:
+                self.on_block(len(blocks), len(encoded))
         generated = GeneratedMotion(encoded.blocks, blocks, self.bundle.system.motion_of(self.bundle, setup, blocks))
         return generated, Generation(encoded, blocks, states, cutters or ()) if self.keeps_generations else None
 
@@ -238,7 +241,7 @@ class Gesticulator:
         # Lexemes are numbers in one lexicon, and times belong to one sound.
         check_plan_of(self.bundle, options.plan, sound_hash(speech))
         renderer = renderer or self.plan_renderer(speech, options)
-        performance = self.assemble(self.assembler(speech, options), renderer.render(options.plan))
+        performance = self.assemble(self.assembler(speech, options), renderer.render(options.plan, self.on_block))
         return replace(performance, generation=renderer.generation()) if self.keeps_generations else performance
 
     def plan_renderer(self, speech: Speech, options: InferenceOptions, generation: Generation | None = None

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line, printable
+from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line, printable, status
 from data_module.files import opened
 from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
 from gesticulator.jobs import CharacterRequest, Job, RunSettings, infer_arguments, jobs_of, run_settings_of
@@ -45,9 +45,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _run_all(jobs: Sequence[Job], settings: RunSettings) -> int:
     """Process recordings and print a summary of each; the number of those that succeeded."""
+    begin, shown, done = time.perf_counter(), len(jobs) == 1 and not settings.quiet, 0
     if len(jobs) == 1:
         check_job(jobs[0])  # before the models are loaded
-    worker, done = _worker(jobs, settings), 0
+    if shown:
+        status(f"{jobs[0].name}: loading the models")
+    worker = replace(_worker(jobs, settings), begin=begin if shown else None)
     for job in jobs:
         try:
             with limited_threads(settings.threads):
@@ -60,6 +63,7 @@ def _run_all(jobs: Sequence[Job], settings: RunSettings) -> int:
             continue
         done += 1
         if not settings.quiet:
+            status("")
             print(summary, flush=True)
     if done < len(jobs):
         complain(f"{PROGRAM}: {done} of {len(jobs)} recordings done, {len(jobs) - done} failed")
@@ -143,10 +147,12 @@ def retargeter_for(character: CharacterRequest | None, quiet: bool = False) -> R
 
 @dataclass(frozen=True)
 class Worker:
-    """What the jobs of a command are processed with. retargeter: None for the default skeleton."""
+    """What the jobs of a command are processed with. retargeter: None for the default skeleton; begin: of a command
+    that shows what it does with one recording, by `time.perf_counter`."""
 
     gesticulator: Gesticulator
     retargeter: Retargeter | None = None
+    begin: float | None = None
 
     def perform(self, job: Job) -> tuple[float, str]:
         """Process one recording: read it, generate its gestures and write the files. Returns seconds of sound, and the
@@ -159,14 +165,16 @@ class Worker:
         bare = job.options.face == "off" and any(target.suffix.lower() == ".html" for target in job.targets)
         shown = replace(job, options=replace(job.options, face="full")) if bare else job
         performance = self._laid_out(job, self.performed(shown, speech))
-        factor = (time.perf_counter() - begin) / speech.duration
+        timing = f"{speech.duration / (time.perf_counter() - begin):.1f} times as fast as real time"
         # Files appear whole, so what is there after an error can be used.
         written = [(performance if target.suffix.lower() == ".html" or not bare else replace(performance, face=None))
                    .save(target) for target in job.targets]
         pages = [f"open {page} in a browser to watch it" for page in written if page.suffix.lower() == ".html"]
+        if self.begin is not None:
+            timing += f" ({time.perf_counter() - self.begin:.1f} s in all, {begin - self.begin:.1f} s of it to start)"
         lexemes = performance.lexemes.tolist()
         line = (f"{job.name}: {speech.duration:.1f} s, {len(lexemes) - 1} beats, {len(set(lexemes))} of "
-                f"{len(self.gesticulator.bundle.vectors)} lexemes, real-time factor {factor:.3f} -> "
+                f"{len(self.gesticulator.bundle.vectors)} lexemes, {timing} -> "
                 f"{printable(', '.join(map(str, written)))}")
         return speech.duration, "\n  ".join([line, *performance.decided.notes, *pages])
 
@@ -175,6 +183,10 @@ class Worker:
         # Legs cost time, so they are generated only where something shows them.
         stands = self.retargeter is not None and self.retargeter.mapping.legs and self.retargeter.legs
         options: dict[str, Any] = {**vars(job.options), "legs": job.options.legs or stands}
+        if self.begin is not None:
+            doing = f"{job.name}: {speech.duration:.1f} s of sound, generating gestures"
+            status(doing, logged=True)
+            self.gesticulator.on_block = lambda done, total: status(f"{doing}, block {done} of {total}")
         performance = self.gesticulator(speech, text=job.text, **options)
         return performance.labelled(job.name, performance.decided.notes)
 
@@ -190,8 +202,7 @@ def load(job: Job) -> Speech:
     from data_module.speech.audio import amplified, load_speech
 
     speech = load_speech(job.source or sys.stdin.buffer)
-    note = level_note(amplified(speech, job.options.gain))
-    if note is not None:
+    if (note := level_note(amplified(speech, job.options.gain))) is not None:
         complain(f"{PROGRAM}: warning: {job.name}: {note}")
     return speech
 
@@ -201,15 +212,13 @@ def level_note(speech: Speech) -> str | None:
     from data_module.speech.silence import FAINTEST_SPEECH, MARGIN, TYPICAL_LEVEL, frame_levels, loudness
 
     frames = loudness(frame_levels(speech.samples, speech.sample_rate))
-    levels = frames.levels
-    if levels.max() <= FAINTEST_SPEECH:
-        return f"all of it is silence (its loudest 10 ms are at {levels.max():.0f} dBFS); record it again"
-    loud = levels > (frames.floor + MARGIN).clip(FAINTEST_SPEECH)
-    level = float(levels[loud].mean() if loud.any() else levels.max())
-    if level >= LOW_LEVEL:
-        return None
+    if (loudest := float(frames.levels.max())) <= FAINTEST_SPEECH:
+        return f"all of it is silence (its loudest 10 ms are at {loudest:.0f} dBFS); record it again"
+    loud = frames.levels[frames.levels > (frames.floor + MARGIN).clip(FAINTEST_SPEECH)]
+    level = float(loud.mean()) if len(loud) else loudest
     gain = round(TYPICAL_LEVEL - level)
-    return f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
+    return None if level >= LOW_LEVEL else \
+        f"its speech is at {level:.0f} dBFS, nearly silent; amplify it by {gain} dB (--gain {gain})"
 
 
 COMMAND = Command(

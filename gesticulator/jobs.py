@@ -352,7 +352,7 @@ def infer_arguments(p: argparse.ArgumentParser) -> None:
         "output (at least one is required)", "A path that ends in / or is a folder receives one file per recording, "
         "named\nafter it; any other path is the file itself. Missing folders are created.")
     out.add_argument("-o", "--output", metavar="FILE", action="append", help="motion, in the format given by the "
-                     "suffix: " + ", ".join(sorted(set(WRITERS) - {".html", ".json"})) + "; can be repeated")
+                     "suffix: " + ", ".join(sorted(WRITERS)) + "; can be repeated")
     out.add_argument("--format", metavar="SUFFIX", help=f"format of -o if it is a folder (default {FORMAT})")
     out.add_argument("--preview", metavar="FILE.html", help="a page that plays the motion in a browser")
     out.add_argument("--plan-out", "--explain", metavar="FILE.json",
@@ -370,7 +370,7 @@ def infer_arguments(p: argparse.ArgumentParser) -> None:
 
 
 def _clip_arguments(p: argparse.ArgumentParser) -> None:
-    clip = p.add_argument_group("clips for animation tools", "See docs/clips.md.")
+    clip = p.add_argument_group("clips for animation tools", "How the animation is laid out.")
     clip.add_argument("--clip-name", metavar="NAME", help="name of the animation in the file (default gesture)")
     clip.add_argument("--keys", metavar="DEGREES", type=_keys, help="leave out keys that interpolation restores "
                       "within so many degrees in .glb, .vrma and .fbx, or all to write every frame (default 0.1)")

@@ -74,8 +74,8 @@ INTERPRETERS: Registry[InterpreterEntry] = Registry("interpreters", "an interpre
     "cql": InterpreterEntry(
         "RACER's Q-network", "interpreters.cql_run:QRunner", "q_network", section="cql",
         model="interpreters.cql:QNetwork",
-        doubt="cql chooses gestures no better than lstm by any figure of this project (docs/racer.md), and at "
-              "temperature 0 it repeats a few"),
+        doubt="cql chooses gestures no better than lstm by any figure of this project, and at temperature 0 it repeats "
+              "a few"),
     "cql-literal": InterpreterEntry(
         "RACER's Q-network as published: recorded lexemes only, arg max", "interpreters.cql_run:LiteralQRunner",
         "q_network_literal", section="cql_literal", model="interpreters.cql:QNetwork", temperature=0.0,
@@ -85,8 +85,7 @@ INTERPRETERS: Registry[InterpreterEntry] = Registry("interpreters", "an interpre
         "the LSTM, biased by a learned reward; see --beta", "interpreters.advantage_run:AdvantageInterpreter",
         "advantage", prior="lstm", model="interpreters.advantage:Critics",
         runner="interpreters.advantage_run:CriticsRunner",
-        doubt="no figure of this project shows the shipped weights of advantage to choose gestures better than lstm "
-              "(docs/racer.md)"),
+        doubt="no figure of this project shows the shipped weights of advantage to choose gestures better than lstm"),
     "statistical": InterpreterEntry(
         "the speaker's lexeme frequencies", "interpreters.statistical:StatisticalInterpreter"),
 }, InterpreterEntry)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -34,3 +35,4 @@ def main(source: str, fps: str, target: str, settings: str = "{}") -> None:
 
 if __name__ == "__main__":
     main(*(sys.argv[sys.argv.index("--") + 1:] if "--" in sys.argv else sys.argv[1:]))
+    os._exit(0)  # Blender as a Python module may crash while it is torn down

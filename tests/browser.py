@@ -16,8 +16,7 @@ FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-
          "--disable-background-networking", "--disable-component-update", "--use-angle=swiftshader",
          "--enable-unsafe-swiftshader", "--autoplay-policy=no-user-gesture-required"]
 PATIENCE = 180_000
-"""Milliseconds that a step may take: without a GPU, on a machine that others use, a picture takes seconds, and a click
-waits for several."""
+"""Milliseconds that a step may take: without a GPU, on a machine that others use, a picture takes seconds."""
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 

@@ -93,6 +93,7 @@ class TellingStream:
         return self._all(StreamState.IDLE)
 
     def adding(self, words: list[Word], *batch: int) -> Iterator[tuple[Word, ...]]:
+        assert self.request.options.get("text"), "a stream without text takes no words"
         self.words += words
         yield tuple(words)
 

@@ -285,12 +285,27 @@ def tsv(words: Words) -> str:
                                           for part in _parts(words))
 
 
+def _lines(words: Words, form: str, newline: str = " ") -> str:
+    """form: of a line with its start, its end and its text, in which `newline` is the first space."""
+    return "".join(form.format(_clock(part[0][1], "."), _clock(part[-1][2], "."), _text(part).replace(" ", newline, 1))
+                   for part in _parts(words))
+
+
+def lrc(words: Words) -> str:
+    """Enhanced: the time of each word in its line."""
+    return "[ar:Nobody]\n" + "".join(f"[{_clock(part[0][1], '.')}]" + "".join(
+        f" <{_clock(start, '.')}>{word}" for word, start, _ in part) + "\n" for part in _parts(words))
+
+
 FILES: dict[str, tuple[str, Callable[[Words], str]]] = {
     **{name: (".json", lambda words, write=write: json.dumps(write(words))) for name, write in JSON.items()},
     "srt, highlighted": (".srt", srt_highlighted), "srt, coloured": (".srt", srt_coloured),
     "vtt, highlighted": (".vtt", vtt_highlighted), "vtt, rolling": (".vtt", vtt_rolling),
-    "srt": (".srt", srt), "vtt": (".vtt", vtt), "tsv": (".tsv", tsv),
+    "srt": (".srt", srt), "vtt": (".vtt", vtt), "tsv": (".tsv", tsv), "lrc": (".lrc", lrc),
+    "ass": (".ass", lambda words: _lines(words, "Dialogue: 0,{},{},Default,,0,0,0,,{{\\i1}}{}\n", "\\N")),
+    "sbv": (".sbv", lambda words: _lines(words, "{},{}\n{}\n\n")),
+    "ttml": (".ttml", lambda words: _lines(words, '<p begin="{}" xml:id="c" end="{}"><span>{}</span></p>\n', "<br/>")),
 }
 """Sample -> its suffix, and what writes it."""
-WITHOUT_TIMES = {"srt", "vtt", "tsv", "text"}
+WITHOUT_TIMES = {"srt", "vtt", "tsv", "text", "ass", "sbv", "ttml"}
 """Samples without the times of words."""

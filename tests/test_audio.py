@@ -14,10 +14,10 @@ import pytest
 import soundfile
 
 from data_module.errors import InputError
+from data_module.registry import install_line
 from data_module.speech.audio import (
     SAMPLE_RATE,
     SampleFeed,
-    SoundWarning,
     amplified,
     as_speech,
     load_speech,
@@ -81,7 +81,7 @@ def test_half_of_full_scale_is_a_half_whatever_the_type(kind: type, half: int) -
 
 
 @pytest.mark.parametrize(("suffix", "kind", "subtype"), FORMATS)
-@pytest.mark.parametrize("rate", [8000, 16000, 44100, 48000])
+@pytest.mark.parametrize("rate", [8000, 11025, 16000, 24000, 44100, 48000])
 @pytest.mark.parametrize("channels", [1, 2])
 def test_a_tone_keeps_its_pitch_length_and_level_in_every_format(
         tmp_path: Path, suffix: str, kind: str, subtype: str | None, rate: int, channels: int) -> None:
@@ -145,26 +145,14 @@ def test_a_cut_file_is_refused_where_its_header_says_so_and_else_read_as_far_as_
         assert load_speech(cut).duration == pytest.approx(4.0 * share, abs=0.01 if suffix == "wav" else 0.5)
 
 
-def open_ended(kind: str) -> bytes:
-    """A sound of 2 s as a recorder writes it that cannot go back to fill in the length."""
-    if kind == "flac":
-        data = bytearray(encoded(tone(16000), 16000, "FLAC"))
-        data[21] &= 0xF0
-        data[22:26] = bytes(4)
-    else:
-        data = bytearray(encoded(tone(16000), 16000))
-        place = data.find(b"data") + 4
-        data[place:place + 4] = {"zero": bytes(4), "ones": b"\xff" * 4, "sox": b"\xdb\xff\xff\x7f"}[kind]
-    return bytes(data)
+def test_a_flac_without_a_length_is_read_to_its_end(tmp_path: Path) -> None:
+    data = bytearray(encoded(tone(16000), 16000, "FLAC"))
+    data[21] &= 0xF0
+    data[22:26] = bytes(4)
+    assert np.allclose(load_speech(put(tmp_path, "a.flac", bytes(data))).samples, tone(16000), atol=1e-4)
 
 
-@pytest.mark.parametrize("kind", ["zero", "ones", "sox", "flac"])
-def test_a_length_left_open_is_that_of_the_file(tmp_path: Path, kind: str) -> None:
-    speech = load_speech(put(tmp_path, f"a.{'flac' if kind == 'flac' else 'wav'}", open_ended(kind)))
-    assert np.allclose(speech.samples, tone(16000), atol=1e-4)
-
-
-@pytest.mark.parametrize("size", [0, 0x7FFFFFFF, 0xFFFFFFFF, 2_000_000_000, 200_000])
+@pytest.mark.parametrize("size", [0, 0x7FFFFFDB, 0x7FFFFFFF, 0xFFFFFFFF, 2_000_000_000, 200_000])
 @pytest.mark.parametrize(("kind", "extra"), [("WAV", 0), ("WAV", 2000), ("WAVEX", 0), ("WAVEX", 90)])
 def test_sizes_that_recorders_leave_behind_mean_the_bytes_that_are_there(tmp_path: Path, size: int, kind: str,
                                                                        extra: int) -> None:
@@ -214,12 +202,6 @@ def test_the_channel_with_the_speech_is_taken_where_a_mean_would_lose_it(tmp_pat
     assert all(f"channel {(taken or 0) + 1} is taken of {len(columns)}," in line for line in lines)
 
 
-def test_the_centre_of_vorbis_is_its_second_channel(tmp_path: Path) -> None:
-    sound = np.stack([voice(2, 1), voice(), voice(2, 2), *3 * [0 * HUM]], axis=1)
-    with pytest.warns(SoundWarning, match="channel 2 is taken of 6"):
-        load_speech(put(tmp_path, "a.ogg", encoded(sound, 48000, "OGG", "VORBIS")))
-
-
 # ---------------------------------------------------------------------------------------------------- streams
 
 @pytest.mark.parametrize(("suffix", "kind", "subtype"), FORMATS)
@@ -251,12 +233,12 @@ CONTAINERS = [("m4a", "mp4", "aac"), ("mp4", "mp4", "aac"), ("mov", "mov", "pcm_
               ("mkv", "matroska", "flac"), ("avi", "avi", "pcm_s16le"), ("aac", "adts", "aac")]
 
 
-def contained(samples: Samples, kind: str, codec: str, rate: int = 48000, picture: bool = False, late: float = 0.0
-              ) -> bytes:
+def contained(samples: Samples, kind: str, codec: str, rate: int = 48000, picture: bool = False, late: float = 0.0,
+              **options: str) -> bytes:
     """Mono sound in a container, with a video of black pictures when asked."""
     av = pytest.importorskip("av", reason="PyAV is in the extra 'video'")
     memory = io.BytesIO()
-    with av.open(memory, "w", format=kind) as file:
+    with av.open(memory, "w", format=kind, options=options) as file:
         if picture:
             video = file.add_stream("mpeg4", rate=25)
             video.width, video.height, video.pix_fmt = 64, 48, "yuv420p"
@@ -297,17 +279,18 @@ def test_sound_is_found_by_content_whatever_holds_it_and_whenever_its_clock_star
     check_tone(speech, 0.1)
 
 
+@pytest.mark.parametrize("share", [1.0, 0.7])
+def test_what_a_browser_records_has_no_length_and_is_read_to_its_end_or_a_cut(tmp_path: Path, share: float) -> None:
+    data = contained(tone(48000, 6.0), "webm", "libopus", live="1")  # no duration, clusters of unknown size
+    speech = load_speech(put(tmp_path, "rec.webm", data[:round(share * len(data))]))
+    assert speech.duration == pytest.approx(6.0 * share, abs=0.1 if share == 1.0 else 0.3)
+    check_tone(speech, 0.05)
+
+
 def test_a_codec_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data = contained(tone(48000), "wav", "flac")
     monkeypatch.setitem(sys.modules, "av", None)
     refused(put(tmp_path, "a.wav", data), "codec", "PyAV")
-
-
-@pytest.mark.parametrize(("suffix", "law"), [("ul", "ULAW"), ("al", "ALAW")])
-def test_telephone_sound_without_a_header_is_told_by_its_suffix(tmp_path: Path, suffix: str, law: str) -> None:
-    speech = load_speech(put(tmp_path, f"a.{suffix}", encoded(tone(8000), 8000, "RAW", law)))
-    assert abs(speech.duration - 2.0) < 0.002
-    check_tone(speech, 0.03)
 
 
 @pytest.mark.parametrize(("suffix", "kind", "codec", "picture"), [
@@ -348,7 +331,7 @@ def test_videos_that_cannot_be_used_are_one_line(tmp_path: Path, monkeypatch: py
     fast = (tmp_path / "whole.mov").read_bytes()
     refused(put(tmp_path, "fast.mov", fast[:len(fast) // 2]), "is cut short", "of the 4.00 s")
     monkeypatch.setitem(sys.modules, "av", None)
-    refused(put(tmp_path, "a.mkv", whole), "PyAV", "pip install 'gesticulator[video]'")
+    refused(put(tmp_path, "a.mkv", whole), "PyAV", install_line("video"))
 
 
 # ---------------------------------------------------------------------------------------------------- level

@@ -288,6 +288,43 @@ def with_numbers(file: GlbFile, accessor: int, numbers: np.ndarray) -> GlbFile:
     return GlbFile(file.document, file.binary[:start] + data + file.binary[start + len(data):])
 
 
+def test_a_mesh_that_was_bound_in_a_frame_of_a_walk_faces_ahead(tmp_path: Path) -> None:
+    """Hips and shoulders turn against each other in it, and in what follows they face as those of the motion do."""
+    body = figure(pose="A")
+    for pivot, ends, turn in (("Hips", ("UpLeg", "Leg", "Foot", "ToeBase"), Rotation.from_euler("YZ", [9, 3], True)),
+                              ("Spine2", ("Shoulder", "Arm", "Hand"), Rotation.from_euler("YZ", [-11, -4], True))):
+        for key in [key for key in body.places if key.endswith(ends)]:
+            body.places[key] = body.places[pivot] + turn.apply(body.places[key] - body.places[pivot])
+    found = Retargeter(read_character(write(tmp_path / "walk.glb", body)))
+    moved = found(probe_motion())
+    places = moved.world_matrices()[1, :, :3, 3]  # in the second pose the trunk is straight
+    for part in ("UpLeg", "Shoulder"):
+        across = places[moved.joints["Left" + part]] - places[moved.joints["Right" + part]]
+        assert np.degrees(np.arccos(across[0] / np.linalg.norm(across))) < 0.5, part
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_fingers_that_hang_on_bones_of_the_palm_are_known_by_names_or_doubted(known: bool, tmp_path: Path) -> None:
+    """By position, a hand has five chains: these have three and a bone that carries two."""
+    names: dict[str, str] = {}
+    body = figure(lambda key: names.get(key, key))
+    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+        letter = side[0].lower()
+        body.beside(f"{side}Palm", f"{side}Hand", (0.04 * sign, 0.0, -0.03), 0.01)
+        names[f"{side}Palm"] = f"def_{letter}_fngCarpal"
+        for number, finger in enumerate(("Thumb", "Index", "Mid", "Ring", "Pinky")):
+            above = f"{side}Palm" if number > 2 else f"{side}Hand"
+            for joint in "ABC":
+                key = f"{side}Finger{number}{joint}"
+                body.beside(key, above, (0.03 * sign, 0.0, 0.02 * (2 - number) if joint == "A" else 0.0), 0.01)
+                names[key] = f"def_{letter}_fng{finger}{joint}" if known else f"{letter}{number}{joint}q"
+                above = key
+    found = find_joints(read_character(write(tmp_path / "host.glb", body)))
+    assert sum("Hand" in name for name in found.joints) == (2 + 30 if known else 2)
+    assert [doubt.split()[:3] for doubt in found.doubts] == ([] if known else [["its", "left", "hand"],
+                                                                                ["its", "right", "hand"]])
+
+
 def test_tails_wings_skirts_and_targets_are_no_limbs(tmp_path: Path) -> None:
     body = figure(spelled(ROBOT, "{part}_{side}", ("L", "R")), "T", ("Thumb", "Index", "Ring"))
     for number in range(5):

@@ -189,3 +189,25 @@ def test_the_figures_of_the_readme_are_those_that_are_stored() -> None:
             assert value in row, f"{value} is stored, the README says {row}"
     assert f"{about['store']['test_recordings']} test recordings" in text(README)
     assert f"{about['seconds'] / 60:.0f} minutes" in text(README)
+
+
+def shown_rows(page: str) -> dict[str, list[str]]:
+    rows = [[cell.strip() for cell in row.strip().strip("|").split("|")] for row in table_rows(text(DOCS / page))]
+    return {row[0]: row[1:] for row in rows}
+
+
+def test_figures_of_the_guides_are_those_that_are_stored() -> None:
+    speed, found, stream = result("realtime.json")["real_time_factor"][0], shown_rows("use.md"), result("stream.json")
+    assert found["audio only"] == [f"{speed[name]:.2f}" for name in ("warm_lstm", "cold")]
+    assert found["with a transcript, which is aligned and encoded"] == [
+        f"{speed[name]:.2f}" for name in ("warm_with_text", "cold_with_text")]
+    live, both = shown_rows("live.md"), ("full", "low")
+    assert live['`latency="low"`'][:4] == [f"{value:.2f}" for value in stream["low"]["late"].values()]
+    assert live["a piece of 20 ms that completes a block, p50 / p95 / p99, ms"] == [
+        " / ".join(f"{1000 * stream[mode]['block'][name]:.1f}" for name in ("p50", "p95", "p99")) for mode in both]
+    assert live["share of a processor per stream"] == [f"{stream[mode]['busy']:.3f}" for mode in both]
+    for mode in both:
+        pmb = [f"{stream[mode][name]:.1f}" for name in ("pmb", "pmb_chance", "pmb_above_chance")]
+        assert live[f"`{mode}`"][:2] == pmb[:2] and live[f"`{mode}`"][2].startswith(f"{pmb[2]} (")
+    kept = shown_rows("paper.md")["bounds that are kept"][0]
+    assert tables("paper_motion.json")["Acceptance of the motion"].notes[0].startswith(kept)

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line, one_line_errors, shown
+from data_module.registry import install_line
 
 _FAIL = """
 from data_module.errors import InputError, one_line_errors
@@ -69,8 +70,8 @@ def test_control_characters_are_printed_as_escapes(given: str, printed: str | No
      "GiB); give a shorter recording or a smaller file, or close other programs\n"),
     (MemoryError(), "program: memory: there is too little; give a shorter recording or a smaller file, or close "
      "other programs\n"),
-    (ModuleNotFoundError("No module named 'av'", name="av"), "program: av: cannot be imported (No module named 'av'); "
-     "install gesticulator again with the extra that needs it\n"),
+    (ModuleNotFoundError("No module named 'PIL'", name="PIL"), "program: PIL: cannot be imported "
+     f"(No module named 'PIL'); run {install_line('video')}\n"),
 ])
 def test_too_little_memory_and_lacking_packages_are_one_line(raised: Exception, line: str,
                                                              capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,6 +19,7 @@ from data_module.errors import InputError
 from data_module.motion import rotation, smplx
 from data_module.motion.kinematics import global_rotations
 from data_module.motion.skeletons import CHARACTERS, FINGER_JOINTS, FINGERED, HIP_HEIGHT, to_character
+from data_module.registry import install_line
 from data_module.types import Array
 from gesticulator.export.vrma import BONES
 from gesticulator.export.writers import WRITERS, check_output
@@ -214,7 +215,7 @@ def test_a_missing_library_is_named_with_its_extra(suffix: str, tmp_path: Path, 
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(InputError) as caught:
         perform().save(tmp_path / "new" / f"a{suffix}")
-    assert f"needs {package}" in str(caught.value) and f'pip install "gesticulator[{extra}]"' in str(caught.value)
+    assert f"needs {package}" in str(caught.value) and install_line(extra) in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -33,7 +33,7 @@ from gesticulator.face.lips import (
     with_strength,
 )
 from gesticulator.face.motion import FaceMotion
-from gesticulator.face.shapes import ARKIT, arkit, find_shapes, oculus, vrm
+from gesticulator.face.shapes import ARKIT, arkit, find_shapes, lacking, oculus, vrm
 from gesticulator.face.track import FaceTrack, in_head
 from gesticulator.face.visemes import CLOSED, OPENINGS, SILENT, VISEMES, of_arpabet, opening
 from gesticulator.options import InferenceOptions
@@ -243,14 +243,60 @@ def test_arkit_is_found_in_the_spellings_of_tools(spell: object) -> None:
     assert sorted(curve for curve, _ in found.values()) == sorted(ARKIT)
 
 
-@pytest.mark.parametrize(("names", "expected"), [
-    (("viseme_aa", "viseme_PP", "viseme_E", "viseme_I", "viseme_O", "viseme_U", "eyeBlinkLeft"), "viseme_aa"),
-    (("V_Open", "V_Explosive", "V_Tight_O", "Eye_Blink_L"), "viseme_aa"),
-    (("CTRL_expressions_jawOpen", "CTRL_expressions_mouthFunnelDL", "CTRL_expressions_mouthPressL",
-      "CTRL_expressions_mouthLipsPurseUL"), "jawOpen"),
-    (("あ", "い", "まばたき"), "vrm_aa"), (("MouthOpen", "Blink_Left", "Blink_Right"), "opening")])
-def test_shapes_of_many_tools_are_found(names: tuple[str, ...], expected: str) -> None:
-    assert expected in {curve for curve, _ in find_shapes(names).values()}
+# Shapes of published rigs and tools, with their own prefixes -> the curves that drive some of them.
+PUBLISHED = {
+    "Apple's ARKit": ("jawOpen mouthFunnel mouthPucker mouthPress_L eyeBlink_L", "jawOpen mouthFunnel mouthPucker"),
+    "Ready Player Me": ("viseme_aa viseme_PP viseme_E viseme_I viseme_O viseme_U eyeBlinkLeft", "viseme_aa viseme_ih"),
+    "Wolf3D's first": ("mouthOpen mouthSmile eyesClosed", "opening vrm_blink"),
+    "Faceit": ("Face.JawOpen Face.MouthFunnel Face.MouthPucker Face.EyeBlinkLeft", "jawOpen mouthFunnel eyeBlinkLeft"),
+    "MetaHuman": ("CTRL_expressions_jawOpen CTRL_expressions_mouthFunnelDL CTRL_expressions_mouthPressL "
+                  "CTRL_expressions_mouthLipsPurseUL", "jawOpen mouthFunnel mouthPucker"),
+    "Character Creator": ("V_Open V_Explosive V_Dental_Lip V_Tight_O V_Affricate Eye_Blink_L",
+                          "viseme_aa viseme_PP viseme_ou eyeBlinkLeft"),
+    "Fuse": ("Blink_Left Blink_Right MouthOpen MouthNarrow_Left Smile_Left", "opening mouthPucker eyeBlinkLeft"),
+    "VRoid": ("Face.M_F00_000_00_Fcl_MTH_A Face.M_F00_000_00_Fcl_MTH_I Face.M_F00_000_00_Fcl_MTH_U "
+              "Face.M_F00_000_00_Fcl_EYE_Close", "vrm_aa vrm_ih vrm_ou vrm_blink"),
+    "Unity-chan": ("blendShape1.MTH_A blendShape1.MTH_I blendShape1.MTH_U blendShape3.EYE_DEF_C", "vrm_aa vrm_blink"),
+    "VRChat": ("vrc.v_pp vrc.v_ff vrc.v_th vrc.v_aa vrc.v_e vrc.v_ih vrc.v_oh vrc.blink_left", "viseme_aa viseme_PP"),
+    "Cats": ("vrc.v_aa vrc.v_ch vrc.v_oh Blink", "viseme_aa viseme_CH viseme_oh vrm_blink"),
+    "MikuMikuDance": ("あ い う え お まばたき", "vrm_aa vrm_ih vrm_ou vrm_ee vrm_oh vrm_blink"),
+    "VRM": ("aa ih ou ee oh blink", "vrm_aa vrm_ih vrm_ou vrm_ee vrm_oh vrm_blink"),
+    "Rocketbox": ("blendShape1.AA_VI_01_PP blendShape1.AA_VI_02_FF blendShape1.AA_VI_03_TH blendShape1.AA_VI_10_aa",
+                  "viseme_PP viseme_FF viseme_TH viseme_aa"),
+    "Genesis 8, FACS": ("Genesis8Female__facs_jnt_JawOpen Genesis8Female__facs_bs_MouthFunnel "
+                        "Genesis8Female__facs_bs_MouthPucker", "jawOpen mouthFunnel mouthPucker"),
+    "Genesis 8": ("head__eCTRLvAA head__eCTRLvEE head__eCTRLvOW head__eCTRLvUW head__eCTRLvM head__eCTRLvF "
+                  "head__eCTRLvW head__eCTRLvK", "viseme_aa viseme_ih viseme_oh viseme_ou viseme_PP viseme_FF"),
+    "Sumerian": ("face_shapes.ca_jawOpen face_shapes.ai_aa face_shapes.ai_oh face_shapes.ai_ee", "vrm_aa vrm_oh"),
+    "Polly": ("h_visemes.aa h_visemes.E h_visemes.u h_visemes.p h_visemes.f h_visemes.S h_visemes.k",
+              "viseme_aa viseme_PP viseme_FF viseme_ou"),
+    "Movement": ("jawDrop lipPucker_L lipFunneler_LB lipPressor_L lipSuck_RT lipCornerPuller_L eyesClosed_L",
+                 "jawOpen mouthPucker mouthFunnel mouthRollUpper mouthSmileLeft eyeBlinkLeft"),
+    "SRanipal": ("Jaw_Open Mouth_Pout Mouth_O_Shape Mouth_Upper_UpLeft Eye_Left_Blink",
+                 "jawOpen mouthPucker mouthFunnel mouthUpperUpLeft eyeBlinkLeft"),
+    "VRCFaceTracking": ("JawOpen LipPuckerUpperLeft LipFunnelLowerRight EyeClosedLeft",
+                        "jawOpen mouthPucker mouthFunnel eyeBlinkLeft"),
+    "Manuel Bastioni Lab": ("Expressions_mouthOpen_max Expressions_eyeClosedL_max Expressions_mouthSmile_max",
+                            "opening eyeBlinkLeft"),
+    "Adobe Character Animator": ("Aah Ee Oh W-Oo M F L S D", "viseme_aa viseme_oh viseme_PP viseme_FF viseme_nn"),
+}
+
+
+@pytest.mark.parametrize("rig", PUBLISHED)
+def test_the_shapes_of_published_rigs_are_found(rig: str) -> None:
+    names, expected = map(str.split, PUBLISHED[rig])
+    assert set(expected) <= {curve for curve, _ in find_shapes(names).values()}
+
+
+def test_a_mouth_of_some_shapes_of_arkit_uses_them_and_names_the_others() -> None:
+    """A smile is known to other tools, too, and does not replace what speech moves."""
+    some = find_shapes(["jawOpen", "mouthSmile"])
+    assert some["jawOpen"] == ("jawOpen", 1.0)
+    assert {"mouthFunnel", "mouthPress"} <= set(lacking(curve for curve, _ in some.values()))
+    most = find_shapes(name for name in ARKIT if name != "jawOpen")
+    assert {"mouthFunnel", "mouthPucker", "mouthPressLeft", "mouthRollLower"} <= most.keys()
+    assert lacking(curve for curve, _ in most.values()) == ["jawOpen"]
+    assert lacking(ARKIT) == lacking(["vrm_aa"]) == lacking(["eyeBlinkLeft"]) == []
 
 
 def test_nothing_is_found_among_other_shapes() -> None:

@@ -138,6 +138,14 @@ def test_expressions_of_a_vrm_are_animated(tmp_path: Path, version: str, presets
         np.testing.assert_allclose(weights[:, column], curves[name], atol=1e-6)
 
 
+def test_a_jaw_bone_opens_what_shapes_do_not(tmp_path: Path) -> None:
+    """Lips in ARKit's names without jawOpen, beside a jaw bone; with jawOpen the bone stays."""
+    lips = [name for name in ARKIT if name != "jawOpen"]
+    for names, turns in ((lips, True), (list(ARKIT), False)):
+        path = add_shapes(write_character(tmp_path / "a.glb"), names, jaw=True)
+        assert (find_face(read_character(path)).jaw is not None) == turns
+
+
 def test_a_jaw_bone_alone_opens_downwards(tmp_path: Path) -> None:
     path = add_shapes(write_character(tmp_path / "a.glb"), [], jaw=True)
     character = read_character(path)

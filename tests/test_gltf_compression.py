@@ -17,6 +17,7 @@ from small_characters import MIXAMO, write_character
 
 from data_module.errors import InputError
 from data_module.motion.skeletons import FINGERED
+from data_module.registry import install_line
 from gesticulator.characters import gltf_compression
 from gesticulator.characters.gltf_compression import DRACO, MESHOPT
 from gesticulator.characters.reading import choose, read_character
@@ -118,7 +119,7 @@ def test_without_its_package_a_compression_is_named_with_what_unpacks_it(
     monkeypatch.setitem(gltf_compression.PACKAGES, name, "no_such_package")
     with pytest.raises(InputError) as refused:
         read_character(packed)
-    assert name in str(refused.value) and 'pip install "gesticulator[compressed]"' in str(refused.value)
+    assert name in str(refused.value) and install_line("compressed") in str(refused.value)
     assert "npx @gltf-transform/cli copy" in str(refused.value)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from itertools import pairwise
@@ -55,10 +56,10 @@ def test_a_recording_becomes_motion_page_and_plan(recording: Path, tiny_bundle: 
     assert all(a["end"] == b["start"] for a, b in pairwise(blocks))
     assert all(len(b["alternatives"]) == 5 for b in blocks)
     assert any(b["silent"] for b in blocks) and not all(b["silent"] for b in blocks)
-    page = out[".html"].read_text()
-    assert "<html" in page[:2000].lower() and '"face":"' in page, "a page shows a face"
+    assert '"face":"' in out[".html"].read_text(), "a page shows a face"
     summary = capsys.readouterr().out
-    assert summary.count("\n") == 2 and "8.0 s" in summary and "real-time factor" in summary
+    assert summary.count("\n") == 3 and summary.startswith("speech.flac: 8.0 s of sound")
+    assert re.search(r" times as fast as real time \([\d.]+ s in all, [\d.]+ s of it to start\) -> ", summary)
 
 
 def test_the_same_seed_gives_the_same_bytes_in_another_process(recording: Path, tiny_bundle: Path, tmp_path: Path
@@ -81,7 +82,7 @@ sys.modules.update(dict.fromkeys(("torch", "librosa", "numba", "sklearn", "trans
 from gesticulator import Gesticulator, infer
 sound, out = map(Path, sys.argv[1:])
 infer.main([str(sound), "-o", str(out / "light.bvh"), "--quiet"])
-# Half of the memory and a fifth of the time of a short recording would be scipy's.
+# A third of the memory and an eighth of the time of a short recording would be scipy's.
 assert not [name for name in sys.modules if name.startswith(("scipy.s", "scipy.i", "scipy.n", "scipy.f"))]
 
 from data_module.speech.audio import load_speech

@@ -175,13 +175,13 @@ def test_each_mark_is_a_cue_at_its_word() -> None:
 def test_unknown_marks_are_warned_of_once() -> None:
     words = _marked(("shurg",), ("shurg", "nod"), ("none",), ("jump about",))
     with pytest.warns(MarkWarning) as given_:
-        options = with_mark_cues(InferenceOptions(), words)
+        options = with_mark_cues(InferenceOptions(), words, 60.0)
     assert len(given_) == 1 and "[shurg], [jump about]" in str(given_[0].message)
     assert "did you mean [shrug]?" in str(given_[0].message)
     assert [cue.gesture for cue in options.cues] == ["nod"]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert with_mark_cues(InferenceOptions(), ()) == InferenceOptions()
+        assert with_mark_cues(InferenceOptions(), (), 60.0) == InferenceOptions()
 
 
 @given(st.sampled_from(sorted(GESTURES)), st.sampled_from(" _-:."), st.booleans())
@@ -263,27 +263,12 @@ def test_a_stream_makes_four_marks_a_second_at_most_and_repeats_once() -> None:
         word = "".join(f"[{name}] " * 3 for name in names[number % 6:])
         marks.take([Word(f"{word}no", 5.0 + 0.02 * number, 5.01 + 0.02 * number)], 0.0)
     times = np.array([cue.time for cue in marks.cues()])
-    assert (np.diff(times) >= 0.0).all() and len(times) >= 8
-    assert (times[4:] - times[:-4] >= 1.0).all()
-    for name in names:
-        own = np.array([cue.time for cue in marks.cues() if cue.cue.gesture == name])
-        assert (np.diff(own) >= max(span_of_gesture(name)[0], LATEST)).all()
+    assert len(times) >= 8 and (times[4:] - times[:-4] >= 1.0).all()
+    own = np.array([cue.time for cue in marks.cues() if cue.cue.gesture == "nod"])
+    assert (np.diff(own) >= max(span_of_gesture("nod")[0], LATEST)).all()
     marks.interrupt(4.0)  # all are broken off or forgotten, and may be marked again
     marks.take([Word("[shrug] no", 5.0, 5.2)], 4.0)
     assert [cue.cue.gesture for cue in marks.cues() if cue.broken_off is None] == ["shrug"]
-
-
-def test_words_in_steps_are_those_of_one_call(system: Any) -> None:
-    """A step reads one beginning of a sentence: as many steps as words, and the words first."""
-    stream = system.stream(RATE, text=True)
-    words = [Word(f"{word}.", 0.4 * n, 0.4 * n + 0.3) for n, word in enumerate(("a", "few", "words", "of", "talk"))]
-    steps = list(stream.adding(words, 1))
-    assert len(steps) == 1 + len(words) and all([word.text for word in step] == [word.text for word in words]
-                                                for step in steps)
-    whole = system.stream(RATE, text=True)
-    whole.add_words(words)
-    samples = _sound().samples
-    np.testing.assert_allclose(stream.feed(samples).rotations, whole.feed(samples).rotations, atol=1e-5)
 
 
 def test_no_more_marks_may_wait_than_a_plan_may_have() -> None:
@@ -352,3 +337,11 @@ def test_the_server_makes_marks_and_echoes_words_without_them(system: Any) -> No
     plain = _streamed(system, [list(_words())])
     changed = np.flatnonzero((made != plain).any((1, 2))) / 60
     _around(changed, stroke_of_word(_words()[3]))
+
+
+def test_a_text_with_more_marks_than_a_plan_may_have_gives_a_plan_that_can_be_read() -> None:
+    words = [Word(f"word{n}", 0.01 * n, 0.01 * n + 0.01, ("shrug",)) for n in range(201)]
+    with pytest.warns(MarkWarning, match="202 gestures are asked for, and the first 100 are"):
+        options = with_mark_cues(InferenceOptions(cues=(GestureCue("nod", time=0.1),)), words, 2.2)
+    assert len(options.cues) == 100 and options.cues[0].gesture == "nod"
+    assert len(with_mark_cues(InferenceOptions(), words[:150], 60.0).cues) == 150

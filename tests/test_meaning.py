@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -114,6 +116,14 @@ def test_prose_that_was_written_to_be_read_gets_fewer() -> None:
     talk = ("you know what I think, we just really do not get what you want, so let me look at that, okay, you and I "
             "know what this is and why we do it, thank you")
     assert len(labels(f"{talk}. {cue} {talk}")) > len(labels(f"{prose}. {cue} {prose}"))
+
+
+@pytest.mark.parametrize("part", ["tuning", "held_out"])
+def test_meant_words_fire_and_the_same_words_elsewhere_do_not(part: str) -> None:
+    kinds = json.loads((Path(__file__).parent / "data" / "meant_words.json").read_text(encoding="utf-8"))[part]
+    assert sum(bool(labels(text).keys() & set(meant)) for text, meant in kinds["hits"]) >= 24
+    assert sum(bool(labels(text)) for text in kinds["traps"]) <= 3
+    assert sum(bool(labels(text)) for text in kinds["neutral"]) <= 1
 
 
 def test_every_meaning_has_a_gesture_that_offends_nobody() -> None:

@@ -6,6 +6,7 @@ import ast
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -13,8 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from javascript import printed_by
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+from data_module import registry
+from data_module.errors import EXTRAS
 
 ROOT = Path(__file__).resolve().parent.parent
 UNTRIED = {"fbx", "scale"}
@@ -68,3 +73,67 @@ def test_without_an_address_nothing_is_invented() -> None:
     assert "urls" not in built and built["readme"]["text"] == (ROOT / "README.md").read_text()
     with pytest.raises(ValueError, match="give the address of the repository"):
         metadata("example")
+
+
+SOURCES = ("data_module", "gesticulator", "eval", "lexicon", "generator", "interpreters", "integrations/hub",
+           "integrations/mcp")
+IMPORTED = {"usd_core": "pxr", "pillow": "pil", "python_osc": "pythonosc", "praat_parselmouth": "parselmouth",
+            "scikit_learn": "sklearn"}
+
+
+def _extras() -> dict[str, set[str]]:
+    """Extra -> what its packages are imported as."""
+    listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    return {extra: {IMPORTED.get(name := canonicalize_name(Requirement(line).name).replace("-", "_"), name)
+                    for line in lines} for extra, lines in listed.items()}
+
+
+def test_whatever_is_optional_has_its_extra_in_the_message() -> None:
+    """Each import of a package of an extra is checked by a `Requirement` of that extra, or is in `errors.EXTRAS`."""
+    extras, found = _extras(), {(module.lower(), extra) for module, extra in EXTRAS.items()}
+    source = "\n".join(file.read_text() for folder in SOURCES for file in (ROOT / folder).rglob("*.py"))
+    found |= {(module.lower(), extra) for module, extra in re.findall(r'Requirement\("(\w+)", .+?, "(\w+)"\)', source)}
+    # Loops over the packages of one extra, and lines that are written by hand.
+    for extra in re.findall(r"""Requirement\([a-z]\w+, \w+, "(\w+)"\)|install_line\(['"](\w+)['"]\)""", source):
+        found |= {(module, "".join(extra)) for module in extras["".join(extra)]}
+    assert all(module in extras[extra] for module, extra in found)
+    imported = {name.lower() for name in re.findall(r"^ *(?:import|from) (\w+)", source, re.MULTILINE)}
+    optional = {module for extra, modules in extras.items() if extra not in ("test", "docs") for module in modules}
+    assert optional & imported <= {module for module, _ in found}, "no message names the extra"
+
+
+def test_the_install_page_lists_every_extra() -> None:
+    page = (ROOT / "docs" / "install.md").read_text()
+    listed = {name for row in re.findall(r"^\| (`.+?) \|", page, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)}
+    assert listed == set(_extras())
+
+
+@pytest.mark.parametrize(("note", "line"), [
+    (None, 'pip install "gesticulator[live]"'),
+    ({"url": "file:///a/b", "dir_info": {"editable": True}}, 'pip install -e "/a/b[live]"'),
+    ({"url": "file:///a/g.whl", "archive_info": {}}, 'pip install "gesticulator[live] @ file:///a/g.whl"'),
+    ({"url": "https://host/g", "vcs_info": {"vcs": "git"}}, 'pip install "gesticulator[live] @ git+https://host/g"'),
+])
+def test_an_extra_is_installed_from_where_the_program_came_from(note: dict[str, Any] | None, line: str,
+                                                                monkeypatch: pytest.MonkeyPatch) -> None:
+    class Installed:
+        def read_text(self, name: str) -> str | None:
+            return None if note is None or name != "direct_url.json" else json.dumps(note)
+
+    monkeypatch.setattr(registry, "distribution", lambda name: Installed())
+    assert registry.install_line("live") == line
+
+
+def test_the_documented_line_installs_the_npm_package_beside_three(tmp_path: Path) -> None:
+    """In an empty project, without a network: `three` is that of the tests."""
+    npm, three = shutil.which("npm"), ROOT / "tests" / "js" / "node_modules" / "three"
+    if npm is None or not three.is_dir():
+        pytest.skip("needs npm, and npm ci --prefix tests/js")
+    (line,) = re.findall(r"npm install three && (npm install .+)", (ROOT / "docs" / "tools.md").read_text())
+    (tmp_path / "package.json").write_text('{"private": true, "type": "module"}')
+    for command in (f"npm install --install-links {three}", line.replace("path/to/gesticulator", str(ROOT))):
+        subprocess.run([*command.split(), "--offline"], cwd=tmp_path, check=True, capture_output=True, timeout=120)
+    seen = printed_by('import { GesturePlayer } from "gesticulator-client/clips.js";'
+                      'import { GestureStream } from "gesticulator-client";'
+                      "console.log(JSON.stringify([typeof GesturePlayer, typeof GestureStream]))", tmp_path)
+    assert seen == ["function", "function"]

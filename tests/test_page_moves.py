@@ -104,7 +104,6 @@ def test_a_gesture_is_dragged_to_another_beat_copied_slid_and_moved_with_keys(
         page.mouse.click(*handle)
         assert page.evaluate("() => preview.session.selection") == whole
         page.mouse.click(*handle)
-        assert page.evaluate("() => preview.session.selection") == [begin, end]
         wanted, count = _gestures(before, begin, end), end - begin + 1
         place = begin + 2 if end + 2 < len(before) else begin - 2
         scale = page.evaluate("() => preview.timeline.scale")

@@ -118,7 +118,7 @@ def test_an_edit_changes_its_block_and_the_blend_alone(what: str, plans: EditSes
     assert hand_speeds(made).max() < fastest, "no jump"
     if what == "silence":
         inside = slice(round((block.start + 0.3) * 60), round(block.end * 60))
-        assert hand_speeds(made)[inside].mean() < 0.5 * hand_speeds(drawn)[inside].mean()
+        assert hand_speeds(made)[inside].mean() < 0.6 * hand_speeds(drawn)[inside].mean()
     # What was made can be written and made again.
     np.testing.assert_array_equal(plans.perform(made.plan()).rotations, made.rotations)
 

@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recogniser_samples import FILES, JSON, WITHOUT_TIMES, Words, assemblyai, srt_highlighted, whisper, whisperx
+from recogniser_samples import (
+    FILES,
+    JSON,
+    WITHOUT_TIMES,
+    Words,
+    assemblyai,
+    faster_whisper,
+    srt_highlighted,
+    whisper,
+    whisperx,
+)
 
 from data_module.errors import InputError
 from data_module.text.transcript import Transcript, read_transcript, with_transcript
@@ -20,7 +30,7 @@ RATE = 16000
 SPOKEN: Words = (("And", 0.0, 0.3), ("so,", 0.3, 0.55), ("my", 0.7, 0.9), ("fellow", 0.9, 1.4),
                  ("Americans,", 1.4, 2.1), ("ask", 2.6, 2.9), ("not", 3.0, 3.4))
 TIMED = sorted(set(FILES) - WITHOUT_TIMES)
-UNENDING = {"vtt, rolling"}
+UNENDING = {"vtt, rolling", "lrc"}
 """Samples that tell when words begin only: each lasts until the next."""
 
 
@@ -121,6 +131,24 @@ def test_words_that_were_not_aligned_lie_between(tmp_path: Path) -> None:
         assert found.words is not None and found.guessed == 1
         assert [word.text for word in found.words] == [word for word, _, _ in SPOKEN]
         assert found.words[2] == Word("my", 0.55, 0.9)
+
+
+def test_a_list_of_word_segments_is_read_with_what_it_lacks_and_in_order(tmp_path: Path) -> None:
+    words: list[dict[str, Any]] = whisperx(SPOKEN)["word_segments"]
+    words[1:5] = [{"word": "2266"}, words[1], words[2], {"word": "?"}, words[4], words[3]]
+    found = _read(tmp_path, ".json", json.dumps({"word_segments": words, "language": "en"}))
+    assert "the times were not in order and were sorted" in found.notes
+    spoken = [word for word in found.words or () if word.text not in ("2266", "?")]
+    assert [word.text for word in spoken] == [word for word, *_ in SPOKEN]
+    assert next(word.start for word in found.words or () if word.text == "2266") == 0.3
+
+
+def test_words_without_times_stay_within_their_segment(tmp_path: Path) -> None:
+    content = faster_whisper(SPOKEN)
+    content[0]["words"][2:] = [{"word": word["word"]} for word in content[0]["words"][2:]]
+    found = _read(tmp_path, ".json", json.dumps(content)).words or ()
+    assert [word.text for word in found] == [word for word, *_ in SPOKEN]
+    assert found[3].end == pytest.approx(1.4) and found[4].start == pytest.approx(1.4)
 
 
 def test_phrases_of_transformers_are_cues_and_the_last_may_be_open(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 from argparse import Namespace
 from dataclasses import replace
@@ -255,6 +256,17 @@ def write_clips(folder: Path, clips: dict[str, Clip], sound: bool = True) -> Pat
         if sound and own.speech is not None:
             soundfile.write(folder / f"{name}.wav", own.speech.samples, RATE)
     return folder
+
+
+@pytest.mark.parametrize("clips", [1, 2])
+def test_the_screen_is_short_and_one_clip_has_no_interval(clips: int, truth: dict[str, Clip], tmp_path: Path,
+                                                          capsys: pytest.CaptureFixture[str]) -> None:
+    some = {f"clip{number}": truth[f"clip{number}"] for number in range(clips)}
+    places = [str(write_clips(tmp_path / name, some)) for name in ("real", "ours", "theirs")]
+    assert door(["--truth", places[0], "--system", f"ours={places[1]}", "--system", f"theirs={places[2]}"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 40 and max(map(len, lines)) <= 100 and "--out" in lines[-1]
+    assert {len(re.findall(r"\d+\.\d+", line)) for line in lines if "hand speed" in line} == {3 if clips == 1 else 9}
 
 
 def test_the_command_writes_both_files(truth: dict[str, Clip], tmp_path: Path) -> None:

@@ -11,13 +11,9 @@ from performances import perform
 from data_module.errors import InputError
 from data_module.motion import bvh
 from eval.commands import PLOT
-from eval.pictures.strips import PAGE, Source, draw_page, page_times
+from eval.pictures.strips import page_times
 
 matplotlib = pytest.importorskip("matplotlib", reason="matplotlib is not installed")
-
-
-def texts(figure) -> list[str]:
-    return [text.get_text() for text in figure.findobj(matplotlib.text.Text) if text.get_text()]
 
 
 def test_four_poses_a_second_as_far_as_the_motion_goes() -> None:
@@ -26,22 +22,6 @@ def test_four_poses_a_second_as_far_as_the_motion_goes() -> None:
     for start, seconds in ((60.0, 1.0), (-1.0, 1.0), (0.0, 0.0), (float("nan"), 1.0)):
         with pytest.raises(InputError):
             page_times(start, seconds, 59.0)
-
-
-def test_every_source_stands_front_and_side_in_every_line_that_it_reaches() -> None:
-    long, short = perform(seconds=8.0), perform(seconds=3.0, seed=4)
-    figure = draw_page([Source("first", long.motion), Source("second", short.motion)],
-                       page_times(0.0, 8.0, 8.0), long.speech)
-    found = texts(figure)
-    # 32 poses are two lines; the second source ends before the first line does, so it has none.
-    assert PAGE.line < 32 and found.count("first") == 2 and found.count("second") == 0
-    assert found.count("front") == found.count("side") == 2
-    assert {"0.00 s", "3.75 s", "4.00 s", "7.75 s"} <= set(found)
-    both = [Source("first", long.motion), Source("second", short.motion)]
-    reached = texts(draw_page(both, page_times(0.0, 2.0, 8.0)))
-    assert reached.count("second") == 1 and reached.count("side") == 2
-    with pytest.raises(InputError):
-        draw_page([], np.zeros(1))
 
 
 def test_command_draws_a_page_of_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

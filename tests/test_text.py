@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from data_module.speech.audio import load_speech
 from data_module.text import alignment as text
-from data_module.types import Speech
+from data_module.types import Speech, Word
 
 RATE = 16000
 
@@ -51,17 +54,48 @@ def test_the_aligner_reads_english_letters(transcript: str, follows: bool) -> No
     assert text.can_follow(transcript) is follows
 
 
-def test_a_text_of_half_the_recording_keeps_its_times_and_says_that_they_are_doubtful(outside_data: Path) -> None:
+def _read(outside_data: Path) -> tuple[Speech, str, tuple[Word, ...]]:
     pytest.importorskip("pocketsphinx")
     speech = load_speech(outside_data / "speech" / "en_austen_0870.flac")
     transcript = (outside_data / "speech" / "en_austen_0870.txt").read_text(encoding="utf-8")
-    whole, _ = text.alignment(speech, transcript)
-    half = len(whole) // 2
-    part, doubt = text.alignment(speech, " ".join(word.text for word in whole[:half]))
-    assert "covers only" in doubt
-    assert 0.3 < float(doubt.split("only ")[1].split("%")[0]) / 100 < 0.7
-    apart = np.abs([a.start - b.start for a, b in zip(part, whole[:half], strict=True)])
-    assert np.median(apart) < 0.1
+    return speech, transcript, text.alignment(speech, transcript)[0]
+
+
+def _apart(found: Sequence[Word], wanted: Sequence[Word]) -> NDArray[np.float64]:
+    return np.abs([a.start - b.start for a, b in zip(found, wanted, strict=True)])
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.8])
+def test_a_text_that_stops_early_keeps_its_times_and_says_where_it_stops(outside_data: Path, share: float) -> None:
+    speech, _, whole = _read(outside_data)
+    count = round(share * len(whole))
+    part, doubt, missing = text.alignment(speech, " ".join(word.text for word in whole[:count]))
+    assert not doubt and np.quantile(_apart(part, whole[:count]), 0.95) < 0.1
+    assert f"goes on after the last word, {whole[count - 1].text!r}" in missing
+
+
+@pytest.mark.parametrize("share", [0.4, 0.7, 0.95])
+def test_a_text_that_goes_on_keeps_the_times_of_what_is_there(outside_data: Path, share: float) -> None:
+    speech, transcript, whole = _read(outside_data)
+    count = round(share * len(whole))
+    end = (whole[count - 1].end + whole[count].start) / 2
+    part, doubt, missing = text.alignment(replace(speech, samples=speech.samples[:round(end * RATE)]), transcript)
+    assert not doubt and abs(len(part) - count) <= 3
+    same = min(len(part), count)
+    assert np.quantile(_apart(part[:same], whole[:same]), 0.95) < 0.1
+    assert f"word {len(part) + 1} on, {whole[len(part)].text!r}" in missing
+    more, doubt, missing = text.alignment(speech, f"{transcript} And then the whole family left for the sea.")
+    assert not doubt and len(more) == len(whole) and "'And'" in missing
+
+
+@pytest.mark.parametrize(("other", "words"), [("en_sonnet_1", 200), ("en_austen_0890", 200), ("en_austen_0920", 200),
+                                              ("en_sonnet_2", 8)])
+@pytest.mark.parametrize("share", [0.6, 1.0])
+def test_another_text_does_not_follow(outside_data: Path, other: str, words: int, share: float) -> None:
+    speech, *_ = _read(outside_data)
+    said = (outside_data / "speech" / f"{other}.txt").read_text(encoding="utf-8").split()[:words]
+    part = speech.samples[:round(share * len(speech.samples))]
+    assert text.alignment(replace(speech, samples=part), " ".join(said))[1]
 
 
 def test_pieces_tile_the_recording_and_are_cut_in_pauses() -> None:
@@ -90,14 +124,13 @@ def test_real_readings(outside_data: Path, name: str) -> None:
     pytest.importorskip("pocketsphinx")
     speech = load_speech(outside_data / "speech" / f"{name}.flac")
     transcript = (outside_data / "speech" / f"{name}.txt").read_text(encoding="utf-8")
-    found, doubt = text.alignment(speech, transcript)
-    assert not doubt
+    found, doubt, missing = text.alignment(speech, transcript)
+    assert not doubt and not missing
     assert [w.text.lower() for w in found][-1] == text.spoken_words(transcript)[-1][1]
     starts, ends = np.array([[w.start, w.end] for w in found]).T
     assert (np.diff(starts) > 0).all() and (starts[1:] >= ends[:-1] - 1e-9).all()
     assert starts[0] >= 0 and ends[-1] <= speech.duration
     if "austen" in name:  # a wide pass over a sonnet takes eight seconds; the next test watches for drift there
         whole = text._whole(text._aligner_samples(speech), [plain for _, plain in text.spoken_words(transcript)])
-        assert whole is not None
-        apart = np.abs(starts - np.array([a for a, _ in whole]))
+        apart = np.abs(starts - np.array([a for a, *_ in whole]))
         assert np.median(apart) <= 0.01 and (apart < 0.05).mean() > 0.95

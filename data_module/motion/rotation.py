@@ -10,27 +10,9 @@ import numpy as np
 
 from data_module.types import Array
 
-__all__ = [
-    "angle_between",
-    "between",
-    "conjugate",
-    "continuous",
-    "cross",
-    "from_axes",
-    "from_euler",
-    "from_exponential_map",
-    "from_matrix",
-    "interpolate",
-    "mean",
-    "multiply",
-    "normalise",
-    "remove_yaw",
-    "rotate",
-    "to_euler",
-    "to_exponential_map",
-    "to_matrix",
-    "yaw_of",
-]
+__all__ = ["angle_between", "between", "conjugate", "continuous", "cross", "from_axes", "from_euler",
+           "from_exponential_map", "from_matrix", "interpolate", "mean", "multiply", "normalise", "partway",
+           "remove_yaw", "rotate", "to_euler", "to_exponential_map", "to_matrix", "yaw_of"]
 
 _EPS = 1e-12
 _DIAGONAL = np.array([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1.0, 1.0]])
@@ -211,10 +193,7 @@ def unroll(v: Array) -> Array:
 
 def yaw_of(q: Array, axis: int = 1) -> Array:
     """The twist of [..., 4] about a coordinate axis (by default Y), as unit quaternions [..., 4]."""
-    twist = np.zeros_like(q)
-    twist[..., 0] = q[..., 0]
-    twist[..., 1 + axis] = q[..., 1 + axis]
-    return normalise(twist)
+    return normalise(np.where(np.isin(np.arange(4), (0, 1 + axis)), q, 0.0))
 
 
 def remove_yaw(q: Array) -> Array:
@@ -237,9 +216,7 @@ def between(a: Array, b: Array, otherwise: Array | None = None) -> Array:
 
 def angle_between(a: Array, b: Array) -> Array:
     """Angle in radians, [...], between rotations [..., 4]."""
-    relative = multiply(conjugate(a), b)
-    # arctan2 stays accurate for tiny angles, where arccos of w loses half of its digits.
-    return 2.0 * np.arctan2(np.linalg.norm(relative[..., 1:], axis=-1), np.abs(relative[..., 0]))
+    return np.asarray(np.linalg.norm(to_exponential_map(multiply(conjugate(a), b)), axis=-1))
 
 
 def interpolate(q: Array, positions: Array) -> Array:

@@ -45,10 +45,9 @@ _TELEPHONE_RATE = 8000
 _FULL_SCALE = 16.0
 # Most channels; more indicate that samples and channels are swapped.
 _MOST_CHANNELS = 1024
-# Channels (7.1) above which as few samples indicate the same.
-_USUAL_CHANNELS = 8
-# Numbers of channels with a centre (5.1, 7.1), and its least power with speech, of that of the strongest: -12 dB.
-_WITH_CENTRE, _LEAST_CENTRE = (6, 8), 0.06
+_USUAL_CHANNELS = 8  # (7.1) above which as few samples indicate the same
+# Numbers of channels with a centre (5.1, 7.1), which one it is, and its least power with speech, of the strongest's.
+_WITH_CENTRE, _CENTRE, _LEAST_CENTRE = (6, 8), 2, 0.06
 # Power of the mean of channels, of what it would be if they were unrelated, below which they cancel one another.
 _CANCELLED = 0.25
 # Levels that are told apart up to full scale; the share of samples at the loudest one above which a recording is
@@ -78,7 +77,7 @@ def load_speech(source: str | os.PathLike[str] | BinaryIO) -> Speech:
     def read(channel: int | None = None) -> tuple[Samples, _Survey]:
         with decoder(raw, name) as sound:
             _check_rate(sound.rate, name)
-            survey = _Survey(sound.rate, sound.centre)
+            survey = _Survey(sound.rate)
             return np.concatenate(list(_mono(sound, name, survey, channel))), survey
 
     try:
@@ -106,15 +105,14 @@ def as_speech(given: SpeechInput, sample_rate: float | None = None) -> Speech:
     if sample_rate is None:
         raise InputError("sample_rate", "is missing", "give it with the samples: g(samples, 16000)")
     _check_rate(sample_rate)
-    rate, samples = round(sample_rate), _checked(np.asarray(given), sample_rate)
-    survey = _Survey(rate)
+    survey, samples = _Survey(round(sample_rate)), _checked(np.asarray(given), sample_rate)
     survey.add(samples)
     channel = survey.channel()
-    if len(samples) < SHORTEST * rate:
-        raise InputError("speech", f"lasts {len(samples) / rate:.2f} s, too short for a gesture",
+    if len(samples) < SHORTEST * survey.rate:
+        raise InputError("speech", f"lasts {len(samples) / survey.rate:.2f} s, too short for a gesture",
                          f"give {SHORTEST} s or more")
     survey.warn("speech", channel)
-    return Speech(np.clip(_mixed(samples, channel), -1.0, 1.0), rate)
+    return Speech(np.clip(_mixed(samples, channel), -1.0, 1.0), survey.rate)
 
 
 def _check_rate(rate: float, name: object = "") -> None:
@@ -223,8 +221,8 @@ def _mixed(samples: NDArray[np.floating[Any]], channel: int | None = None) -> Sa
 class _Survey:
     """Where in the channels of a recording the speech is, and whether it is clipped; from its pieces, in order."""
 
-    def __init__(self, rate: int, centre: int = 2) -> None:
-        self.rate, self.centre, self._channels = rate, centre, 1
+    def __init__(self, rate: int) -> None:
+        self.rate, self._channels = rate, 1
         self._powers: list[NDArray[np.float32]] = []
         self._counts = np.zeros(_LEVELS + 1, np.int64)
 
@@ -248,13 +246,13 @@ class _Survey:
         # Speech comes and goes; hum and noise stay.
         *alone, mean = (powers.mean(axis=0) - np.percentile(powers, 10, axis=0)).tolist()
         loudest = int(np.argmax(alone))
-        if len(alone) in _WITH_CENTRE and alone[self.centre] > _LEAST_CENTRE * alone[loudest]:
-            return self.centre
+        if len(alone) in _WITH_CENTRE and alone[_CENTRE] > _LEAST_CENTRE * alone[loudest]:
+            return _CENTRE
         return loudest if mean < _CANCELLED * sum(alone) / len(alone) ** 2 else None
 
     def warn(self, name: object, channel: int | None) -> None:
         if channel is not None:
-            why = "of which it is the centre" if self._channels in _WITH_CENTRE and channel == self.centre \
+            why = "of which it is the centre" if self._channels in _WITH_CENTRE and channel == _CENTRE \
                 else "which cancel one another when they are mixed"
             _warn(name, f"channel {channel + 1} is taken of {self._channels}, {why}")
         if self.rate < _TELEPHONE_RATE:

@@ -89,6 +89,7 @@ class RiseTracker:
         bands, self._bins = np.nonzero(weights)
         self._weights, self._first_of_band = weights[bands, self._bins, None], np.searchsorted(bands, np.arange(_BANDS))
         self._covered = _covered(self._window, self._hop)
+        self._hann = 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, self._window + 1))[:-1]
         # Sound from the start of the next tile's first window on; silence lies before the recording.
         self._sound = np.zeros(self._window // 2, np.float32)
         self._ground = np.zeros(0)
@@ -131,7 +132,7 @@ class RiseTracker:
         """The strengths [count] of the next spectra."""
         piece = self._sound[:(count - 1) * self._hop + self._window]
         # As librosa's stft, whose checks take five times as long as the arithmetic for so few windows.
-        windows = sliding_window_view(piece, self._window)[::self._hop] * _hann(self._window)
+        windows = sliding_window_view(piece, self._window)[::self._hop] * self._hann
         spectrum = np.fft.rfft(windows, axis=1).astype(np.complex64).T
         power = spectrum.real ** 2 + spectrum.imag ** 2
         power = np.add.reduceat(self._weights * power[self._bins], self._first_of_band, axis=0)
@@ -238,10 +239,6 @@ class OnsetTracker:
 
 
 @lru_cache(maxsize=4)
-def _hann(window: int) -> Array:
-    return 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, window + 1))[:-1]
-
-
 @lru_cache(maxsize=4)
 def _covered(window: int, hop: int) -> Array:
     """Share of the power of the first windows that lies in the recording, up to 1, to correct for windows that are only

@@ -11,21 +11,19 @@ import contextlib
 import io
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
+from data_module.registry import Requirement
 
 if TYPE_CHECKING:
     from typing_extensions import Buffer
 
 PIECE = 1 << 18
 """Samples that are decoded at a time, over all channels: 1 MiB."""
-PYAV = "pip install 'gesticulator[video]'"
-"""Command that installs the decoder of containers."""
 
 # Late start of a video's sound, seconds, above which it is shifted: half a frame of film.
 _OFFSET = 0.02
@@ -36,13 +34,11 @@ _MOST_OFFSET = 60.0
 @dataclass(frozen=True)
 class Sound:
     """A sound file that is being decoded. rate: samples per second. frames: samples per channel that its header
-    promises, 0 if unknown. pieces: samples [n, channels], to be iterated once; they raise `BrokenSoundError`. centre:
-    which channel is the centre, if there are six (5.1) or eight (7.1)."""
+    promises, 0 if unknown. pieces: samples [n, channels], to be iterated once; they raise `BrokenSoundError`."""
 
     rate: int
     frames: int
     pieces: Iterator[NDArray[np.float32]]
-    centre: int = 2
 
 
 class NoSoundError(Exception):
@@ -72,8 +68,6 @@ _CONTAINERS: tuple[tuple[int, bytes, str], ...] = (
 _SECOND_TRY = ((8, b"WAVE", "wav"), (0, b"OggS", "ogg"), (0, b"FORM", "aiff"), (0, b"caff", "caf"), (0, b"wvpk", "wv"))
 # Streams of frames without a header, of which FFmpeg guesses the length from the first frame.
 _HEADLESS = frozenset({"aac", "ac3", "eac3", "dts"})
-# Telephone sound without any header, by its suffix: 8 kHz, one channel.
-_TELEPHONE = {".ul": "ULAW", ".ulaw": "ULAW", ".mulaw": "ULAW", ".al": "ALAW", ".alaw": "ALAW"}
 
 
 class Patched(io.RawIOBase):
@@ -141,7 +135,7 @@ def decoder(raw: BinaryIO, name: object) -> Iterator[Sound]:
     kind = container_of(head)
     with contextlib.ExitStack() as files:
         try:
-            sound = files.enter_context(container(raw, kind, name) if kind else _sndfile(raw, head, name))
+            sound = files.enter_context(container(raw, kind, name) if kind else _sndfile(raw, head))
         except NoSoundError:
             second = next((kind for at, mark, kind in _SECOND_TRY if head[at:at + len(mark)] == mark), "")
             if kind or not second:
@@ -152,7 +146,7 @@ def decoder(raw: BinaryIO, name: object) -> Iterator[Sound]:
 
 
 @contextlib.contextmanager
-def _sndfile(raw: BinaryIO, head: bytes, name: object) -> Iterator[Sound]:
+def _sndfile(raw: BinaryIO, head: bytes) -> Iterator[Sound]:
     import soundfile
 
     class ForwardOnlyFile(soundfile.SoundFile):
@@ -163,17 +157,14 @@ def _sndfile(raw: BinaryIO, head: bytes, name: object) -> Iterator[Sound]:
 
     # The decoder would trust a length of 0; one beyond the end of the file it corrects.
     place = head.find(_OPEN_WAV) + 4 if head[:4] == b"RIFF" and _OPEN_WAV in head else 0
-    law = _TELEPHONE.get(PurePath(str(name)).suffix.lower()) if head[:4] not in (b"RIFF", b".snd") else None
-    form: dict[str, Any] = {"format": "RAW", "subtype": law, "samplerate": 8000, "channels": 1} if law else {}
     try:
-        file = ForwardOnlyFile(io.BufferedReader(Patched(raw, place)), **form)
+        file = ForwardOnlyFile(io.BufferedReader(Patched(raw, place)))
     except (soundfile.SoundFileError, TypeError, ValueError) as error:
         raise NoSoundError from error
     # Of an MP3 without a count in its header the decoder guesses the length from the first frame.
     frames = 0 if is_mpeg(head) or file.frames > _OPEN_END else int(file.frames)
     with file:
-        # Vorbis and Opus have the centre between left and right.
-        yield Sound(int(file.samplerate), frames, _of_sndfile(file), 1 if file.format == "OGG" else 2)
+        yield Sound(int(file.samplerate), frames, _of_sndfile(file))
 
 
 def _of_sndfile(file: Any) -> Iterator[NDArray[np.float32]]:
@@ -196,11 +187,9 @@ def _of_sndfile(file: Any) -> Iterator[NDArray[np.float32]]:
 def container(raw: BinaryIO, kind: str, name: object) -> Iterator[Sound]:
     """Decode the first sound in a container, with silence for a late start; kind: FFmpeg's name of the format.
     InputError if PyAV is not installed or there is no sound."""
-    try:
-        import av
-    except ImportError:
-        raise InputError(name, f"needs the decoder PyAV (a video, or a codec in {kind}), which is not installed",
-                         f"{PYAV}, or convert it to WAV") from None
+    Requirement("av", f"PyAV (for a video, or a codec in {kind}; or convert it to WAV)", "video").check(name)
+    import av
+
     try:
         file: Any = av.open(raw, mode="r", format=kind.split(",")[0])
     except (av.error.FFmpegError, ValueError) as error:

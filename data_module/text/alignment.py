@@ -2,8 +2,8 @@
 
 The aligner is pocketsphinx (extra `align`). The recording is cut at pauses into pieces of at most ten seconds; each
 piece is decoded along the chain of the remaining words. If words are left over, the whole recording is aligned with a
-wide beam; if that fails too, the words are spread over the loud frames by their length, and the result says so. It also
-says so if much of the sound has no word, because a short text fits any recording.
+wide beam. If that fails too, they are left out where the others fit the sound, because the text goes on after it; else
+all words are spread over the loud frames by their length. The result says so, and where the speech has no text.
 """
 
 from __future__ import annotations
@@ -35,9 +35,10 @@ SHORTEST_PAUSE = 0.15
 """Shortest pause at which the sound is cut, seconds."""
 LONGEST_WIDE = 180.0
 """Longest recording for the wide beam, seconds: it takes about 0.15 s per second, more for longer recordings."""
-LEAST_COVERED = 0.85
-"""Least share of the loud frames within words for a matching transcript: at least 0.96 in English readings with their
-text, at most 0.8 with another one."""
+GOES_ON, LEAST_FIT = 0.5, -1.25
+"""Seconds of loud frames after the last word from which on a text stops early; least likelihood of the words of a text,
+log10 a frame: -0.5 to -0.8 in readings with it, -1.0 with noise at -10 dB, -1.5 to -2.3 with another text."""
+_Span = tuple[float, float, float]  # a word: start and end, seconds, and log10 of its likelihood
 _WIDE_BEAM = {"beam": 1e-120, "pbeam": 1e-120, "wbeam": 1e-120}
 _WORDS_PER_SECOND = 6
 _KNOWN_LETTERS = frozenset("abcdefghijklmnopqrstuvwxyzéèêëïçàâ")
@@ -97,30 +98,29 @@ def spoken_words(transcript: str) -> list[tuple[str, str]]:
     return out
 
 
-def alignment(speech: Speech, transcript: str) -> tuple[tuple[Word, ...], str]:
-    """The words of an English transcript with their times, which rise and lie within the recording; and why the times
-    are estimates, "" where they are aligned. `InputError` if the transcript has no words or the aligner is not
-    installed."""
+def alignment(speech: Speech, transcript: str) -> tuple[tuple[Word, ...], str, str]:
+    """The words of an English transcript with their times, which rise and lie within the recording; why the times are
+    estimates, "" where they are aligned; and what is missing, "" for nothing: words that come after the recording are
+    left out. `InputError` if the transcript has no words or the aligner is not installed."""
     words = spoken_words(transcript)
     if not words:
         raise InputError("transcript", "has no words", "give the text that is spoken")
     plain = [word for _, word in words]
-    samples = _aligner_samples(speech)
+    samples, end = _aligner_samples(speech), speech.duration
     # The narrow beam is fast, and enough where text and sound agree; the wide one follows a reader who slips.
     spans = _by_pieces(samples, plain)
-    if spans is None and speech.duration <= LONGEST_WIDE:
-        spans = _whole(samples, plain)
-    if spans is None:
-        doubt = "the transcript does not follow the recording"
-        timed = shared_out(speech, [written for written, _ in words])
-    else:
-        end = speech.duration
-        timed = tuple(Word(written, min(a, end), min(b, end))
-                      for (written, _), (a, b) in zip(words, spans, strict=True))
-        # A text that is too short for its sound is squeezed in somewhere, with times that mean nothing.
-        covered = _covered(samples, spans)
-        doubt = "" if covered >= LEAST_COVERED else f"the transcript covers only {covered:.0%} of the speech"
-    return timed, doubt
+    if len(spans) < len(plain) and end <= LONGEST_WIDE:
+        spans = _whole(samples, plain) or spans
+    timed = tuple(Word(word, min(a, end), min(b, end)) for (word, _), (a, b, _) in zip(words, spans, strict=False))
+    fits = sum(fit for *_, fit in spans) * FRAME >= LEAST_FIT * sum(b - a for a, b, _ in spans) and timed
+    # A text of something else is squeezed in somewhere, with times that mean nothing.
+    doubt = "" if fits else "the transcript does not follow the recording"
+    if len(timed) < len(words):
+        missing = f"the recording has no words from word {len(timed) + 1} on, {words[len(timed)][0][:40]!r}"
+        return (timed, "", missing) if fits else (shared_out(speech, [word for word, _ in words]), doubt, "")
+    if _loud(samples)[round(timed[-1].end / FRAME):].sum() * FRAME <= GOES_ON:
+        return timed, doubt, ""
+    return timed, doubt, f"the speech goes on after the last word, {timed[-1].text[:40]!r} at {timed[-1].end:.1f} s"
 
 
 def shared_out(speech: Speech, words: Sequence[str]) -> tuple[Word, ...]:
@@ -233,23 +233,23 @@ def pieces(samples: NDArray[np.int16]) -> list[tuple[int, int]]:
     return list(itertools.pairwise(bounds))
 
 
-def _by_pieces(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[float, float]] | None:
-    """Times of all words, piece by piece; None if words are left over or the chain breaks."""
+def _by_pieces(samples: NDArray[np.int16], words: Sequence[str]) -> list[_Span]:
+    """The words, piece by piece, up to the last that is found."""
     decoder = _decoder(wide=False)
     _know(decoder, words)
-    spans: list[tuple[float, float]] = []
+    spans: list[_Span] = []
     cut = pieces(samples)
     for start, stop in cut:
         at = len(spans)
-        # More words than anybody speaks in the piece: the grammar stays small, and the end of the piece need not be
-        # known.
+        # More words than anybody speaks in the piece, so that the grammar stays small.
         ahead = words[at:at + int(_WORDS_PER_SECOND * (stop - start) / ALIGNER_RATE) + 10]
-        if not ahead:
-            break
-        _follow(decoder, ahead, to_the_end=(start, stop) == cut[-1])
-        decoded = _decode(decoder, samples[start:stop])
-        spans += [(a + start / ALIGNER_RATE, b + start / ALIGNER_RATE) for a, b in decoded]
-    return spans if len(spans) == len(words) else None
+        decoded: list[_Span] = []  # the last piece ends with the last word, unless the text goes on
+        for to_the_end in (True, False) if (start, stop) == cut[-1] else (False,):
+            if ahead and not decoded:
+                _follow(decoder, ahead, to_the_end=to_the_end)
+                decoded = _decode(decoder, samples[start:stop])
+        spans += [(a + start / ALIGNER_RATE, b + start / ALIGNER_RATE, fit) for a, b, fit in decoded]
+    return spans
 
 
 def _follow(decoder: Any, words: Sequence[str], *, to_the_end: bool) -> None:
@@ -262,29 +262,20 @@ def _follow(decoder: Any, words: Sequence[str], *, to_the_end: bool) -> None:
     decoder.activate_search("chain")
 
 
-def _decode(decoder: Any, samples: NDArray[np.int16]) -> list[tuple[float, float]]:
-    """Start and end of each word, seconds from the start of the piece, without fillers."""
+def _decode(decoder: Any, samples: NDArray[np.int16]) -> list[_Span]:
+    """The words from the start of the piece, without fillers."""
     decoder.start_utt()
     decoder.process_raw(samples.tobytes(), full_utt=True)
     decoder.end_utt()
-    if decoder.hyp() is None:
-        return []
-    return [(segment.start_frame * FRAME, (segment.end_frame + 1) * FRAME)
-            for segment in (decoder.seg() or ()) if not segment.word.startswith(("<", "(", "["))]
+    segments = (decoder.seg() or ()) if decoder.hyp() is not None else ()
+    return [(segment.start_frame * FRAME, (segment.end_frame + 1) * FRAME, float(np.log10(max(segment.ascore, 1e-300))))
+            for segment in segments if not segment.word.startswith(("<", "(", "["))]
 
 
-def _whole(samples: NDArray[np.int16], words: Sequence[str]) -> list[tuple[float, float]] | None:
-    """Times of all words from one pass over the whole recording with a wide beam; None if it fails."""
+def _whole(samples: NDArray[np.int16], words: Sequence[str]) -> list[_Span]:
+    """All words from one pass over the whole recording with a wide beam; [] if it fails."""
     decoder = _decoder(wide=True)
     _know(decoder, words)
     decoder.set_align_text(" ".join(words))
     decoded = _decode(decoder, samples)
-    return decoded if len(decoded) == len(words) else None
-
-
-def _covered(samples: NDArray[np.int16], spans: Sequence[tuple[float, float]]) -> float:
-    loud = _loud(samples)
-    spoken = np.zeros(len(loud), dtype=bool)
-    for start, end in spans:
-        spoken[round(start / FRAME):round(end / FRAME)] = True
-    return float((loud & spoken).sum() / max(1, loud.sum()))
+    return decoded if len(decoded) == len(words) else []

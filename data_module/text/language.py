@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-LANGUAGES = ("en", "de", "es")
-"""Languages in which the program knows words: cue phrases of gestures, and voices for pronunciations."""
 _COMMONEST = {language: frozenset(words.split()) for language, words in {
     "en": "the and of to a in is that it you i we for on with this was are be have not at they but",
     "de": "der die das und ich nicht ist zu es wir ein eine mit den auf sie auch dass für von",
     "es": "el la los las que de y no en es un una con por para lo se del como más"}.items()}
+LANGUAGES = tuple(_COMMONEST)
+"""Languages in which the program knows words: cue phrases of gestures, and voices for pronunciations."""
 
 
 def language_of(words: Sequence[str]) -> str:

@@ -19,7 +19,7 @@ from data_module.errors import InputError, shown
 from data_module.files import parse_json
 from data_module.text.alignment import written_words
 from data_module.text.marks import marked_text
-from data_module.text.transcript_formats import Content, Entry, shared_in_cue, spoken_tier
+from data_module.text.transcript_formats import Content, Entry, filled, shared_in_cue, spoken_tier
 
 __all__ = ["words_json"]
 
@@ -69,7 +69,7 @@ _TEXTS = ("punctuated_word", "word", "text", "Word", "display", "Display", "Disp
 _ALTERNATIVES = ("alternatives", "nBest", "NBest")
 _WORDS = ("words", "Words", "result", "terms", "tokens")
 _PARTS = ("segments", "chunks", "transcription", "phrases", "recognizedPhrases", "monologues", "response", "results",
-          "inlineResult", "transcript", "channels", "utterances")
+          "inlineResult", "transcript", "channels", "utterances", "word_segments")
 
 
 def words_json(source: str, text: str, speaker: str | None = None) -> Content:
@@ -82,8 +82,8 @@ def words_json(source: str, text: str, speaker: str | None = None) -> Content:
         raise InputError(source, "holds neither words nor segments of a known recogniser",
                          'write {"words": [{"word": "hello", "start": 0.1, "end": 0.4}]}')
     tokens = isinstance(content, Mapping) and "transcription" in content
-    return _seconds_or_milliseconds(
-        _content(source, segments, tokens, tokens or isinstance(content, list) or "chunks" in content))
+    single = tokens or isinstance(content, list) or "chunks" in content or "word_segments" in content
+    return _seconds_or_milliseconds(_content(source, segments, tokens, single))
 
 
 # ---------------------------------------------------------------------------------------------------- the walk
@@ -99,7 +99,9 @@ def _segments(source: str, item: object, where: str) -> list[_Segment]:
             # The time of a phrase stands beside its alternatives.
             item, where = {**item, key: None, **item[key][0]}, f"{_below(where, key)}[0]"
     if words := _words(source, item, where):
-        return [_Segment(Entry("", None, None, where), words)]
+        # The time of a segment bounds those of its words that were not aligned.
+        lacking = any(word.start is None for word in words)
+        return [_Segment(_entry(source, {**item, "text": ""} if lacking else {"text": ""}, where), words)]
     text = str(_of(item, *_TEXTS) or "").strip()
     # Google's results of several files lie below the names of the files.
     files = [] if text else [key for key, part in item.items() if isinstance(part, Mapping) and key not in _PARTS]
@@ -217,7 +219,8 @@ def _content(source: str, segments: Sequence[_Segment], tokens: bool, single: bo
         for cue, (_, inner) in zip(cues, segments, strict=True):
             if cue is cues[-1] and [word.start for word in words] == [word.start for word in inner]:
                 words = []  # with several speakers the last of Google's results repeats the words of all others
-            words += inner or shared_in_cue(_timed(source, cue))
+            words += filled(inner, cue.start, cue.end) if inner and cue.start is not None else \
+                inner or shared_in_cue(_timed(source, cue))
     elif all(cue.start is None for cue in cues):
         return Content(text=" ".join(cue.text for cue in cues))
     elif single and all(_count(cue.text) <= 1 for cue in cues):
@@ -238,7 +241,7 @@ def _seconds_or_milliseconds(content: Content) -> Content:
     """Times without a unit: whole numbers under which a word would last 20 s are milliseconds."""
     entries = content.words or content.cues
     timed = [(entry.start, entry.end, max(1, _count(entry.text))) for entry in entries
-             if entry.start is not None and entry.end is not None and entry.text]
+             if entry.start is not None and entry.end is not None and entry.text and not entry.guessed]
     whole = all(start.is_integer() and end.is_integer() for start, end, _ in timed)
     if not timed or not whole or median((end - start) / count for start, end, count in timed) <= LONGEST_WORD:
         return content

@@ -32,13 +32,12 @@ __all__ = ["Text", "Transcript", "as_transcript", "read_transcript", "timed_tran
 FORMATS: dict[str, Callable[[str, str, str | None], Content]] = {
     ".txt": formats.plain, ".textgrid": formats.textgrid, ".srt": formats.subtitles,
     ".vtt": formats.subtitles, ".tsv": formats.tsv, ".json": words_json,
+    **dict.fromkeys(formats.TIMED_LINES, formats.timed_lines),
 }
 """Readers by suffix: (file, its text, speaker) to its content."""
 
 # Overlap of words, seconds, without a note: two frames of an aligner.
 _OVERLAP = 0.02
-# Duration of a word without times and without timed neighbours, seconds: the mean of spoken English.
-_UNTIMED = 0.3
 
 How = Literal["given", "heard", "guessed"]
 
@@ -149,9 +148,12 @@ def with_transcript(speech: Speech, transcript: Transcript) -> tuple[Speech, Tim
         words, guessed = _in_cues(speech, transcript)
         reason = "they are spread over their cues" if guessed else ""
     else:
-        placed, late, reason = _placed(speech, transcript.text, transcript.marks, aligner.can_follow(transcript.text))
+        follows = aligner.can_follow(transcript.text)
+        placed, late, reason, missing = _placed(speech, transcript.text, transcript.marks, follows)
         words = _with_late(placed, late)
         guessed = len(words) if reason else 0
+        if missing:
+            _warn(transcript.source, missing)
     how: How = "given" if transcript.timing == "words" else "guessed" if 2 * guessed > len(words) else "heard"
     count = _spoken(words)
     if transcript.timing == "none" and reason not in ("", _ENGLISH_ONLY):
@@ -195,7 +197,7 @@ def _transcript(source: str, content: Content) -> Transcript:
     if all(entry.start is None for entry in content.words):
         text, marks = marked_text(content.text or " ".join(entry.text for entry in content.words if entry.text))
         return Transcript(None, text, "none", source, marks=marks)
-    filled = _filled(_unmarked(content.words))
+    filled = formats.filled(_unmarked(content.words))
     text = " ".join(entry.text for entry in filled if entry.text)
     words, notes = _in_order(source, filled)
     _check_rate(source, words)
@@ -231,24 +233,6 @@ def _check_rate(source: str, words: Sequence[Word]) -> None:
     if len(spoken) >= _FEW and len(spoken) > IMPOSSIBLE * seconds:
         raise InputError(source, f"{len(spoken)} words in {seconds:.2f} s are more than anybody speaks",
                          "give each word once, with its time in seconds")
-
-
-def _filled(entries: Sequence[Entry]) -> list[Entry]:
-    out: list[Entry] = []
-    for timed, group in itertools.groupby(entries, lambda entry: entry.start is not None):
-        run = list(group)
-        if timed:
-            out += run
-            continue
-        # A run without times shares the gap between its neighbours; at an end of the file it has a usual length.
-        after = entries[len(out) + len(run)].start if len(out) + len(run) < len(entries) else None
-        start = out[-1].end if out else None
-        if start is None:
-            start = max(0.0, (after or 0.0) - _UNTIMED * len(run))
-        end = max(start, after) if after is not None else start + _UNTIMED * len(run)
-        edges = np.linspace(start, end, len(run) + 1).tolist()
-        out += [replace(e, start=a, end=b, guessed=True) for e, a, b in zip(run, edges, edges[1:], strict=False)]
-    return out
 
 
 def _in_order(source: str, entries: Sequence[Entry]) -> tuple[tuple[Word, ...], tuple[str, ...]]:
@@ -306,9 +290,9 @@ def _in_cues(speech: Speech, transcript: Transcript) -> tuple[tuple[Word, ...], 
             continue
         follows = aligner.can_follow(text) and aligner.aligner_installed()
         part = replace(speech, samples=piece, words=None)
-        words, late, doubt = _placed(part, text, marks, follows)
-        if follows and doubt:
-            words, late, doubt = _placed(part, text, marks, follows=False)
+        words, late, doubt, missing = _placed(part, text, marks, follows)
+        if follows and (doubt or missing):
+            words, late, doubt, _ = _placed(part, text, marks, follows=False)
         guessed += len(words) if doubt else 0
         out += [replace(w, start=w.start + cue.start, end=min(w.end + cue.start, max(cue.end, w.start + cue.start)))
                 for w in words]
@@ -316,15 +300,18 @@ def _in_cues(speech: Speech, transcript: Transcript) -> tuple[tuple[Word, ...], 
 
 
 def _placed(speech: Speech, text: str, marks: Sequence[tuple[int, str]], follows: bool
-            ) -> tuple[tuple[Word, ...], tuple[str, ...], str]:
-    """The words of a text in its recording, with the gesture marks on them; the marks after the last word; and why the
-    times are estimates ("" if they are aligned). follows: whether the aligner can read the text."""
+            ) -> tuple[tuple[Word, ...], tuple[str, ...], str, str]:
+    """The words of a text in its recording, with the gesture marks on them; the marks after the last word; why the
+    times are estimates ("" if they are aligned); and what is missing (see `aligner.alignment`). follows: whether the
+    aligner can read the text."""
     # The aligner spells words otherwise than they are written: marks are counted in the words that get times.
-    if follows:
-        words, doubt = aligner.alignment(speech, text)
-        return (*with_marks(words, text, marks, aligner.spoken_words), doubt)
-    words = aligner.shared_out(speech, aligner.written_words(text))
-    return (*with_marks(words, text, marks, aligner.written_words), _ENGLISH_ONLY)
+    if not follows:
+        words = aligner.shared_out(speech, aligner.written_words(text))
+        return (*with_marks(words, text, marks, aligner.written_words), _ENGLISH_ONLY, "")
+    words, doubt, missing = aligner.alignment(speech, text)
+    placed, late = with_marks(words, text, marks, aligner.spoken_words)
+    # Marks at words that are not in the recording are not shown.
+    return placed, late if len(words) == len(aligner.spoken_words(text)) else (), doubt, missing
 
 
 def _with_late(words: Sequence[Word], late: tuple[str, ...]) -> tuple[Word, ...]:

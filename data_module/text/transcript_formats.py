@@ -35,6 +35,8 @@ _CLOCK = r"(?:(\d{1,4}):)?(\d{1,4}):(\d{1,4})(?:[.,](\d+))?"
 _CUE = re.compile(rf"\s*{_CLOCK}\s*-->\s*{_CLOCK}(?:\s.*)?")
 # Tags, positions of the SubStation kind, and descriptions of sounds.
 _NOT_SPOKEN = re.compile(r"<[^<>]*>|\{\\[^{}]*\}|\[[^\[\]]*\]")
+# Duration of a word without times and without timed neighbours, seconds: the mean of spoken English.
+_UNTIMED = 0.3
 _INNER = re.compile(rf"<{_CLOCK}>")
 _HIGHLIGHT = re.compile(r"<(u|b|font|c)(?:[ .][^<>]*)?>([^<>]*)</\1>", re.IGNORECASE)
 
@@ -158,6 +160,25 @@ def shared_in_cue(cue: Entry) -> list[Entry]:
     return out
 
 
+def filled(entries: Sequence[Entry], begin: float | None = None, end: float | None = None) -> list[Entry]:
+    """Entries with times for those that have none: a run shares the gap between its neighbours; at an end it reaches to
+    `begin` or `end`, or has a usual length."""
+    out: list[Entry] = []
+    for timed, group in itertools.groupby(entries, lambda entry: entry.start is not None):
+        run = list(group)
+        if timed:
+            out += run
+            continue
+        after = entries[len(out) + len(run)].start if len(out) + len(run) < len(entries) else end
+        start = out[-1].end if out else begin
+        if start is None:
+            start = max(0.0, (after or 0.0) - _UNTIMED * len(run))
+        last = max(start, after) if after is not None else start + _UNTIMED * len(run)
+        edges = np.linspace(start, last, len(run) + 1).tolist()
+        out += [replace(e, start=a, end=b, guessed=True) for e, a, b in zip(run, edges, edges[1:], strict=False)]
+    return out
+
+
 # ---------------------------------------------------------------------------------------------------- subtitles
 
 @dataclass(frozen=True)
@@ -195,6 +216,30 @@ def subtitles(source: str, text: str, speaker: str | None = None) -> Content:
             cues[-1].lines.append(line)
         else:
             inside = False
+    return _of_cues(cues)
+
+
+def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
+    """SubStation, TTML, SBV and LRC, by the file's suffix; a line of LRC lasts until the next one."""
+    cues: list[_Cue] = []
+    for match in TIMED_LINES[source[source.rindex("."):].lower()].finditer(text):
+        *clock, line = match.groups()
+        start = _clock(clock[:4])
+        if cues and len(clock) == 4:
+            cues[-1] = replace(cues[-1], end=max(start, cues[-1].start))
+        end = _clock(clock[4:]) if len(clock) > 4 else start + _UNTIMED * len(line.split())
+        cues.append(_Cue([line.replace("\\N", " ")], start, end, f"line {text.count(chr(10), 0, match.start()) + 1}"))
+    return _of_cues(cues)
+
+
+_DIALOGUE = re.compile(rf"^Dialogue:[^,\n]*,{_CLOCK},{_CLOCK},(?:[^,\n]*,){{6}}(.*)$", re.M)
+TIMED_LINES = {
+    ".ass": _DIALOGUE, ".ssa": _DIALOGUE, ".lrc": re.compile(rf"^\[{_CLOCK}\](.*)$", re.M),
+    ".sbv": re.compile(rf"^{_CLOCK},{_CLOCK}\n((?:.+\n?)+)", re.M),
+    ".ttml": re.compile(rf'<p\b[^>]*\bbegin="{_CLOCK}"[^>]*\bend="{_CLOCK}"[^>]*>(.*?)</p>', re.S)}
+
+
+def _of_cues(cues: Sequence[_Cue]) -> Content:
     # One time inside a line is enough: the first word of each line has the time of its cue.
     if any(_INNER.search(line) for cue in cues for line in cue.lines):
         return Content(words=tuple(_timed_inside(cues)))

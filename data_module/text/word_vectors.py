@@ -209,16 +209,12 @@ def _bert(folder: Path) -> BertEncoder:
     config, weights = read_object(folder / "config.json", _ADVICE), folder / _WEIGHTS
     if config["model_type"] != "bert" or config["hidden_act"] != "gelu":
         raise ValueError(f"it is of the kind {config['model_type']}, not bert")
-    tensors = Tensors({_renamed(key): value for key, value in load_file(weights).items()
-                       if not key.startswith(_UNUSED)}, weights.name)
+    # Older files have a prefix and other words for scale and shift.
+    tensors = Tensors({key.removeprefix("bert.").replace("Norm.gamma", "Norm.weight").replace("Norm.beta", "Norm.bias"):
+                       value for key, value in load_file(weights).items() if not key.startswith(_UNUSED)}, weights.name)
     model = BertEncoder(config, tensors)
     tensors.finish()
     return model
-
-
-def _renamed(key: str) -> str:
-    """The name of a tensor without the prefix and in place of the older words for scale and shift."""
-    return key.removeprefix("bert.").replace("Norm.gamma", "Norm.weight").replace("Norm.beta", "Norm.bias")
 
 
 def _fingerprint(folder: Path) -> str:

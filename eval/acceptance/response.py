@@ -25,6 +25,7 @@ import numpy as np
 from data_module.controls import FEATURES, LEVELS, per_frame
 from data_module.errors import InputError
 from data_module.motion.phases import gesture_units, runs
+from data_module.registry import install_line
 from data_module.types import Array, Speech
 from eval import stats
 from eval.acceptance.bounds import Measured, Results
@@ -83,7 +84,7 @@ def effort(system: BundleSystem, renderings: int) -> Results:
         import parselmouth  # noqa: F401 - fail before anything is rendered
     except ImportError:
         return {("effort_ratio", ""): Measured(
-            missing="praat-parselmouth is not installed (pip install 'gesticulator[effort]')")}
+            missing=f"praat-parselmouth is not installed ({install_line('effort')})")}
     sounds = readings()
     if not sounds:
         return {("effort_ratio", ""): Measured(missing=f"GESTICULATOR_DATA has no folder {READINGS}")}

@@ -81,7 +81,7 @@ EYE_METRICS: dict[str, Metric] = {
     "eye_flips": Metric("flips of an elbow, a minute", "", 1, "near", "eye arms"),
     "eye_strong_jumps": Metric("strong jumps, a minute", "", 1, "low", "eye arms"),
     "eye_frozen": Metric("frozen arms, a minute of speech", "", 1, "low", "eye arms"),
-    "eye_folded": Metric("elbow bent by over 145 degrees, of the time", "%", 1, "low", "eye arms"),
+    "eye_folded": Metric("elbow bent by over 145 degrees, of the time", "%", 1, "", "eye arms"),
     "eye_lean": Metric("sideways lean, spread over 8 s", "deg", 1, "near", "eye arms"),
     "eye_tilt": Metric("tilt of the shoulders, spread over 8 s", "deg", 1, "near", "eye arms"),
     "eye_neck_still": Metric("neck still, of the time", "%", 1, "near", "eye arms"),

@@ -58,9 +58,9 @@ from eval.metrics.gesture_features import pooled, spaces
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
 from eval.score.played_rows import PlayedBundle
 from eval.score.ratings import FEWEST, ratings_table, read_ratings
-from eval.score.tables import BOBBING, FLOOR, STILL, Figures, Flag, ScoreRow, Scores, tables
+from eval.score.tables import BOBBING, FLOOR, STILL, Figures, Flag, ScoreRow, Scores, screen, tables
 from eval.stats import Indices, Interval
-from eval.table import Marked, publish
+from eval.table import Marked, save
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.files import bundle_folder
 
@@ -371,6 +371,9 @@ def known_ratings(arguments: argparse.Namespace) -> tuple[dict[str, float], list
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure, write and show."""
-    publish(tables(scored(arguments)), arguments.out, provenance(arguments))
+    """Measure, write all, and show what matters most."""
+    scores = scored(arguments)
+    if arguments.out:
+        save(tables(scores), arguments.out, provenance(arguments))
+    print(screen(scores, arguments.out), end="")
     return 0

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from data_module.types import Array, Motion
 from eval.clip.clip_set import TRUTH
 from eval.metrics import Metric
 from eval.metrics.evaluate import MotionBeats
 from eval.stats import Indices
-from eval.table import Column, Marked, Table
+from eval.table import Column, Marked, Table, shown_cell
 
 FEW = 10
 """Clips below which intervals are too narrow."""
@@ -76,12 +77,19 @@ _PARTS = {"joints": "Joint errors against the speaker", "beats": "Motion beats a
           "eye strokes": "Perceptual figures: strokes", "eye voice": "Perceptual figures: synchrony",
           "eye posture": "Perceptual figures: posture", "eye together": "Perceptual figures: parts together",
           "eye phrases": "Perceptual figures: holds and pauses",
+          "eye arms": "Perceptual figures: arms as people's",
           "sets": "Sets of motion", "fgd": "Sets of motion, by a network's features"}
 _ROWS = {TRUTH: "the speakers' own motion", STILL: "the truth's mean pose, clip by clip, without movement",
          "shuffled": "the truth of another clip with this speech", "reversed": "the truth played backwards",
          "jitter": "the truth with every joint 2 cm off, anew in each frame",
          "mirrored": "the truth with the right arm's motion on both arms",
          BOBBING: "the truth's mean pose whose forearms stop at every onset"}
+_HEADLINES = ("maje", "above_A", "above_B", "speed_hands", "jerk_hands", "speed_distance", "diversity",
+              "lexeme_accuracy", "eye_stroke_amplitude", "eye_jumps", "eye_frozen", "eye_held", "eye_pause_moving",
+              "eye_chest_travel", "eye_hands_apart", "eye_splay", "eye_speech_over_silence")
+"""Metrics on the screen, in their order; distances by networks follow."""
+_MOST_SHOWN = 6
+"""Rows on the screen, the speakers' among them."""
 _LEGEND = (
     "[low, high]: 95 % interval over clips. -: undefined; the JSON says why. (!): a metric that a control beats, see "
     "below. (?): a distance of a set too small for it.",
@@ -105,6 +113,27 @@ def tables(scores: Scores) -> list[Table]:
             out.append(Table(title, columns, {name: {key: row[key] for key in columns if key in row}
                                               for name, row in {**rows, **scores.differences}.items()}, "row"))
     return [*out, _flag_table(scores), *([] if scores.worth is None else [scores.worth])]
+
+
+def screen(scores: Scores, out: str | Path | None) -> str:
+    """What matters most, on a terminal of 100 columns and 40 lines; out: the file that holds the rest, if any."""
+    rows = [name for name, kind in scores.kinds.items() if kind in (TRUTH, "system")][:_MOST_SHOWN]
+    width, flagged = 66 // len(rows), {flag.metric for flag in scores.flags}
+    lines = [_about(scores).title, "", " " * 34 + "".join(f"{name[:width - 2]:>{width}}" for name in rows)]
+    for name in (*_HEADLINES, *(key for key, metric in scores.metrics.items() if metric.part == "fgd")):
+        metric = scores.metrics[name]
+        cells = [scores.figures[row].get(name, Marked(None)) for row in rows]
+        shown = [shown_cell(cell, metric.digits) for cell in cells]
+        # Without the interval where the column is too narrow for it.
+        shown = [text if len(text) < width else text.partition(" ")[0] for text in shown]
+        if set(shown) != {"-"}:
+            mark = " (!)" if name in flagged else ""
+            title = metric.heading[:33 - len(mark)] + mark
+            lines.append(f"{title:<34}" + "".join(f"{text:>{width}}" for text in shown))
+    lines += ["", *(f"Note: {note}."[:100] for note in scores.notes[:5])]
+    where = f"in {Path(out).with_suffix('.md')}" if out else "with --out FILE.json"
+    return "\n".join([*lines, "(!): a control that is known to be wrong does as well. (?): the set is too small.",
+                      f"All {len(scores.metrics)} figures, controls and differences: {where}"]) + "\n"
 
 
 def _about(scores: Scores) -> Table:

@@ -198,10 +198,10 @@ class Steps:
             lift[:, foot] += _bump(flight)
             heel[:, foot] += _bump(s / _HEEL_DOWN)
         yaw, heel = np.radians(ball[..., 2]), np.radians(_HEEL) * heel
-        turn = rotation.multiply(abouts(UP, yaw), abouts(_LEFTWARD, heel))
+        turn = rotation.multiply(rotation.from_euler(yaw[..., None], "Y"), rotation.from_euler(heel[..., None], "X"))
         flat = np.stack([ball[..., 0], SOLE + _LIFT * lift, ball[..., 1]], -1)
         # The ball is placed; the ankle is behind and above it, higher with the heel raised.
-        behind = rotation.rotate(abouts(UP, np.radians(slow[..., 2])), self._to_ball)[..., [0, 2]]
+        behind = rotation.rotate(rotation.from_euler(np.radians(slow[..., 2:]), "Y"), self._to_ball)[..., [0, 2]]
         return Feet(flat - rotation.rotate(turn, self._to_ball), yaw, heel, slow[..., :2] - behind)
 
     def forget(self, before: float) -> None:
@@ -237,7 +237,7 @@ class Steps:
         yaw = sign * (_TOES_OUT + offsets[:, 2])
         ankle = np.stack([sign * (self._socket + (_FOOT_OUT + offsets[:, 0])), np.zeros(_TRIES),
                           offsets[:, 1] - FOOT_BACK], axis=-1)
-        ball = ankle + rotation.rotate(abouts(UP, np.radians(yaw)), self._to_ball)
+        ball = ankle + rotation.rotate(rotation.from_euler(np.radians(yaw)[..., None], "Y"), self._to_ball)
         return np.stack([ball[:, 0], ball[:, 2], yaw], axis=-1)
 
 
@@ -245,11 +245,6 @@ def _bump(share: Array) -> Array:
     """0 to 1 and back with continuous acceleration: 64 s^3 (1 - s)^3."""
     s = np.clip(share, 0.0, 1.0)
     return np.asarray(64.0 * (s * (1.0 - s)) ** 3)
-
-
-def abouts(axis: Array, angles: Array) -> Array:
-    """[..., 4] rotations about an axis by angles [...] in radians."""
-    return np.concatenate([np.cos(angles / 2.0)[..., None], np.sin(angles / 2.0)[..., None] * axis], axis=-1)
 
 
 # --------------------------------------------------------------------------------------------------- the legs
@@ -337,8 +332,8 @@ def seated(motion: Motion) -> Motion:
     socket, ball = (WHOLE_BODY.offsets[WHOLE_BODY.index("Left" + part)][1] for part in ("UpLeg", "ToeBase"))
     root[:, 1] = SOLE - ball + leg_lengths(WHOLE_BODY, "Left")[1] - socket
     # Thighs level and a little apart; shins, feet and toes upright and turned out.
-    level = abouts(_LEFTWARD, np.radians(np.array([-90.0])))
-    knees, toes = (abouts(UP, np.radians(np.array([sign * out for _, sign in SIDES])))
+    level = rotation.from_euler(np.radians([[-90.0]]), "X")
+    knees, toes = (rotation.from_euler(np.radians([[sign * out] for _, sign in SIDES]), "Y")
                    for out in (SEAT_SPREAD, _SEAT_TOES))
     _hang(rotations, [np.tile(turn, (len(body), 1, 1)) for turn in (rotation.multiply(knees, level), toes, toes, toes)])
     return _on_legs(body, rotations, root, rotations[:0])
@@ -488,9 +483,9 @@ def _stand(rotations: Array, root: Array, feet: Feet, give: Array) -> None:
     reach = feet.ankles[..., 1] + np.sqrt(np.maximum((_BENT * sum(lengths))**2 - level, 0.0)) - socket[..., 1]
     # A soft minimum of the heights that the two legs reach.
     root[:, 1] = -_SOFT * np.logaddexp(*(-reach / _SOFT).T) - give
-    toes = abouts(UP, feet.yaw)
+    toes = rotation.from_euler(feet.yaw[..., None], "Y")
     thigh, shin = bent_leg(feet.ankles - root[:, None] - socket, rotation.rotate(toes, _AHEAD), lengths)
-    _hang(rotations, [thigh, shin, rotation.multiply(toes, abouts(_LEFTWARD, feet.heel)), toes])
+    _hang(rotations, [thigh, shin, rotation.multiply(toes, rotation.from_euler(feet.heel[..., None], "X")), toes])
 
 
 def _within(values: Array, most: float) -> Array:

@@ -46,9 +46,6 @@ class ClearedPath(KnotPath):
     def reach(self) -> float:
         return super().reach + (0.0 if self.prompt else self._wide / self.fps)
 
-    def _certain(self, limit: float, last: float) -> int:
-        return super()._certain(limit, last) - (0 if self.prompt else self._wide)
-
     def _frames(self, numbers: NDArray[np.int64], count: int | None = None) -> Array:
         if self.prompt or not len(numbers) or count == 1:
             return super()._frames(numbers, count)

@@ -18,6 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from data_module.errors import InputError
+from data_module.registry import install_line
 
 VARIABLE = "GESTICULATOR_BLENDER"
 """Environment variable with the path of the Blender, or the Python with bpy, to use."""
@@ -28,11 +29,11 @@ SECONDS = 1800
 _WARNING = "gesticulator: "
 """How the lines begin that `SCRIPT` prints for the user."""
 _EXCEPTION = re.compile(r"[A-Za-z_.]*(Error|Exception|Interrupt|Exit): ")
-_ADVICE = (f'pip install "gesticulator[fbx]" (Python 3.11), or install Blender, or name one in {VARIABLE}')
+_ADVICE = f"{install_line('fbx')} (Python 3.11), or install Blender, or name one in {VARIABLE}"
 
 
 class BlenderWarning(UserWarning):
-    """A part of a file that Blender shows in another way than the file has it."""
+    """Something of a character that its FBX file lacks, or that Blender shows in another way than the file has it."""
 
 
 def glb_of(path: Path) -> bytes:

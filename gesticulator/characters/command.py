@@ -23,8 +23,7 @@ def run(args: argparse.Namespace) -> int:
 
     character, mapping = choose(args.character, args.mapping, args.save_mapping)
     print(described(mapping, character), flush=True)
-    note = note_of(character, mapping.joints["Hips"]) if "Hips" in mapping.joints else ""
-    if note:
+    if "Hips" in mapping.joints and (note := note_of(character, mapping.joints["Hips"])):
         print(note, flush=True)
     moved = Retargeter(character, mapping)
     odd = [doubt for doubt in moved.doubts if doubt not in mapping.doubts]

@@ -21,6 +21,7 @@ from data_module.types import Array
 from gesticulator.characters import shape
 from gesticulator.characters.mapping import SIDES, RigMapping, ancestors
 from gesticulator.characters.rig import UPS, Character
+from gesticulator.contacts.limbs import swing
 
 _UPRIGHT = np.radians(30.0)
 """An axis of the file within this angle of the direction from hips to head is up; otherwise the body lies or hangs."""
@@ -30,6 +31,8 @@ _SQUARE = np.radians(8.0)
 """A body that faces within this angle of an axis of the file faces along it: shoulders are never exactly level."""
 _BENT = np.radians(15.0)
 """A joint bent by more than this in the bind pose defines the axis of its hinge."""
+_TURNED = np.radians(3.0)
+"""Turn of hips or shoulders in the bind pose above which it is that of a movement."""
 _LENGTH = 0.6
 """Distance from hips to head of an adult, metres."""
 _SUNK = 0.2
@@ -125,6 +128,7 @@ def measure(character: Character, mapping: RigMapping) -> Body:
 
 
 _SOURCE = {name: WHOLE_BODY.offsets[index] for index, name in enumerate(WHOLE_BODY.names)}
+_LEFT = np.array([1.0, 0.0, 0.0])
 _ANKLE = 0.08
 """Height of the default skeleton's ankle above the floor, metres."""
 
@@ -204,7 +208,7 @@ def _upright(character: Character, axes: Array) -> Array:
     if known is None or axes[1] @ known > 1.0 - 1e-12:
         return axes
     if axes[1] @ known > 0.5:
-        return np.asarray(axes @ _turn(axes[1], known).T)
+        return np.asarray(axes @ swing(axes[1], known).T)
     # VRM 0.x characters face -Z, all others +Z, so their left is -X.
     left = np.array([-1.0 if character.vrm == "0.x" else 1.0, 0.0, 0.0])
     return np.stack([left, known, np.cross(left, known)])
@@ -230,11 +234,6 @@ def frame(along: Array, across: Array) -> Array:
     second = across - (across @ first) * first
     second = second / np.linalg.norm(second)
     return np.stack([first, second, np.cross(first, second)], axis=-1)
-
-
-def _turn(a: Array, b: Array) -> Array:
-    """[3, 3] the shortest rotation from direction a to b."""
-    return rotation.to_matrix(rotation.between(a, b))
 
 
 def _angle(a: Array, b: Array) -> float:
@@ -274,22 +273,34 @@ class _Rig:
     def trunk(self) -> list[BoneSegment]:
         """Hips, spine, neck and head, by their position between hips, chest and head."""
         joints, bind = self.joints, self.bind
-        out = [BoneSegment(joints["Hips"], "Hips", bind[joints["Hips"]])]
+        chain = [joints["Hips"], *self.mapping.spine]
+        low, high = self._straightening(chain[0], "UpLeg"), self._straightening(chain[-1], "Shoulder")
+        out = [BoneSegment(joints["Hips"], "Hips", rotation.to_matrix(low) @ bind[joints["Hips"]])]
         # By length, not by number: some rigs have a short first spine bone.
-        shares = self._shares([joints["Hips"], *self.mapping.spine])
+        shares = self._shares(chain)
         source = ("Hips", "Spine", "Spine1", "Spine2", "Spine3")
         steps = np.cumsum([0.0, *(np.linalg.norm(_SOURCE[name]) for name in source[1:])])
         for node, share in zip(self.mapping.spine, shares[1:], strict=True):
             if node != self.mapping.spine[-1] and self._carries_legs(node):
                 share = 0.0  # a node that carries the legs moves with the hips
-            out.append(BoneSegment(node, *_place_among(source, steps / steps[-1], share, bind[node])))
-        chain = [*self.mapping.neck, joints["Head"]]
-        shares = self._shares(chain)
-        for node, low, high in zip(self.mapping.neck, shares, shares[1:], strict=False):
+            straight = rotation.to_matrix(rotation.partway(low, high, share)) @ bind[node]
+            out.append(BoneSegment(node, *_place_among(source, steps / steps[-1], share, straight)))
+        shares = self._shares([*self.mapping.neck, joints["Head"]])
+        for node, begin, end in zip(self.mapping.neck, shares, shares[1:], strict=False):
             # A neck of one joint bends like the average of our two, taken at the middle of its bone.
-            out.append(BoneSegment(node, *_place_among(("Neck", "Neck1"), np.array([0.25, 0.75]), (low + high) / 2.0,
+            out.append(BoneSegment(node, *_place_among(("Neck", "Neck1"), np.array([0.25, 0.75]), (begin + end) / 2.0,
                                                    bind[node])))
         return [*out, BoneSegment(joints["Head"], "Head", bind[joints["Head"]])]
+
+    def _straightening(self, node: int, part: str) -> Array:
+        """[4] rotation that makes a node of the trunk face ahead whose line between both sides' `part` turns in the
+        bind pose, as in a frame of a walk: limbs are at mirrored places of such a node. Else the identity."""
+        ways = [self.way(node, self.joints[side + part]) for side in SIDES if side + part in self.joints]
+        still = np.array([1.0, 0.0, 0.0, 0.0])
+        if len(ways) < 2 or ways[0] is None or ways[1] is None or np.allclose(ways[0], ways[1]):
+            return still
+        turn = rotation.between(self.bind[node] @ (ways[0] - ways[1]), _LEFT)
+        return turn if rotation.angle_between(turn, still) > _TURNED else still
 
     def _carries_legs(self, node: int) -> bool:
         return any(self.way(node, self.joints[side + "UpLeg"]) is not None for side in SIDES
@@ -325,7 +336,7 @@ class _Rig:
             else:
                 fore = _change(lower, hinge, source_lower, down)
                 # A hand without fingers has the roll of its forearm.
-                hand = _turn(fore @ along, source_along) @ fore
+                hand = swing(fore @ along, source_along) @ fore
             out += [self._segment(side + "ForeArm", fore), self._segment(side + "Hand", hand)]
             out += self._fingers(side, along, back, source_back, hand)
         return out
@@ -378,7 +389,7 @@ class _Rig:
                 if way is None:
                     out.append(self._segment(name, hand))
                 elif back is None:
-                    out.append(self._segment(name, _turn(hand @ way, source) @ hand))
+                    out.append(self._segment(name, swing(hand @ way, source) @ hand))
                 else:
                     out.append(self._segment(name, _change(way, back, source, source_back)))
         return out
@@ -405,9 +416,8 @@ class _Rig:
             upper, lower = self.bone(side + "UpLeg", side + "Leg"), self.bone(side + "Leg", side + "Foot")
             hinge = np.cross(upper, lower) if _angle(upper, lower) > _BENT else None
             # Knees bend backwards, about the character's left.
-            axis = np.array([1.0, 0.0, 0.0])
-            out += [self._segment(side + "UpLeg", _change(upper, hinge, _SOURCE[side + "Leg"], axis)),
-                    self._segment(side + "Leg", _change(lower, hinge, _SOURCE[side + "Foot"], axis))]
+            out += [self._segment(side + "UpLeg", _change(upper, hinge, _SOURCE[side + "Leg"], _LEFT)),
+                    self._segment(side + "Leg", _change(lower, hinge, _SOURCE[side + "Foot"], _LEFT))]
             turn = np.eye(3)
             if side + "ToeBase" in self.joints:
                 toes = self.bone(side + "Foot", side + "ToeBase")
@@ -416,7 +426,7 @@ class _Rig:
                 # The foot turns about the vertical alone; on a very high heel the toes point down and give no
                 # direction.
                 if np.linalg.norm(level) > 0.3 * np.linalg.norm(toes) and level[2] > 0.0:
-                    turn = _turn(level, _SOURCE[side + "ToeBase"] * [1.0, 0.0, 1.0])
+                    turn = swing(level, _SOURCE[side + "ToeBase"] * [1.0, 0.0, 1.0])
             out.append(self._segment(side + "Foot", turn))
             if side + "ToeBase" in self.joints:
                 out.append(self._segment(side + "ToeBase", turn))
@@ -429,7 +439,7 @@ def _change(bone: Array, across: Array | None, source: Array, source_across: Arr
     # A hinge nearly parallel to the bone (cosine above 0.95) does not define its roll.
     if across is None or np.linalg.norm(across) < 1e-9 or abs(np.cos(_angle(bone, across))) > 0.95 \
             or abs(np.cos(_angle(source, source_across))) > 0.95:
-        return _turn(bone, source)
+        return swing(bone, source)
     return frame(source, source_across) @ frame(bone, across).T
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError, shown
+from data_module.registry import install_line
 
 MESHOPT, DRACO = "EXT_meshopt_compression", "KHR_draco_mesh_compression"
 PACKAGES = {MESHOPT: "meshoptimizer", DRACO: "DracoPy"}
@@ -32,7 +33,7 @@ def decoder(name: str, subject: object) -> Any:
     except ImportError:
         raise InputError(
             subject, f"is compressed with {name}, for which {PACKAGES[name]} is not installed",
-            'pip install "gesticulator[compressed]", or unpack it: npx @gltf-transform/cli copy IN.glb OUT.glb'
+            f"{install_line('compressed')}, or unpack it: npx @gltf-transform/cli copy IN.glb OUT.glb"
         ) from None
 
 

@@ -46,6 +46,8 @@ _LONGEST_PATH = 14
 _METACARPAL = 0.45
 """A finger starts with a metacarpal if its first joint is nearer to the wrist than this share of the distance to its
 second joint: knuckles are at 0.65 in hands, bases of metacarpals at 0.3 in rigs."""
+_UNKNOWN, _FINGERED = 6, 9
+"""Bones below a hand that are not known as fingers, above which they may be, unless so many are known."""
 _BACKWARDS = 0.5
 """Cosine between feet and backwards above which the sides in names are taken for exchanged."""
 _BY_NAME, _BY_SECOND_NAME, _BY_SHAPE = 1.0, 0.95, 0.7
@@ -185,7 +187,10 @@ def _found(search: Search) -> RigMapping:
                 joints.setdefault(name, nodes[0])
     for side in SIDES:
         if side + "Hand" in joints:
-            joints |= _fingers(search, side, joints[side + "Hand"])
+            joints |= (fingers := _fingers(search, side, joints[side + "Hand"]))
+            bones = int((search.character.under([joints[side + "Hand"]]) & search.character.skinned).sum())
+            if len(fingers) < min(bones - _UNKNOWN, _FINGERED):
+                doubts.append(f"its {side.lower()} hand has {bones} bones, and {len(fingers)} are known as fingers")
     joints = _turned_round(search, joints, any(search.labels[node].side for name, node in ends.items()
                                                if name != "Head"), doubts)
     confidence = _confidence(search, joints, sure, doubts)

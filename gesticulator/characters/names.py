@@ -43,7 +43,7 @@ def english(name: str) -> str:
     return "".join(letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
 
 
-_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+")
 _SIDES = {"l": "Left", "left": "Left", "lf": "Left", "lft": "Left", "r": "Right", "right": "Right", "rt": "Right",
           "rgt": "Right"}
 _NOISE = {"mixamorig", "bip", "j", "c", "cc", "base", "def", "org", "character", "bone", "joint", "jnt", "jt", "bn",
@@ -77,8 +77,11 @@ _CLEAR = {
 _DOUBLE = {"shoulder": ("Shoulder", "Arm"), "arm": ("Arm", "ForeArm"), "leg": ("Leg", "UpLeg"),
            "hip": ("HipJoint", "UpLeg"),  # a node above the thigh in some tools
            "foot": ("Foot", "ToeBase"), "forefoot": ("Foot", "ToeBase"), "hand": ("Hand",), "palm": ("Hand",)}
-_FINGERS = {"thumb": "Thumb", "index": "Index", "pointer": "Index", "mid": "Middle", "middle": "Middle",
-            "ring": "Ring", "pinky": "Pinky", "little": "Pinky", "pinkie": "Pinky", "small": "Pinky"}
+_FINGERS = {short: finger for finger, words in {
+    "Thumb": "thumb thmb thb", "Index": "index indx idx pointer", "Middle": "middle mid mdl", "Ring": "ring rng",
+    "Pinky": "pinky pnky pinkie little small"}.items() for short in words.split()}
+# A finger's name beside words for hands and fingers; a letter behind it numbers the phalanges.
+_FINGER = re.compile(rf"(?:in)?(?:hand|finger|fing|fng|f)?({'|'.join(_FINGERS)})(?:finger|fing|fng)?([a-d]?)")
 _PARTS = {spelling: (part,) for part, spellings in _CLEAR.items() for spelling in spellings}
 _KINDS = {"meta": "Metacarpal", "metacarpal": "Metacarpal", "proximal": "1", "intermediate": "2", "distal": "3",
           "carpal": "Metacarpal"}
@@ -158,8 +161,8 @@ def label(name: str, noise: frozenset[str] = frozenset()) -> Label:
     aid = any(word in _AIDS for word in tokens)
     # Unity and VRM name phalanges instead of numbering them.
     kind = next((_KINDS[word] for word in tokens if word in _KINDS), "")
-    digits = [word for word in tokens if _is_number(word)]
-    key = "".join(word for word in tokens if not _is_number(word) and word not in _TIPS | _AIDS and word not in _KINDS)
+    digits = [word for word in tokens if word.isdigit()]
+    key = "".join(word for word in tokens if not word.isdigit() and word not in _TIPS | _AIDS and word not in _KINDS)
     number = kind or (digits[-1] if digits else "")
     if key in ("finger", "handfinger") and digits and side:  # Biped: finger 0 is the thumb, its joints 0, 01 and 02
         which = digits[-1]
@@ -167,20 +170,15 @@ def label(name: str, noise: frozenset[str] = frozenset()) -> Label:
         if len(after) == 2 and after[0] in "12345":  # MakeHuman: the thumb is finger 1, its joints 1-1, 1-2 and 1-3
             which = str(int(after[0]) - 1) + after[1]
         return Label((tuple(dict.fromkeys(_FINGERS.values()))[min(int(which[0]), 4)],), side, which[1:], tip, aid)
-    for short, finger in _FINGERS.items():
-        # A finger without a side is an ornament or part of a glove.
-        if side and key in (short, "hand" + short, short + "finger", "finger" + short, "f" + short, "in" + short):
-            return Label((finger,), side, number, tip, aid)
+    # A finger without a side is an ornament or part of a glove.
+    if side and (finger := _FINGER.fullmatch(key)):
+        return Label((_FINGERS[finger[1]],), side, number or finger[2], tip, aid)
     # Ambiguous names first: the search decides by bone lengths which meaning fits.
     parts = _DOUBLE.get(key, ()) if side else ()
     parts = parts or _PARTS.get(key, ())
     if parts and (parts[0] in ("Hips", "Spine", "Neck", "Head")) == bool(side):
         parts = ()  # a spine with a side is a muscle, an arm without a side is a prop
     return Label(parts, side, number, tip, aid)
-
-
-def _is_number(word: str) -> bool:
-    return word.isascii() and word.isdigit()  # "\u00b2".isdigit(), but int() does not read it
 
 
 def _glued_side(parts: list[str]) -> tuple[str, list[str]]:

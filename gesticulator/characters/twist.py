@@ -17,8 +17,6 @@ from gesticulator.characters.mapping import SIDES, ancestors
 from gesticulator.characters.names import words
 from gesticulator.characters.shape import bind_matrices, bind_turns
 
-NAMED = {"twist", "roll"}
-"""Words in the names of twist bones."""
 _ENDS = (0.1, 0.95)
 """Range of positions from elbow to wrist within which a bone's position is its share of the roll."""
 _FARTHEST = 2.6
@@ -54,7 +52,7 @@ def _twist_bones(body: Body, forearm: int, hand: int, offsets: Array) -> list[tu
     aside = np.linalg.norm(offsets - along[:, None] * way, axis=1) / length
     under = character.under([forearm], body.mapping.joints.values()) & (aside < _ASIDE)
     twists = sorted((float(along[node]), int(node)) for node in np.flatnonzero(under) if node != forearm
-                    and (node in line or NAMED & set(words(character.names[node]))))
+                    and (node in line or {"twist", "roll"} & set(words(character.names[node]))))
     # Several bones at one end are taken to be evenly along the forearm.
     return [(node, place if _ENDS[0] < place < _ENDS[1] else (rank + 1) / (len(twists) + 1))
             for rank, (place, node) in enumerate(twists)]

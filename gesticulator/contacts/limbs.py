@@ -161,11 +161,7 @@ def length(vectors: Array) -> Array:
 
 def swing(a: Array, b: Array) -> Array:
     """[T, 3, 3] the shortest rotations from directions a [T, 3] to b."""
-    a = a / length(a)
-    b = b / length(b)
-    # (1 + cos, sin axis) is twice cos(half) times the quaternion of half the angle: no trigonometry is needed.
-    q = np.concatenate([1.0 + np.sum(a * b, axis=-1, keepdims=True), rotation.cross(a, b)], axis=-1)
-    return rotation.to_matrix(rotation.normalise(q))
+    return rotation.to_matrix(rotation.between(a, b))
 
 
 class BelowShoulder:

@@ -30,7 +30,7 @@ _ELBOW = np.array([0.45, -1.0, -0.25])
 """Direction in which the elbow of a left arm points: down, a little outwards and back."""
 _SWINGS = np.radians(np.arange(-40.0, 126.0, 5.0))
 """Angles of the elbow that are tried: from a little inwards to well above the horizontal."""
-_BONE = np.array([1.0, 0.0, 0.0])
+BONE = np.array([1.0, 0.0, 0.0])
 _PALM = np.array([0.0, -1.0, 0.0])
 _HINGE = np.array([0.0, -math.cos(math.radians(12.0)), -math.sin(math.radians(12.0))])
 """Axis of the elbow of a level arm: bending moves the forearm forward and a little up."""
@@ -42,7 +42,7 @@ def hand_rotation(fingers: Array, palm: Array) -> Array:
     palm gives way where they are not at right angles."""
     along = fingers / np.linalg.norm(fingers, axis=-1, keepdims=True)
     across = palm - np.sum(palm * along, axis=-1, keepdims=True) * along
-    return rotation.from_axes((_BONE, _PALM), along, across / np.linalg.norm(across, axis=-1, keepdims=True))
+    return rotation.from_axes((BONE, _PALM), along, across / np.linalg.norm(across, axis=-1, keepdims=True))
 
 
 def arm_turns(places: Array, hand: Array, swings: Array) -> tuple[Array, Array, Array]:
@@ -52,10 +52,10 @@ def arm_turns(places: Array, hand: Array, swings: Array) -> tuple[Array, Array, 
     arm, forearm = _bones(places, swings)
     twist, bend = _wrist(forearm, hand)
     # A person twists the hand mostly by turning the forearm; the mesh would wring at the wrist otherwise.
-    turned = rotation.from_exponential_map(_PRONATES * twist[:, None] * _BONE)
+    turned = rotation.from_exponential_map(_PRONATES * twist[:, None] * BONE)
     length = np.linalg.norm(bend, axis=-1, keepdims=True)
     bend = rotation.from_exponential_map(bend * (_eased(length, MOST_BEND) / np.maximum(length, 1e-9)))
-    left = rotation.multiply(rotation.from_exponential_map((1.0 - _PRONATES) * twist[:, None] * _BONE), bend)
+    left = rotation.multiply(rotation.from_exponential_map((1.0 - _PRONATES) * twist[:, None] * BONE), bend)
     fore = rotation.multiply(rotation.multiply(rotation.conjugate(arm), forearm), turned)
     return rotation.to_exponential_map(arm), rotation.to_exponential_map(fore), rotation.to_exponential_map(left)
 
@@ -88,7 +88,7 @@ def _bones(places: Array, swings: Array) -> tuple[Array, Array]:
     first, second = elbow / _UPPER, (along * far - elbow) / _FORE
     axis = np.cross(first, second)
     axis = axis / np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-9)
-    return rotation.from_axes((_BONE, _HINGE), first, axis), rotation.from_axes((_BONE, _HINGE), second, axis)
+    return rotation.from_axes((BONE, _HINGE), first, axis), rotation.from_axes((BONE, _HINGE), second, axis)
 
 
 def _wrist(forearm: Array, hand: Array) -> tuple[Array, Array]:
@@ -97,7 +97,7 @@ def _wrist(forearm: Array, hand: Array) -> tuple[Array, Array]:
     twist = rotation.to_exponential_map(rotation.yaw_of(wrist, axis=0))[:, 0]
     # The exponential map of a yaw may be the long way round.
     twist = (twist + np.pi) % (2.0 * np.pi) - np.pi
-    back = rotation.from_exponential_map(-twist[:, None] * _BONE)
+    back = rotation.from_exponential_map(-twist[:, None] * BONE)
     return _eased(twist, MOST_TWIST), rotation.to_exponential_map(rotation.multiply(back, wrist))
 
 

@@ -58,10 +58,15 @@ def expressions_of(word: Word) -> tuple[str, ...]:
     return tuple(filter(None, map(expression_of_mark, word.marks)))
 
 
-def with_mark_cues(options: InferenceOptions, words: Sequence[Word]) -> InferenceOptions:
-    """The options with a cue for each mark of the words. Warns (`MarkWarning`), once, of marks that name no gesture."""
+def with_mark_cues(options: InferenceOptions, words: Sequence[Word], duration: float) -> InferenceOptions:
+    """The options with a cue for each mark of the words, as many as a plan of these seconds may have. Warns, once, of
+    marks that name no gesture, and if some are left out."""
     warn_of_unknown(name for word in words for name in word.marks)
-    return replace(options, cues=(*options.cues, *mark_cues(words)))
+    cues = (*options.cues, *mark_cues(words))
+    most = max(ALLOWED_CUES, int(CUES_PER_SECOND * duration), len(options.cues))
+    if len(cues) > most:
+        warnings.warn(MarkWarning(f"{len(cues)} gestures are asked for, and the first {most} are made"), stacklevel=3)
+    return replace(options, cues=cues[:most])
 
 
 def mark_cues(words: Sequence[Word]) -> tuple[GestureCue, ...]:

@@ -26,7 +26,7 @@ from gesticulator.body.life import eased
 from gesticulator.contacts.columns import HEAD, TRUNK
 from gesticulator.contacts.limbs import MARGIN, pose_of
 from gesticulator.directing.gesture_scripts import SCRIPTS, GestureScript, HandPart, Repeat
-from gesticulator.directing.hands import arm_turns, best_swing, finger_turns, hand_rotation
+from gesticulator.directing.hands import BONE, arm_turns, best_swing, finger_turns, hand_rotation
 from gesticulator.plan.plan import GestureCue
 
 _HOME = np.array([0.03, -0.28, 0.26])
@@ -51,8 +51,6 @@ _STRAYS, _TURNS = 0.014, np.radians(5.0)
 """Standard deviation of a hand's place, metres, and of its direction, radians, from one time to the next."""
 _FLIP = np.array([1.0, -1.0, -1.0])
 """A reflection keeps the x component of an exponential map and negates y and z."""
-_ALONG = np.array([1.0, 0.0, 0.0])
-"""Direction of the fingers of a left hand at rest."""
 _ARM = ("Arm", "ForeArm", "Hand")
 _HEAD = ("Neck", "Neck1", "Head")
 _TOUCH = 0.012
@@ -127,7 +125,7 @@ def _at_least(script: GestureScript, shares: Sequence[float], hold: float) -> Ph
 @functools.cache
 def _ways(part: HandPart) -> tuple[float, float, float]:
     """Metres of the wrist's way, in the largest size: from where it hangs to its stroke, of the stroke, and back."""
-    wrists = _points(part, _LARGEST) - part.point * rotation.rotate(_directions(part), _ALONG)
+    wrists = _points(part, _LARGEST) - part.point * rotation.rotate(_directions(part), BONE)
     up, across, down = (float(np.linalg.norm(way)) for way in (
         wrists[0] - _HANGING, wrists[1] - wrists[0], wrists[-1] - _HANGING))
     return up, across, down
@@ -184,7 +182,7 @@ def hand_turns(draw: GestureDraw, which: int, seconds: Array) -> tuple[Array, Ar
         # A hand that is held up sinks a little: people do not hold it still.
         places = places + eased(seconds / draw.phases.hold)[:, None] * (_SINKS - 0.5 * draw.place[which])
     # A key fixes the point of the hand that the script names (palm, tips); the arm is solved for the wrist.
-    wrists = places - part.point * rotation.rotate(turned, _ALONG)
+    wrists = places - part.point * rotation.rotate(turned, BONE)
     return np.stack(arm_turns(wrists, turned, mixed(_swings(part))), axis=1), fingers
 
 
@@ -198,7 +196,7 @@ def _directions(part: HandPart) -> Array:
 def _swings(part: HandPart) -> Array:
     """[K] swings of the elbow at the keys, radians."""
     hands = _directions(part)
-    wrists = np.array([key.place for key in part.keys]) - part.point * rotation.rotate(hands, _ALONG)
+    wrists = np.array([key.place for key in part.keys]) - part.point * rotation.rotate(hands, BONE)
     return np.array([best_swing(wrist, hand, float(np.radians(part.lift)))
                      for wrist, hand in zip(wrists, hands, strict=True)])
 

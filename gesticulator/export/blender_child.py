@@ -237,11 +237,9 @@ def without_modifiers(bake: Any, data: Any) -> Any:
 
 METRES_PER_DEGREE = 0.005
 """Bound on the error of translations per degree of the bound on rotations."""
-
-
-SHARES = (0.8, 0.7, 0.6, 0.5, 0.4, 1.0 / 3.0)
-"""Bounds on each angle of a rotation that are tried, of the bound on the rotation. With a third of it any rotation is
-within the bound."""
+SHARE = 5.0 ** -0.5
+"""Bound on each angle of a rotation as a share of that on the rotation. Two of the three axes may be parallel, so that
+the errors x, y and z make the angle (y^2 + (x + z)^2)^(1/2) at most."""
 
 
 def reduce_keys(curves: Any, keys: float) -> None:
@@ -259,33 +257,8 @@ def reduce_keys(curves: Any, keys: float) -> None:
     masks[:] = not still
     if not keys or still:
         return
-    for bound in [share * keys for share in SHARES] if turns else [keys * METRES_PER_DEGREE / 2.0]:
-        for row, mask in zip(values, masks, strict=True):
-            mask[:] = needed(row, bound)
-        if not turns or turned_by(values, played(values, masks)) <= keys:
-            return
-
-
-def played(values: Any, masks: Any) -> Any:
-    """[C, T] curves as a player interpolates them from their keys."""
-    import numpy as np
-
-    frames = np.arange(values.shape[1])
-    return np.stack([np.interp(frames, frames[mask], row[mask]) for row, mask in zip(values, masks, strict=True)])
-
-
-def turned_by(angles: Any, others: Any) -> float:
-    """The largest angle between rotations about X, then Y, then Z by angles [3, T] and by nearly equal ones, degrees.
-
-    With differences x, y, z, it is the length of the sum of x, y and z times the axes about which they turn, of which
-    those of X and Z enclose a right angle plus Y.
-    """
-    import numpy as np
-
-    # Small differences: the rotation vector is linear in them.
-    x, y, z = others - angles
-    between = np.sin(np.radians(angles[1]))
-    return float(np.sqrt(np.max(x * x + y * y + z * z - 2.0 * between * x * z)))
+    for row, mask in zip(values, masks, strict=True):
+        mask[:] = needed(row, keys * (SHARE if turns else METRES_PER_DEGREE / 2.0))
 
 
 def needed(row: Any, bound: float) -> Any:

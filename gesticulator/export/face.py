@@ -21,7 +21,7 @@ from gesticulator.export.gltf import (
 )
 from gesticulator.face.motion import FaceMotion
 from gesticulator.face.rig import find_face
-from gesticulator.face.shapes import vrm
+from gesticulator.face.shapes import lacking, vrm
 
 
 class FaceWarning(UserWarning):
@@ -34,9 +34,13 @@ def tracks_of(gltf: GltfDocument, character: Character, arms: tuple[int, int], f
     says if it has no mouth to move. arms: nodes of its left and right upper arm; name: of the file that was given."""
     # Characters without a mouth still show gaze and blinks, so this is a warning.
     rig = find_face(character)
-    if not rig.can_speak:
-        warnings.warn(FaceWarning(f"{name}: has neither mouth shapes nor a jaw bone, so its mouth stays as it is"),
-                      stacklevel=3)
+    missing = lacking(rig.curves | ({"jawOpen"} if rig.jaw is not None else set()))
+    for holds, what in (
+            (missing, f"lacks {', '.join(missing)}, so its mouth shows less of what is said"),
+            (not rig.can_speak, "has neither mouth shapes nor a jaw bone, so its mouth stays as it is"),
+            (character.vrm and rig.morphs, "players of VRMs (three-vrm) set its shapes back; write .vrma for them")):
+        if holds:
+            warnings.warn(FaceWarning(f"{name}: {what}"), stacklevel=3)
     places = character.world_matrices()[:, :3, 3]
     left = places[arms[0]] - places[arms[1]]
     left[1] = 0.0

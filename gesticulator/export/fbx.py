@@ -10,13 +10,9 @@ from typing import Any
 
 from data_module.errors import shown
 from data_module.files import write_bytes
-from gesticulator.characters.blender import SCRIPT, run_in_blender, say
+from gesticulator.characters.blender import SCRIPT, BlenderWarning, run_in_blender, say
 from gesticulator.export.glb import document_of
 from gesticulator.export.writers import Scene
-
-
-class ClipWarning(UserWarning):
-    """An FBX file that lacks something of the character's own file."""
 
 
 def _without_other_shading(document: dict[str, Any]) -> None:
@@ -37,7 +33,7 @@ def _without_other_shading(document: dict[str, Any]) -> None:
 def write_fbx(path: Path, scene: Scene) -> Path:
     """Write the motion as binary FBX, atomically. Returns `path`. `InputError` without Blender or if it fails.
 
-    It holds one animation: those of a character's own file are left out, with a `ClipWarning`.
+    It holds one animation: those of a character's own file are left out, with a `BlenderWarning`.
     """
     clip, moved = scene.clip, scene.character
     # All frames: the keys are reduced once, by Blender's exporter, within the same bound.
@@ -48,8 +44,8 @@ def write_fbx(path: Path, scene: Scene) -> Path:
     _without_other_shading(gltf.document)
     if others:
         names = ", ".join(shown(entry.get("name", "unnamed")) for entry in others[:5])
-        warnings.warn(ClipWarning(f"{path.name}: holds {clip.name} alone, not the {len(others)} clips that are in the "
-                                  f"character's file ({names}); a .glb holds all"), stacklevel=3)
+        warnings.warn(BlenderWarning(f"{path.name}: holds {clip.name} alone, not the {len(others)} clips of the "
+                                     f"character's file ({names}); a .glb holds all"), stacklevel=3)
     original = [] if moved is None or moved.character.path.suffix.lower() != ".fbx" else [moved.character.path]
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "motion.glb", Path(folder) / "motion.fbx"

@@ -38,10 +38,8 @@ FPS = 30
 SOUND_RATE = 48_000
 """Sampling rate in Hz, supported by AAC."""
 
-
 # No frame depends on later ones (bf), so the first frame shown is the first in the file.
 _VIDEO_OPTIONS = {"preset": "veryfast", "crf": "20", "bf": "0", "x264-params": "threads=1"}
-_AUDIO_BIT_RATE = 128_000
 
 _OVER = 2
 """Supersampling factor for smooth edges."""
@@ -159,7 +157,7 @@ def _write(target: Path, drawn: Iterator[Image], sound: Samples, size: tuple[int
         codec.colorspace, codec.color_primaries, codec.color_trc, codec.color_range = _BT709, _BT709, _BT709, _NARROW
         codec.gop_size = 2 * FPS
         voice: Any = container.add_stream("aac", rate=SOUND_RATE, layout="mono")
-        voice.bit_rate = _AUDIO_BIT_RATE
+        voice.bit_rate = 128_000
         for stream in (video, voice):
             stream.codec_context.thread_count = 1
             stream.codec_context.flags |= av.codec.context.Flags.bitexact

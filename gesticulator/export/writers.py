@@ -118,7 +118,8 @@ def check_output(path: str | os.PathLike[str]) -> None:
         raise InputError(target, f"needs {package}, which is not installed", f"pip install {package}")
     if suffix not in WRITERS:
         wrong = f"'{target.suffix}' is not a format that can be written" if target.suffix else "has no suffix"
-        raise InputError(target, wrong, f"use one of {', '.join(sorted(WRITERS))}")
+        near = "name a VRM with its animation .glb, an animation for any VRM .vrma, or " if suffix == ".vrm" else ""
+        raise InputError(target, wrong, f"{near}use one of {', '.join(sorted(WRITERS))}")
     if (needs := WRITERS[suffix].needs) is not None:
         needs.check(target)
     if suffix == ".fbx":

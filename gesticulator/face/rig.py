@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from data_module.types import Array
 from gesticulator.characters.gltf_file import AGAIN, GltfFile, read_gltf
 from gesticulator.characters.rig import Character
 from gesticulator.face.motion import FaceMotion
-from gesticulator.face.shapes import VRM, VRM_0, curves, find_shapes, is_lips, jaw_angles
+from gesticulator.face.shapes import VRM, VRM_0, curves, find_shapes, is_lips, jaw_angles, lacking
 
 _EYES = {"Left": re.compile(r"(left[ _.]?eye|eye[ _.]?left|eye[_.]l|l[_.]eye|cc_base_l_eye|facial_l_eye)", re.I),
          "Right": re.compile(r"(right[ _.]?eye|eye[ _.]?right|eye[_.]r|r[_.]eye|cc_base_r_eye|facial_r_eye)", re.I)}
@@ -38,7 +38,12 @@ class FaceRig:
     @property
     def can_speak(self) -> bool:
         """True if a shape or a jaw moves the mouth."""
-        return self.jaw is not None or any(is_lips(curve) for rows in self.morphs.values() for _, curve, _ in rows)
+        return self.jaw is not None or any(map(is_lips, self.curves))
+
+    @property
+    def curves(self) -> set[str]:
+        """The curves that drive its shapes."""
+        return {curve for rows in self.morphs.values() for _, curve, _ in rows}
 
     def weights(self, face: FaceMotion) -> dict[int, Array]:
         """Node of the file -> [T, targets] weights over time."""
@@ -113,10 +118,9 @@ def _found(file: GltfFile, character: Character) -> FaceRig:
     if eyes:
         morphs = {node: [row for row in rows if not re.match("eyeLook|vrm_look", row[1])]
                   for node, rows in morphs.items()}
-    morphs = {node: rows for node, rows in morphs.items() if rows}
-    opens = any(is_lips(curve) for rows in morphs.values() for _, curve, _ in rows)
-    return FaceRig({node: tuple(rows) for node, rows in morphs.items()}, base, eyes,
-                   None if opens else _jaw(character))
+    rig = FaceRig({node: tuple(rows) for node, rows in morphs.items() if rows}, base, eyes)
+    opens = rig.can_speak and "jawOpen" not in lacking(rig.curves)
+    return rig if opens else replace(rig, jaw=_jaw(character))
 
 
 def _target_names(mesh: Mapping[str, Any]) -> list[Any]:

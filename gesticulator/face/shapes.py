@@ -111,22 +111,27 @@ def vrm(face: FaceMotion) -> dict[str, Array]:
 
 # --------------------------------------------------------------------------------------------------- finding shapes
 
-# Words of MetaHuman for shapes of ARKit; a name or a curve without a side is for both.
-_METAHUMAN = {
-    "eyeLookLeftLeft": "eyeLookOutLeft", "eyeLookRightLeft": "eyeLookInLeft", "eyeLookLeftRight": "eyeLookInRight",
-    "eyeLookRightRight": "eyeLookOutRight", "browRaiseIn": "browInnerUp", "browRaiseOuter": "browOuterUp",
-    "mouthCornerPull": "mouthSmile", "mouthCornerDepress": "mouthFrown", "mouthLowerLipDepress": "mouthLowerDown",
-    "mouthUpperLipRaise": "mouthUpperUp", "mouthFunnelD": "mouthFunnel", "mouthFunnelU": "mouthFunnel",
-    "mouthLipsPurseD": "mouthPucker", "mouthLipsPurseU": "mouthPucker", "mouthLipsPress": "mouthPress"}
+# Words of MetaHuman, Meta and SRanipal for shapes of ARKit; a name or a curve without a side is for both.
+_OF_ARKIT = {name: curve for curve, names in {
+    "eyeLookOutLeft": "eyeLookLeftLeft", "eyeLookInLeft": "eyeLookRightLeft", "eyeLookInRight": "eyeLookLeftRight",
+    "eyeLookOutRight": "eyeLookRightRight", "browInnerUp": "browRaiseIn innerBrowRaiser",
+    "browOuterUp": "browRaiseOuter outerBrowRaiser", "browDown": "browLowerer", "eyeBlink": "eyeClosed",
+    "jawOpen": "jawDrop", "mouthSmile": "mouthCornerPull lipCornerPuller", "mouthStretch": "lipStretcher",
+    "mouthFrown": "mouthCornerDepress lipCornerDepressor", "mouthPress": "mouthLipsPress lipPressor",
+    "mouthLowerDown": "mouthLowerLipDepress lowerLipDepressor", "mouthUpperUp": "mouthUpperLipRaise upperLipRaiser",
+    "mouthRollUpper": "mouthUpperLipRollIn lipSuckUpper lipSuckLT lipSuckRT",
+    "mouthRollLower": "mouthLowerLipRollIn lipSuckLower lipSuckLB lipSuckRB",
+    "mouthPucker": "mouthLipsPurseD mouthLipsPurseU mouthPout lipPucker lipPuckerUpper lipPuckerLower",
+    "mouthFunnel": "mouthFunnelD mouthFunnelU mouthOShape lipFunnel lipFunnelUpper lipFunnelLower lipFunnelerLB "
+                   "lipFunnelerLT lipFunnelerRB lipFunnelerRT"}.items() for name in names.split()}
 # Those of Reallusion's Character Creator, Mixamo (Fuse), VRChat, VRoid, Unity-chan, and Japanese ones.
-_TOOLS = {
-    "vOpen": "viseme_aa", "vExplosive": "viseme_PP", "vDentalLip": "viseme_FF", "vTongueCurlU": "viseme_RR",
-    "vTightO": "viseme_ou", "vAffricate": "viseme_CH", "vWide": "viseme_ih", "vLipOpen": "viseme_DD",
-    "vTight": "viseme_SS", "mouthOpen": "opening", "mouthNarrow": "mouthPucker", "mouthSmile": "mouthSmile",
-    "smileLeft": "mouthSmileLeft", "smileRight": "mouthSmileRight", "browRaiseInner": "browInnerUp",
-    "browRaiseOuter": "browOuterUp", "browsUp": "browOuterUp",
-    **dict.fromkeys(("blink", "eyeBlink", "eyesBlink", "eyeClose", "eyesClose", "eyesClosed"), "eyeBlink"),
-    "eyeDefC": "vrm_blink", "まばたき": "vrm_blink"}
+_TOOLS = {name: curve for curve, names in {
+    "viseme_aa": "vOpen", "viseme_PP": "vExplosive", "viseme_FF": "vDentalLip", "viseme_RR": "vTongueCurlU",
+    "viseme_ou": "vTightO", "viseme_CH": "vAffricate", "viseme_ih": "vWide", "viseme_DD": "vLipOpen",
+    "viseme_SS": "vTight", "opening": "mouthOpen", "mouthPucker": "mouthNarrow", "mouthSmile": "mouthSmile",
+    "mouthSmileLeft": "smileLeft", "mouthSmileRight": "smileRight", "browInnerUp": "browRaiseInner",
+    "browOuterUp": "browRaiseOuter browsUp", "vrm_blink": "eyeDefC まばたき",
+    "eyeBlink": "blink eyeBlink eyesBlink eyeClose eyesClose eyesClosed"}.items() for name in names.split()}
 _HALF = ("vtonguecurlu", "vtight")
 """Names of `_TOOLS` whose shape is twice as strong as its curve."""
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[^\W\d_a-zA-Z]+")
@@ -150,18 +155,19 @@ def _spelled(table: Mapping[str, str]) -> dict[str, str]:
 
 
 _NAMES = {
-    "arkit": _spelled(_METAHUMAN | {name: name for name in ARKIT}),
+    "arkit": _spelled(_OF_ARKIT | {name: name for name in ARKIT}),
     "visemes": {prefix + name.lower(): f"viseme_{name}" for name in VISEMES for prefix in ("viseme", "v")}
     | {"visemei": "viseme_ih", "visemeo": "viseme_oh", "visemeu": "viseme_ou"},
     "tools": _spelled(_TOOLS)}
 """Kind of shapes -> a name's last words in lower case, joined -> the curve."""
+_KNOWN = {name for table in _NAMES.values() for name in table}
 _VOWELS = {name: f"vrm_{vowel}" for vowel, names in {
-    "aa": "a aa ah あ", "ih": "i ih い", "ou": "u ou uu う", "ee": "e ee え", "oh": "o oh お"}.items()
+    "aa": "a aa aah ah あ", "ih": "i ih い", "ou": "u ou ooh uu う", "ee": "e ee え", "oh": "o oh お"}.items()
            for name in names.split()}
 _PHONES = {name: f"viseme_{viseme}" for viseme, names in {
     "PP": "pp mbp bmp m p", "FF": "ff fv f v", "TH": "th", "DD": "dd td d t", "kk": "kk k g", "CH": "ch sh",
-    "SS": "ss s z", "nn": "nn n", "RR": "rr er", "aa": "aa a ai ah", "E": "e eh", "ih": "ih i ee iy", "oh": "oh o ow",
-    "ou": "ou u oo uw wq w"}.items() for name in names.split()}
+    "SS": "ss s z", "nn": "nn n l", "RR": "rr er", "aa": "aa a ai ah aah", "E": "e eh uh", "ih": "ih i ee iy",
+    "oh": "oh o ow", "ou": "ou u oo ooh uw wq w"}.items() for name in names.split()}
 _RHUBARB = {"a": "viseme_PP", "b": "viseme_SS", "c": "viseme_E", "d": "viseme_aa", "e": "viseme_oh", "f": "viseme_ou",
             "g": "viseme_FF", "h": "viseme_nn"}
 """The mouths of Preston Blair's series, which Rhubarb and 2-D animators call A to H."""
@@ -187,12 +193,12 @@ def find_shapes(names: Iterable[str]) -> dict[str, tuple[str, float]]:
     ways: dict[str, dict[str, tuple[str, float]]] = {kind: {} for kind in (*_NAMES, "vowels")}
     groups: dict[str, dict[str, str]] = {}
     for name in dict.fromkeys(names):
-        words = [_SAME.get(word.lower(), word.lower()) for word in _WORD.findall(name)]
+        words = [_SAME.get(word.lower(), word.lower()) for word in _WORD.findall(re.sub("_max$", "", name))]
         tails = ["".join(words[first:]) for first in range(len(words))]
-        tail = next((tail for tail in tails if _known(tail)), "")
+        tail = next((tail for tail in tails if tail in _KNOWN), "")
         before = words[:tails.index(tail)] if tail else words[:-1]
         ends = range(len(before) + 1)
-        if tail and any(_known("".join(before[first:last])) for last in ends for first in range(last)):
+        if tail and any("".join(before[first:last]) in _KNOWN for last in ends for first in range(last)):
             continue  # a correction, of two shapes at once
         for kind, table in _NAMES.items():
             if tail in table:
@@ -207,9 +213,10 @@ def find_shapes(names: Iterable[str]) -> dict[str, tuple[str, float]]:
         if len(known) >= _FEWEST_LETTERS or not prefix:
             ways[kind] |= {name: (curve, 1.0) for curve, name in known.items()}
     # A character often has shapes of several kinds; driving two of them at once would open the mouth twice.
-    mouth = next((way for way, least in _CHOICE if len(
-        lips := {curve for curve, _ in ways[way].values() if is_lips(curve)}) >= least
-        and (way != "arkit" or least == 1 or "jawOpen" in lips)), "arkit")
+    lips = {way: {curve for curve, _ in rows.values() if is_lips(curve) and (curve not in ARKIT or curve in SPEECH)}
+            for way, rows in ways.items()}
+    mouth = next((way for way, least in _CHOICE if len(lips[way]) >= least
+                  and (way != "arkit" or least == 1 or "jawOpen" in lips[way])), "arkit")
     chosen = {name: driver for name, driver in ways[mouth].items() if is_lips(driver[0])}
     # Lids and brows come from whatever kind has them: those do not add up with the mouth.
     for way in ways.values():
@@ -218,14 +225,19 @@ def find_shapes(names: Iterable[str]) -> dict[str, tuple[str, float]]:
     return {name: driver for name, driver in chosen.items() if not (sided and driver[0] == "vrm_blink")}
 
 
-_CHOICE = (("arkit", 3), ("visemes", 5), ("tools", 3), ("vowels", 3), ("tools", 1), ("vowels", 1), ("arkit", 1))
-"""Kinds of mouths in the order of their worth, and the least different curves of the lips that each takes."""
+_CHOICE = (("arkit", 3), ("visemes", 3), ("tools", 3), ("vowels", 3), ("tools", 1), ("vowels", 1), ("arkit", 1))
+"""Kinds of mouths in the order of their worth, and the least different curves that each takes of those that speech
+moves."""
 _FEWEST_LETTERS = 3
 """Least different names of one or two letters behind one prefix that are taken for sounds."""
 
 
-def _known(words: str) -> bool:
-    return any(words in table for table in _NAMES.values())
+def lacking(found: Iterable[str]) -> list[str]:
+    """ARKit's shapes that speech moves and that are not among the curves of a mouth of ARKit's shapes; none of other
+    mouths."""
+    stems = {re.sub("(Left|Right)$", "", curve): curve in ARKIT for curve in found if is_lips(curve)}
+    wanted = dict.fromkeys(re.sub("(Left|Right)$", "", curve) for curve in SPEECH)
+    return [stem for stem in wanted if stem not in stems] if stems and all(stems.values()) else []
 
 
 def is_lips(curve: str) -> bool:

@@ -48,8 +48,7 @@ def arguments(p: argparse.ArgumentParser) -> None:
                             metavar="S" if isinstance(default, float) else "N",
                             help=f"{text} (default {default:{'g' if isinstance(default, float) else ''}})")
     _common_arguments(p, "the first stream")
-    # Commands of before the release still start: the server's share of a core is what its streams take.
-    p.add_argument("--core-share", type=float, help=argparse.SUPPRESS)
+    p.add_argument("--core-share", type=float, help=argparse.SUPPRESS)  # commands of before the release still start
 
 
 def _common_arguments(p: argparse.ArgumentParser, stream: str) -> None:

@@ -143,8 +143,8 @@ class Session:
     def _pass_over(self, seconds: float) -> Work:
         yield from map(self._answer, self._stream.steps("pass_over", seconds))
         later = [word for word in self._words if word.start >= self._stream.time]
-        # Only words of the skipped audio are dropped.
-        yield from (SessionAnswer() for _ in self._stream.adding(later, 1))
+        # Only words of the skipped audio are dropped; a stream without text has none.
+        yield from (SessionAnswer() for _ in (self._stream.adding(later, 1) if later else ()))
 
     def _interrupt(self, at: float | None) -> list[StreamFrames]:
         stream = self._stream

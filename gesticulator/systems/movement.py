@@ -303,7 +303,7 @@ def first_pose(chances: Array, posture: Array, names: Sequence[str], rest: Array
 
 def _first_of(bundle: Bundle, setup: Setup, chances: Array, posture: Array) -> Floats:
     """[D_m] `first_pose` of the speaker, within the training data."""
-    names, rest = CHARACTERS[bundle.config.motion.joints].names, bundle.rest_feature(setup.speaker)
+    names, rest = CHARACTERS[bundle.config.motion.joints].names, bundle.rest_feature(setup.speaker).astype(float)
     return np.clip(first_pose(chances, posture, names, rest), *bundle.statistics.bounds.astype(np.float32))
 
 

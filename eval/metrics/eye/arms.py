@@ -42,7 +42,8 @@ from eval.metrics.eye.hands import HANGS
 from eval.metrics.eye.trunk import smoothed_speed
 from gesticulator.sampling.candidates import swivel
 
-LIMITS = {"wrist": (23.5, 469.0), "elbow": (12.5, 238.0), "swivel": 257.0, "arc": 0.111}
+LIMITS = {"wrist": (23.5, 469.0), "elbow": (12.5, 238.0)}
+SWIVEL, ARC = 257.0, 0.111
 """m/s^2 and m/s^3, degrees a second, metres in .2 s: 99.9th percentiles of 3.9 minutes of three people who talk (a
 person of GENEA 2020, one of BEAT and a take of a headset), each by these definitions."""
 _STRONG, _SMOOTHING, _APART = 1.5, 2.0, 12
@@ -66,9 +67,9 @@ def excess(body: CommonBody, side: str) -> tuple[Array, Array]:
             shares.append(np.linalg.norm(change, axis=-1) / limit)
     turns, off = swivel(shoulder, elbow, wrist)
     angle = np.concatenate([[0.0], np.cumsum(turns)])
-    speed = np.degrees(np.abs(np.gradient(gaussian_filter1d(angle, 1.0), 1.0 / HZ))) / LIMITS["swivel"]
+    speed = np.degrees(np.abs(np.gradient(gaussian_filter1d(angle, 1.0), 1.0 / HZ))) / SWIVEL
     arc, k = np.zeros(len(angle)), _APART
-    arc[k // 2:len(arc) - k + k // 2] = np.abs(angle[k:] - angle[:-k]) * np.minimum(off[k:], off[:-k]) / LIMITS["arc"]
+    arc[k // 2:len(arc) - k + k // 2] = np.abs(angle[k:] - angle[:-k]) * np.minimum(off[k:], off[:-k]) / ARC
     clear = (off > _OFF_LINE) & (np.linalg.norm(wrist - shoulder, axis=-1) > _REACHES)
     return np.max(shares, axis=0), np.maximum(speed, arc) * clear
 
