@@ -24,12 +24,6 @@ def noise(count: int, rms: float, seed: int = 0) -> Samples:
     return (rms * np.random.default_rng(seed).standard_normal((count, 24000))).astype(np.float32)
 
 
-def test_a_normaliser_by_hand() -> None:
-    values = np.array([[1.0, 10.0, 7.0], [3.0, 30.0, 7.0]])
-    normaliser = Normaliser.fit(values)
-    np.testing.assert_allclose(normaliser.apply(values), [[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]])
-
-
 @given(st.integers(0, 99), st.floats(0.01, 50), st.floats(-100, 100))
 def test_a_normaliser_gives_zero_mean_unit_spread(seed: int, scale: float, shift: float) -> None:
     values = np.random.default_rng(seed).standard_normal((40, 5, 3)) * scale + shift

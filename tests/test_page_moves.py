@@ -5,27 +5,20 @@ from __future__ import annotations
 import json
 import re
 import signal
-import subprocess
 import sys
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from browser import PATIENCE, OpenedPage, chromium, opened_page
-from performances import example, write_example
+from performances import write_example
 from test_story import _is, _rendered, _rotations, _viewing
-from test_view import CODE
+from test_view import viewing
 
-from gesticulator import Gesticulator
-from gesticulator.export import html
-from gesticulator.page.edits import place_of
-from gesticulator.page.palette import moving_figures
 from gesticulator.page.server import PageServer
-from gesticulator.page.session import EditSession, levels_of
+from gesticulator.page.session import EditSession
 from gesticulator.plan.plan_file import read_plan
 
 FLAT = "--disable-3d-apis"
@@ -33,22 +26,10 @@ FLAT = "--disable-3d-apis"
 
 
 @pytest.fixture(scope="module")
-def served(system: Gesticulator) -> Iterator[tuple[PageServer, EditSession]]:
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[PageServer, EditSession]]:
     """The page of six seconds of the example, with its renderer."""
-    system.keeps_generations = True
-    performance = system(example(6.0), seed=1)
-    server, session = PageServer(), EditSession(system, performance)
-    live = {"token": server.token, "renderings": [session.opened(performance)],
-            "levels": levels_of(system.bundle), "speakers": list(system.bundle.speakers)}
-    server.page = html.page({"lstm": performance.scene()}, "talk", more={"live": live}).encode()
-    server.render, server.edits = session.answer, session.edits
-    server.figures = lambda: json.dumps(moving_figures(system.bundle, 0)).encode()
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    yield server, session
-    server.shutdown()
-    server.server_close()
-    thread.join(10)
+    with _viewing(write_example(tmp_path_factory.mktemp("view") / "talk.wav", 6.0, "FLOAT"), "--seed", "1") as viewed:
+        yield viewed
 
 
 def _at(page: Any, seconds: float, row: str) -> tuple[float, float]:
@@ -200,12 +181,11 @@ def _has(page: Any, **silent: bool) -> None:
 
 
 def test_pages_open_with_the_present_plan_follow_each_other_and_lose_no_edit(tmp_path: Path) -> None:
-    sound = write_example(tmp_path / "talk.wav", 4.0, "FLOAT")
+    sound, place = write_example(tmp_path / "talk.wav", 4.0, "FLOAT"), tmp_path / "talk.wav.edits.plan.json"
     with chromium(FLAT) as browser, _viewing(sound) as (server, plans):
         first = OpenedPage(browser, server.url, 640, 420)
         count = len(first.plan()["blocks"])
-        loud = [at for at, block in enumerate(first.plan()["blocks"]) if not block["silent"]][:4]
-        one, two, three, four = loud
+        one, two, three, four = [at for at, block in enumerate(first.plan()["blocks"]) if not block["silent"]][:4]
         first.page.evaluate("(beat) => preview.session.selectBeat(beat)", count - 2)
         first.page.keyboard.press("Delete")
         _silence(first.page, one)
@@ -218,30 +198,28 @@ def test_pages_open_with_the_present_plan_follow_each_other_and_lose_no_edit(tmp
         _silence(second.page, two)
         _has(first.page, **{f"b{one}": True, f"b{two}": True})
         _is(first.page, plans, first.plan())
-        # Both at once, before the second page has asked for news: its edit is refused, the other one becomes a file.
-        second.page.route("**/plan/*", lambda route: route.abort())
-        _silence(first.page, three)
-        _has(first.page, **{f"b{three}": True})
-        _silence(second.page, four)
-        second.page.wait_for_selector("#stale", timeout=PATIENCE)
-        assert not first.plan()["blocks"][four]["silent"]
-        assert [block.silent for block in read_plan(place_of(sound)).blocks][three] is True
-        second.page.unroute("**/plan/*")
+
+        def at_once(second_block: int) -> None:
+            """Both pages edit before the second one has asked for news: its edit is refused."""
+            second.page.route("**/plan/*", lambda route: route.abort())
+            _silence(first.page, three)
+            _has(first.page, **{f"b{three}": True})
+            _silence(second.page, second_block)
+            second.page.wait_for_selector("#stale", timeout=PATIENCE)
+            second.page.unroute("**/plan/*")
+
+        at_once(four)
+        assert not first.plan()["blocks"][four]["silent"] and read_plan(place).blocks[three].silent
         second.page.click("#stale-both")
         _has(second.page, **{f"b{three}": False, f"b{four}": True})
         _has(first.page, **{f"b{three}": False, f"b{four}": True})
-        assert read_plan(place_of(sound)).blocks[four].silent and not read_plan(place_of(sound)).blocks[three].silent
-        copy = place_of(sound).with_name(place_of(sound).name + ".old")
+        assert read_plan(place).blocks[four].silent and not read_plan(place).blocks[three].silent
+        copy = place.with_name(place.name + ".old")
         assert read_plan(copy).blocks[three].silent and not read_plan(copy).blocks[four].silent
         second.page.wait_for_function("(name) => document.getElementById('notice').textContent.includes(name)",
                                       arg=copy.name)
         # The other way: the page goes on with the plan of the other one, and undo leads back to its edit.
-        second.page.route("**/plan/*", lambda route: route.abort())
-        _silence(first.page, three)
-        _has(first.page, **{f"b{three}": True})
-        _silence(second.page, one)
-        second.page.wait_for_selector("#stale", timeout=PATIENCE)
-        second.page.unroute("**/plan/*")
+        at_once(one)
         second.page.click("#stale-reload")
         _has(second.page, **{f"b{one}": True, f"b{three}": True})
         second.page.keyboard.press("Control+z")
@@ -257,26 +235,13 @@ def test_pages_open_with_the_present_plan_follow_each_other_and_lose_no_edit(tmp
             assert all(re.search("412|ERR_FAILED|WebGL", text) for text in opened.complaints), opened.complaints
 
 
-@contextmanager
-def _process(sound: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """`gesticulator view` as a program, and its address."""
-    process = subprocess.Popen([sys.executable, "-c", CODE, str(sound), "--no-browser"], stdout=subprocess.PIPE,
-                               text=True)
-    assert process.stdout is not None
-    try:
-        yield process, next(line for line in process.stdout if line.startswith("http://")).split()[0]
-    finally:
-        process.kill()
-        process.wait(30)
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="limits the files of a running process")
 def test_a_full_disk_and_a_program_that_ends_take_no_edit(tmp_path: Path) -> None:
     import resource
 
     sound, place = write_example(tmp_path / "talk.wav", 4.0, "FLOAT"), tmp_path / "talk.wav.edits.plan.json"
     with chromium(FLAT) as browser:
-        with _process(sound) as (process, url):
+        with viewing(sound) as (process, url):
             page = (opened := OpenedPage(browser, url, 640, 420)).page
             # A disk without room is a limit on files: the write fails half-way, in the operating system.
             resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (2000, resource.RLIM_INFINITY))
@@ -304,7 +269,7 @@ def test_a_full_disk_and_a_program_that_ends_take_no_edit(tmp_path: Path) -> Non
             page.keyboard.press("m")
             assert not page.evaluate("dispatchEvent(new Event('beforeunload', { cancelable: true }))"), "it asks first"
         # Killed at once after an answer: what was rendered is there, and so is the address in a new program.
-        with _process(sound) as (process, url):
+        with viewing(sound) as (process, url):
             opened = OpenedPage(browser, url, 640, 420)
             assert [opened.plan()["blocks"][at]["silent"] for at in (3, 4)] == [True, True]
             _silence(opened.page, 5)

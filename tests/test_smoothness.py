@@ -31,13 +31,6 @@ def test_a_point_on_a_circle(fps: float) -> None:
         np.testing.assert_allclose(derivative(circle, fps, order), radius * w ** order, rtol=0.01)
 
 
-def test_a_cubic_has_its_third_derivative_at_any_rate() -> None:
-    for fps in (15.0, 60.0):
-        t = np.arange(40) / fps
-        path = np.stack([t ** 3, 2 * t ** 3 + t, 5 - 2 * t ** 3], axis=1)[:, None]
-        np.testing.assert_allclose(derivative(path, fps, 3), 6 * 3.0, rtol=1e-6)
-
-
 def test_figures_are_means_over_both_hands() -> None:
     """By hand from the places of both wrists."""
     motion = waving(60.0)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import http.client
 import json
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -20,7 +21,6 @@ from small_characters import write_character
 from gesticulator import Gesticulator
 from gesticulator.page.command import COMMAND, _job, _performed, _way_in
 from gesticulator.page.edits import Edits, StaleError, held, place_of
-from gesticulator.page.server import TOKEN_HEADER
 from gesticulator.performance import Performance
 from gesticulator.plan.plan import GesturePlan
 from gesticulator.plan.plan_file import read_plan
@@ -140,39 +140,28 @@ def test_a_browser_is_led_in_by_a_private_file(tmp_path: Path) -> None:
     assert "url=http://127.0.0.1:1/secret/" in Path(address.removeprefix("file://")).read_text()
 
 
-def test_the_command_shows_a_character_and_answers_edits(recording: Path, tmp_path: Path) -> None:
-    rig = write_character(tmp_path / "rig.glb")
-    process = subprocess.Popen([sys.executable, "-c", CODE, str(recording), "--no-browser", "--character", str(rig),
-                                "--fps", "25"], stdout=subprocess.PIPE, text=True)
+@contextmanager
+def viewing(sound: Path, *words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """`gesticulator view` as a program, and its address."""
+    process = subprocess.Popen([sys.executable, "-c", CODE, str(sound), "--no-browser", *words], stdout=subprocess.PIPE,
+                               text=True)
+    assert process.stdout is not None
     try:
-        assert process.stdout is not None
-        address, _, secret = process.stdout.readline().split()[0].removeprefix("http://").rstrip("/").partition("/")
-        connection = http.client.HTTPConnection(address, timeout=60)
-        connection.request("GET", f"/{secret}/")
-        page = connection.getresponse().read().decode()
+        yield process, next(line for line in process.stdout if line.startswith("http://")).split()[0]
+    finally:
+        process.kill()
+        process.wait(30)
+
+
+def test_the_command_shows_a_character(recording: Path, tmp_path: Path) -> None:
+    rig = write_character(tmp_path / "rig.glb")
+    with viewing(recording, "--character", str(rig), "--fps", "25") as (process, url), urlopen(url) as answer:
+        page = answer.read().decode()
         assert "<img" not in page
         told = json.loads(page.partition('id="performance">')[2].partition("</script>")[0])
         assert told["title"] == recording.stem and set(told["character"]["joints"]) > {"Hips", "LeftForeArm"}
         (first,) = told["takes"]
         assert "face" in first, "lips and blinks are on"
         assert "LeftFoot" in first["skeleton"]["names"], "a character with legs stands on them"
-
-        def ask(plan: dict[str, Any]) -> tuple[int, bytes]:
-            """The status and the answer to a plan; what answers hold is tested in test_editing.py."""
-            connection.request("POST", f"/{secret}/render", json.dumps({"plan": plan, "have": 1}), {
-                "Content-Type": "application/json", "Origin": f"http://{address}",
-                TOKEN_HEADER: told["live"]["token"]})
-            answer = connection.getresponse()
-            return answer.status, answer.read()
-
-        plan = json.loads(json.dumps(first["plan"]))
-        block = plan["blocks"][len(plan["blocks"]) // 2]
-        block["lexeme"] = next(other["lexeme"] for other in block["alternatives"] if other["lexeme"] != block["lexeme"])
-        (same, before), (status, edited) = ask(first["plan"]), ask(plan)
-        assert same == status == 200 and len(edited) > len(before) + 10_000, "bytes: frames come for the edit alone"
-        block["end"] += 3.0
-        status, wrong = ask(plan)
-        assert status == 400 and f'blocks[{len(plan["blocks"]) // 2}].end' in json.loads(wrong)["error"]
-    finally:
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
