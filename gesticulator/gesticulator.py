@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from data_module.text.transcript import Text
     from data_module.text.word_vectors import WordEncoder
     from gesticulator.directing.lexeme_names import LexemeName
-    from gesticulator.editing.render import OnBlock, PlanRenderer
+    from gesticulator.editing.render import PlanRenderer
     from gesticulator.editing.retiming import Retimed
     from gesticulator.plan.plan import GesturePlan
     from gesticulator.stream import Stream
@@ -48,7 +48,7 @@ class Gesticulator:
         self.resolver = SetupResolver(bundle)
         self.keeps_generations = False
         """Whether performances keep the state before each block (`Performance.generation`), from which edits start."""
-        self.on_block: OnBlock | None = None  # of the recording that is being generated
+        self.on_block: loop.OnBlock | None = None  # of the recording that is being generated
         self._front_end = front_end_for(bundle.config, bundle.runners.get("encoder"))
         self._names: tuple[LexemeName, ...] | None = None
 

@@ -114,16 +114,14 @@ def _content(value: Any) -> object:
     return value
 
 
-@lru_cache(maxsize=64)
-def _cached_hash(path: Path) -> str:
-    """A character of many megabytes is read once for all recordings."""
-    return file_hash(path)
-
-
 def file_hash(path: Path) -> str:
     """SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+_cached_hash = lru_cache(maxsize=64)(file_hash)
+"""A character of many megabytes is read once for all recordings."""
 
 
 def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None = None) -> list[Job]:
@@ -267,18 +265,13 @@ def _keys(text: str) -> float:
 
 _PARSERS: Mapping[str, Callable[[str], object]] = {"hold_still": _seconds, "cues": _cue}
 """Field -> parser of its value, for values that are neither numbers nor words."""
-_GROUPS = {
-    "audio and transcript": "",
-    "motion": "VALUE is low, mid or high, or a number.",
-}
-"""Title of a group of options -> its description."""
 
 
 def performance_arguments(p: argparse.ArgumentParser) -> None:
     """Add the options of a performance (the fields of `InferenceOptions` that have a flag), of the character and of
     the run."""
-    groups = {name: p.add_argument_group(name, about or None) for name, about in _GROUPS.items()}
-    audio = groups["audio and transcript"]
+    audio = p.add_argument_group("audio and transcript")
+    motion = p.add_argument_group("motion", "VALUE is low, mid or high, or a number.")
     audio.add_argument("--text", metavar="FILE", help="transcript, in which cue phrases choose gestures with a meaning "
                        "(--meaning): plain text, TextGrid, SRT, VTT, TSV or JSON with word times; or a folder of "
                        "transcripts named like the recordings")
@@ -287,7 +280,7 @@ def performance_arguments(p: argparse.ArgumentParser) -> None:
     for option in fields(InferenceOptions):
         if "flag" in option.metadata:
             flag: OptionFlag = option.metadata["flag"]
-            _add_option(groups[flag.group], option, flag, _help_of(docs[option.name], option, flag))
+            _add_option(audio if flag.of_sound else motion, option, flag, _help_of(docs[option.name], option, flag))
     body = p.add_argument_group("character", "Your own character, from Mixamo, VRM, Unreal, Blender or "
                                 "elsewhere; see gesticulator character --help.")
     body.add_argument("--character", metavar="FILE",
@@ -407,14 +400,9 @@ def settings_of(args: argparse.Namespace, upper: bool = False) -> Job:
         # Without a face the cue would have no effect, which no message would tell.
         if any(cue.gesture in EXPRESSIONS for cue in options.cues):
             raise InputError("--cue", "names an expression of the face", "add --face full, or leave it out")
-    return Job(None, options=options, character=_character_of(args, upper))
-
-
-def _character_of(args: argparse.Namespace, upper: bool) -> CharacterRequest | None:
-    if args.character is None:
-        return None
-    return CharacterRequest(args.character, args.mapping, args.save_mapping, not args.no_contacts,
-                            not (args.seated or upper))
+    character = None if args.character is None else CharacterRequest(
+        args.character, args.mapping, args.save_mapping, not args.no_contacts, not (args.seated or upper))
+    return Job(None, options=options, character=character)
 
 
 def jobs_of(args: argparse.Namespace) -> list[Job]:

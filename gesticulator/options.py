@@ -84,17 +84,14 @@ class OptionFlag:
     is the first sentence of the docstring below the field.
 
     metavar: placeholder of the value, or None for a switch. choices: the allowed words. many: the option can be
-    repeated. name: the option, if it differs from the field. group: its heading in the help.
+    repeated. name: the option, if it differs from the field. of_sound: it stands with those of the sound in the help.
     """
 
     metavar: str | None = None
     choices: tuple[str, ...] = ()
     many: bool = False
     name: str = ""
-    group: str = "motion"
-
-
-_AUDIO = "audio and transcript"
+    of_sound: bool = False
 
 
 def _option(default: Any, metavar: str | None = None, **more: Any) -> Any:
@@ -131,9 +128,9 @@ class InferenceOptions:
     phrases (silence.rest=decay) use it as the threshold of their gate."""
     fps: float = _option(FPS, "N")
     """Frames per second of the motion, 1 to 1000."""
-    gain: float = _option(0.0, "DB", group=_AUDIO)
+    gain: float = _option(0.0, "DB", of_sound=True)
     """Amplify the recording first by -70 to 70 decibels. Samples beyond full scale are clipped."""
-    transcribe: str | os.PathLike[str] | None = _option(None, "MODEL", group=_AUDIO)
+    transcribe: str | os.PathLike[str] | None = _option(None, "MODEL", of_sound=True)
     """Recognise the words by a Whisper model, offline: tiny.en, or a folder in the format of faster-whisper (extra
     transcribe). A speech with words keeps them (`data_module.text.transcription`). Not for streams."""
     hand_height: HandControl = _option(None, "VALUE")

@@ -22,30 +22,9 @@ from safetensors.numpy import save_file
 from data_module.controls import Levels
 from data_module.errors import InputError
 from data_module.motion.skeletons import CHARACTERS
+from gesticulator.bundle import files, models
 from gesticulator.bundle.config import Config, from_dict, to_dict
 from gesticulator.bundle.features import Features, Normaliser, Sizes, Statistics, representation_of
-from gesticulator.bundle.files import (
-    CARD,
-    ENDING,
-    INDEX,
-    TIED,
-    Weights,
-    lexicon_hash,
-    read_index,
-    replace_folder,
-    write_index,
-)
-from gesticulator.bundle.models import (
-    JUDGES,
-    LazyParts,
-    StoredPart,
-    System,
-    part_table,
-    runner_of,
-    stored_parts,
-    system_of,
-    trained_tensors,
-)
 from interpreters import INTERPRETERS, entries
 from interpreters.base import InterpreterParts, opened
 
@@ -136,11 +115,11 @@ class Bundle:
     @cached_property
     def runners(self) -> Mapping[str, Any]:
         """The parts by name as they are played, on arrays: without torch, each made when it is first used."""
-        return LazyParts({name: partial(self._played, name) for name in self.parts})
+        return models.LazyParts({name: partial(self._played, name) for name in self.parts})
 
     def _played(self, name: str) -> Any:
         part = self.parts[name]
-        return part.played() if isinstance(part, StoredPart) else runner_of(name, self.sizes, part)
+        return part.played() if isinstance(part, models.StoredPart) else models.runner_of(name, self.sizes, part)
 
     def trained(self, name: str) -> Any:
         """The trained model of a part, for training and evaluation."""
@@ -148,8 +127,8 @@ class Bundle:
 
     @cached_property
     def _trained(self) -> Mapping[str, Any]:
-        return LazyParts({name: partial(part.trained) if isinstance(part, StoredPart) else part
-                          for name, part in self.parts.items()})
+        return models.LazyParts({name: partial(part.trained) if isinstance(part, models.StoredPart) else part
+                                 for name, part in self.parts.items()})
 
     @property
     def sizes(self) -> Sizes:
@@ -194,9 +173,9 @@ class Bundle:
         return cast("BlockLexicon", self.lexicon)
 
     @cached_property
-    def system(self) -> System:
+    def system(self) -> models.System:
         """Its system, a module of `gesticulator.systems`."""
-        return system_of(self.config)
+        return models.system_of(self.config)
 
     @property
     def frames(self) -> int:
@@ -276,7 +255,7 @@ def statistics_tensors(bundle: Bundle) -> dict[str, Features]:
 
 
 def _half(model: nn.Module) -> dict[str, NDArray[Any]]:
-    arrays = {key: value.detach().cpu().numpy() for key, value in trained_tensors(model).items()}
+    arrays = {key: value.detach().cpu().numpy() for key, value in models.trained_tensors(model).items()}
     return {key: np.asarray(value, np.float16 if np.issubdtype(value.dtype, np.floating) else value.dtype, order="C")
             for key, value in arrays.items()}
 
@@ -286,22 +265,22 @@ def save(bundle: Bundle, path: str | Path, card: str) -> None:
     def write(folder: Path) -> None:
         for name in bundle.parts:
             # Policies are played without the models that judge them.
-            if name in JUDGES:
+            if name in models.JUDGES:
                 continue
             # A tied part names its codebook, because lexeme 7 of another one is another gesture.
-            part = part_table()[name]
-            tied = {TIED: lexicon_hash(bundle.vectors)} if part.tied else None
-            save_file(_half(bundle.trained(name)), folder / f"{part.file}{ENDING}", tied)
-        save_file(statistics_tensors(bundle), folder / f"{_STATISTICS}{ENDING}")
-        (folder / CARD).write_text(card, encoding="utf-8")
-        write_index(folder, CHARACTERS[bundle.config.motion.joints], {
+            part = models.part_table()[name]
+            tied = {files.TIED: files.lexicon_hash(bundle.vectors)} if part.tied else None
+            save_file(_half(bundle.trained(name)), folder / f"{part.file}{files.ENDING}", tied)
+        save_file(statistics_tensors(bundle), folder / f"{_STATISTICS}{files.ENDING}")
+        (folder / files.CARD).write_text(card, encoding="utf-8")
+        files.write_index(folder, CHARACTERS[bundle.config.motion.joints], {
             "config": to_dict(bundle.config), "speakers": list(bundle.speakers),
-            "silent_lexemes": bundle.silent.tolist(), "lexicon_hash": lexicon_hash(bundle.vectors),
+            "silent_lexemes": bundle.silent.tolist(), "lexicon_hash": files.lexicon_hash(bundle.vectors),
             "text": {"encoder": bundle.text.encoder, "width": bundle.text.width} if bundle.text else None,
             "audio_levels": 1 if np.array_equal(bundle.statistics.low.mean, bundle.statistics.high.mean) else 2,
             "provenance": bundle.provenance, "figures": bundle.figures})
 
-    replace_folder(Path(path), write)
+    files.replace_folder(Path(path), write)
 
 
 def load(path: str | Path) -> Bundle:
@@ -311,53 +290,54 @@ def load(path: str | Path) -> Bundle:
     InputError as well.
     """
     folder = Path(path)
-    index = read_index(folder)
+    index = files.read_index(folder)
     config = from_dict(Config, index["config"])
     # Joints in another order would move the wrong limbs.
     if index["skeleton"].get("names") != list(CHARACTERS[config.motion.joints].names):
-        raise InputError(folder / INDEX, "was trained on another skeleton", "train it again")
-    weights = Weights(folder, index["files"])
+        raise InputError(folder / files.INDEX, "was trained on another skeleton", "train it again")
+    weights = files.Weights(folder, index["files"])
     # Which parts are optional depends on the settings; the others must be there.
-    system = system_of(config)
+    system = models.system_of(config)
     required = ("lexicon", *system.PARTS, *(("style",) if system.BLOCKS and config.generator.styled else ()))
-    lacking = [name for name in required if part_table()[name].file not in weights]
+    lacking = [name for name in required if models.part_table()[name].file not in weights]
     if lacking:
         raise InputError(folder, f"lacks {', '.join(lacking)}", "copy the bundle again")
     # Before any weights: the width of word vectors decides shapes of the interpreters.
     text = None if index["text"] is None else TextSource(**index["text"])
     speakers, silent = tuple(index["speakers"]), np.array(index["silent_lexemes"], dtype=np.int64)
     # Frequencies and distances lie in the file of the statistics, but belong to the lexicon.
-    statistics, tensors = _statistics(folder, weights, config, speakers)
+    statistics, tensors = _statistics(weights, config, speakers)
     sizes = Sizes(config, representation_of(config).width, len(statistics.low.mean), len(statistics.high.mean),
                   index["audio_levels"] == 2, len(speakers), text.width if text else 0, statistics.present,
                   silent=tuple(silent.tolist()))
     # The shapes of some models depend on the codebook.
-    vectors = _codebook(folder, weights, config)
+    vectors = _codebook(weights, config)
     if len(silent) and silent.max() >= len(vectors):
-        raise InputError(folder / INDEX, f"names silent lexemes beyond the {len(vectors)} of the lexicon",
+        raise InputError(folder / files.INDEX, f"names silent lexemes beyond the {len(vectors)} of the lexicon",
                          "copy the bundle again")
     return Bundle(config, statistics, silent, tensors["frequencies"], tensors["transitions"], vectors,
                   tensors["rest_distances"].astype(np.float32),
-                  stored_parts(weights, replace(sizes, vectors=vectors)), index["provenance"], index["figures"],
+                  models.stored_parts(weights, replace(sizes, vectors=vectors)), index["provenance"], index["figures"],
                   text)
 
 
-def _codebook(folder: Path, weights: Weights, config: Config) -> Features:
+def _codebook(weights: files.Weights, config: Config) -> Features:
     """[S, D_s] the vectors of the lexemes, from the file of the lexicon."""
-    system, name = system_of(config), part_table()["lexicon"].file
+    system, name = models.system_of(config), models.part_table()["lexicon"].file
     vectors = weights.read(name).get(system.CODEBOOK)
     if vectors is None or tuple(vectors.shape) != system.codebook_shape(config):
-        raise InputError(folder / f"{name}{ENDING}", f"does not fit the settings ({system.CODEBOOK})", "train it again")
+        raise InputError(weights.path(name), f"does not fit the settings ({system.CODEBOOK})", "train it again")
     return vectors
 
 
-def _statistics(folder: Path, weights: Weights, config: Config, speakers: tuple[str, ...]
+def _statistics(weights: files.Weights, config: Config, speakers: tuple[str, ...]
                 ) -> tuple[Statistics, dict[str, NDArray[np.float64]]]:
     """The statistics, and all arrays of their file."""
     # Stored in single precision; in double, normalising and its inverse do not drift apart.
     tensors = {key: value.astype(np.float64) for key, value in weights.read(_STATISTICS).items()}
     levels = {key.removeprefix("levels_"): value for key, value in tensors.items() if key.startswith("levels_")}
-    motion, count, size = representation_of(config).width, len(speakers), system_of(config).codebook_shape(config)[0]
+    motion, count = representation_of(config).width, len(speakers)
+    size, _ = models.system_of(config).codebook_shape(config)
     shapes = {"mean_pose": (count, motion), "rest_pose": (count, motion), "deviation": (motion,),
               "bounds": (2, motion), "frequencies": (count, size), "transitions": (size, size),
               "rest_distances": (count, size)}
@@ -371,5 +351,4 @@ def _statistics(folder: Path, weights: Weights, config: Config, speakers: tuple[
             Normaliser(tensors["high_mean"], tensors["high_spread"]), tensors.get("quiet_low"),
             tensors.get("quiet_high"), Levels.from_dict(levels) if levels else None), tensors
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(folder / f"{_STATISTICS}{ENDING}", f"does not fit the settings ({error})", "train it again"
-                         ) from None
+        raise InputError(weights.path(_STATISTICS), f"does not fit the settings ({error})", "train it again") from None

@@ -29,17 +29,6 @@ from gesticulator.directing.directions import still_frames
 from gesticulator.plan.plan import Block, GesturePlan, PlanKnobs, edited_themselves
 from gesticulator.sampling import loop
 from gesticulator.sampling.cutter import CUTTER_EVERY, BlockCutter
-from gesticulator.sampling.loop import (
-    BlockMotion,
-    GeneratedMotion,
-    Generation,
-    Keys,
-    OnBlock,
-    Request,
-    Setup,
-    State,
-    controls_at,
-)
 
 BLEND = 0.6
 """Seconds after an edited run in which the difference fades out: a hand half a metre off returns at 1.3 m/s at most."""
@@ -65,12 +54,12 @@ class SampledBlock:
 
     The same request after the same block gives the same object, so that equal sources are recognised by identity."""
 
-    setup: Setup
-    state: State
-    block: BlockMotion | None = None
+    setup: loop.Setup
+    state: loop.State
+    block: loop.BlockMotion | None = None
 
     @property
-    def motion(self) -> BlockMotion:
+    def motion(self) -> loop.BlockMotion:
         """The block, which is not a beginning."""
         assert self.block is not None
         return self.block
@@ -87,14 +76,14 @@ class SampledBlock:
 class PlanRenderer:
     """Renders plans of one first generation; each plan then costs only its edited blocks."""
 
-    def __init__(self, bundle: Bundle, setup: Setup, samples: Samples,
+    def __init__(self, bundle: Bundle, setup: loop.Setup, samples: Samples,
                  encode: Callable[[Blocks, list[BlockCutter]], SpeechFeatures], plan: GesturePlan,
-                 generation: Generation | None = None) -> None:
+                 generation: loop.Generation | None = None) -> None:
         """setup: of the first generation; samples: of the speech, at 16 kHz; encode: blocks -> the features of the
         speech cut into them, and copies of the cutter (`encode_speech`). plan: any plan of the first generation; its
         edits are ignored here. generation: the first one; it is sampled again where it is missing."""
         self._bundle, self._setup, self._samples, self._encode = bundle, setup, samples, encode
-        self._original, self._keys = plan.drawn, Keys(plan.seed, plan.variation)
+        self._original, self._keys = plan.drawn, loop.Keys(plan.seed, plan.variation)
         self.noise_times = dict(zip(plan.drawn.numbers or range(len(plan.drawn.lexemes)),
                                     plan.drawn.keyed_at or plan.drawn.edges, strict=False))
         """Number of a block in `draw` -> seconds that key its random numbers."""
@@ -117,30 +106,30 @@ class PlanRenderer:
         self._recut: dict[Hashable, SpeechBlock] = {}
         self._most = max(LEAST_REMEMBERED, REMEMBERED * len(self._cut))
 
-    def generation(self, on_block: OnBlock | None = None) -> Generation:
+    def generation(self, on_block: loop.OnBlock | None = None) -> loop.Generation:
         """The first generation, sampled as far as it is missing."""
         steps = self.steps(self._original.knobs, on_block)
-        return Generation(self._speech, [step.motion for step in steps[1:]], [step.state for step in steps],
-                          self._cutters)
+        return loop.Generation(self._speech, [step.motion for step in steps[1:]], [step.state for step in steps],
+                               self._cutters)
 
     def cut(self, plan: GesturePlan) -> Blocks:
         """The blocks of a plan."""
         return self._blocks_of([0.0, *(block.end for block in plan.blocks)], [block.flag for block in plan.blocks],
                                [block.silent for block in plan.blocks])
 
-    def render(self, plan: GesturePlan, on_block: OnBlock | None = None) -> GeneratedMotion:
+    def render(self, plan: GesturePlan, on_block: loop.OnBlock | None = None) -> loop.GeneratedMotion:
         """The motion of a plan of this first generation. on_block: called with the number of finished blocks and the
         total after each sampled block, and may raise an error to abandon it: what was sampled is remembered."""
         edited = edited_themselves(plan)
         if not any(edited) and plan.knobs.share == self._original.knobs.share:
             # Without edits the plan is its first generation, which needs no fades and no second one.
             blocks, bundle = self.generation(on_block).blocks, self._bundle
-            return GeneratedMotion(self.cut(plan), blocks, bundle.system.motion_of(bundle, self._setup, blocks))
+            return loop.GeneratedMotion(self.cut(plan), blocks, bundle.system.motion_of(bundle, self._setup, blocks))
         return _PlanRun(self, plan, edited, on_block).rendered()
 
     # ------------------------------------------------------------------------------------------ what runs are made of
 
-    def steps(self, knobs: PlanKnobs, on_block: OnBlock | None) -> list[SampledBlock]:
+    def steps(self, knobs: PlanKnobs, on_block: loop.OnBlock | None) -> list[SampledBlock]:
         """[N + 1] the recording generated with these knobs, without edits: the state before it, and its blocks."""
         first = knobs.share == self._original.knobs.share
         steps = self._first if first else [self._remembered(("beginning", knobs.share), lambda: self._beginning(knobs))]
@@ -158,24 +147,24 @@ class PlanRenderer:
         setup = replace(self._setup, activity=knobs.share)
         return SampledBlock(setup, loop.begin(self._bundle, setup, self._speech.text is not None, self._keys))
 
-    def _sample(self, before: SampledBlock, request: Request) -> SampledBlock:
+    def _sample(self, before: SampledBlock, request: loop.Request) -> SampledBlock:
         """The block after another one."""
         block, after = loop.step(self._bundle, before.setup, before.state, request)
         return SampledBlock(before.setup, after, block)
 
-    def _request(self, at: int) -> Request:
+    def _request(self, at: int) -> loop.Request:
         """The request for a block of the first generation, whose lexeme is chosen."""
         number = self._original.numbers[at] if self._original.numbers else at
         still = still_frames(self._original.knobs, self._times[at], float(self._cut.edges[at]))
-        return Request(replace(self._speech.block(at), number=number, key=self.noise_times[number]),
-                       self.control(self._times[at]), still=still)
+        return loop.Request(replace(self._speech.block(at), number=number, key=self.noise_times[number]),
+                            self.control(self._times[at]), still=still)
 
     def control(self, times: Array) -> loop.ControlRows | None:
         """[K, 2 F] rows of the hand controls at `times` [K] seconds, or None."""
-        return controls_at(self._bundle.levels, self._setup.controls, times)
+        return loop.controls_at(self._bundle.levels, self._setup.controls, times)
 
-    def sampled(self, before: SampledBlock, key: Hashable, request: Callable[[], Request],
-                on_block: OnBlock | None, done: int) -> SampledBlock:
+    def sampled(self, before: SampledBlock, key: Hashable, request: Callable[[], loop.Request],
+                on_block: loop.OnBlock | None, done: int) -> SampledBlock:
         """The block that is sampled after another one. key: all that the request depends on; done: blocks with it."""
         known = (before, key) in self._sampled
         block = self._remembered((before, key), lambda: self._sample(before, request()))
@@ -236,7 +225,7 @@ class _Fade:
 class _PlanRun:
     """One rendering of one plan."""
 
-    def __init__(self, renderer: PlanRenderer, plan: GesturePlan, edited: Sequence[bool], on_block: OnBlock | None
+    def __init__(self, renderer: PlanRenderer, plan: GesturePlan, edited: Sequence[bool], on_block: loop.OnBlock | None
                  ) -> None:
         """edited: [N] whether a block is sampled and not replayed."""
         self._renderer, self._plan, self._edited, self._on_block = renderer, plan, edited, on_block
@@ -256,12 +245,12 @@ class _PlanRun:
         self._first = renderer.steps(plan.drawn.knobs, on_block) if self._alike or any(locked) else []
         self._changed = self._first if self._alike or all(locked) else renderer.steps(plan.knobs, on_block)
 
-    def rendered(self) -> GeneratedMotion:
+    def rendered(self) -> loop.GeneratedMotion:
         """All blocks of the plan."""
         plan_blocks, fades = self._plan.blocks, list[_Fade]()
         cut = self._renderer.cut(self._plan)
         times = cut.knot_times.reshape(len(cut), -1)
-        blocks, motion, before = list[BlockMotion](), list[Rows](), None
+        blocks, motion, before = list[loop.BlockMotion](), list[Rows](), None
         for at, block in enumerate(plan_blocks):
             # Fades add up: an edit may follow another one before its difference is gone.
             fades = [fade for fade in fades if fade.begin + BLEND > block.start]
@@ -272,7 +261,7 @@ class _PlanRun:
                 fades += [] if fade is None else [fade]
             blocks.append(before.motion)
             motion.append(_faded(before.motion.motion, times[at], fades))
-        return GeneratedMotion(cut, blocks, np.stack(motion))
+        return loop.GeneratedMotion(cut, blocks, np.stack(motion))
 
     def _anew(self, block: Block) -> bool:
         """Whether the new knobs apply to a block."""
@@ -308,7 +297,7 @@ class _PlanRun:
         alike = self._anew(blocks[at]) == self._anew(blocks[at - 1])
         return alike or blocks[at].start not in self._renderer.index
 
-    def _request(self, at: int, times: Array) -> tuple[Hashable, Callable[[], Request]]:
+    def _request(self, at: int, times: Array) -> tuple[Hashable, Callable[[], loop.Request]]:
         """What is asked for in an edited block, and everything it depends on."""
         plan, block = self._plan, self._plan.blocks[at]
         lexeme, silent = self._decided.get((block.start, block.end), (None, False))
@@ -329,13 +318,14 @@ class _PlanRun:
         key = (place, at + 1 == count, silence, removed, self._flags[at], chosen,
                (draw.seed, draw.variation, draw.block), None if still is None else still.tobytes())
 
-        def request() -> Request:
+        def request() -> loop.Request:
             quiet, ahead = spoken.quiet & (not removed[0]), spoken.ahead
             # The number of no block of the first generation is a time of its own.
             noise_time = self._renderer.noise_times.get(draw.block, float(draw.block))
             speech = replace(spoken, number=draw.block, key=noise_time, flag=self._flags[at], silent=silence,
                              quiet=quiet, ahead=None if ahead is None else ahead & (not removed[1]))
-            return Request(speech, self._renderer.control(times), chosen, Keys(draw.seed, draw.variation), still)
+            keys = loop.Keys(draw.seed, draw.variation)
+            return loop.Request(speech, self._renderer.control(times), chosen, keys, still)
 
         return key, request
 
@@ -354,7 +344,7 @@ def _faded(motion: Rows, times: Array, fades: Sequence[_Fade]) -> Rows:
     return out
 
 
-def _standing(state: State, other: State) -> State:
+def _standing(state: loop.State, other: loop.State) -> loop.State:
     """A state with the pose and the last block of another one of the same bundle."""
     # A varied state carries a second one with the variation; what is seen is that one's pose.
     shown = other.varied or other

@@ -99,7 +99,11 @@ class LipFeatures:
         # A frame needs the rows around it, and each row the sound that its window reaches into.
         step, size = ROWS * HOP, (ROWS + 2 * CONTEXT) * HOP
         while len(self._sound) >= size:
-            self._add(self._sound[:size])
+            # [2, WIDTH] of the frame, from its samples and `CONTEXT` rows of sound on either side.
+            rows = front_end(ROWS + 2 * CONTEXT).rows(self._sound[None, :size])[0, CONTEXT:CONTEXT + ROWS]
+            rows = np.concatenate([rows[:, :BANDS], rows[:, -1:]], axis=1)
+            before = [] if self._rows else [rows[0]] * BEFORE
+            self._rows += [*before, rows[0], rows[1]]
             self._sound = self._sound[step:]
             if len(self._rows) == BEFORE + ROWS + AFTER:
                 out.append(np.concatenate(self._rows))
@@ -109,18 +113,6 @@ class LipFeatures:
     def flush(self) -> list[Rows]:
         """The remaining frames of the sound that was fed, as if silence followed."""
         return self.feed(np.zeros((ROWS - 1 + AFTER + CONTEXT) * HOP, np.float32))
-
-    def _add(self, sound: Samples) -> None:
-        rows = _framed(sound)
-        if not self._rows:
-            self._rows = [rows[0]] * BEFORE
-        self._rows += [rows[0], rows[1]]
-
-
-def _framed(sound: Samples) -> Rows:
-    """[2, WIDTH] rows of one frame, from its samples and `CONTEXT` rows of sound on either side."""
-    rows = front_end(ROWS + 2 * CONTEXT).rows(sound[None])[0, CONTEXT:CONTEXT + ROWS]
-    return np.concatenate([rows[:, :BANDS], rows[:, -1:]], axis=1)
 
 
 class VisemeStepper:

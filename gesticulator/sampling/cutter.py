@@ -17,23 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.blocks import CONTEXT, samples_per_frame, stretch_piece
+from data_module.speech import silence
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.speech.beats import BeatTracker
 from data_module.speech.front_ends import FrontEnd
 from data_module.speech.onsets import OnsetTracker
-from data_module.speech.silence import (
-    FRAME,
-    LoudnessStep,
-    LoudnessTracker,
-    PauseTracker,
-    PitchLevel,
-    SteadyStart,
-    VoiceLevel,
-    frame_after,
-    frame_before,
-    frame_levels,
-    in_pause,
-)
 from data_module.types import Array, BeatFlag, Blocks, Samples, Speech, Word
 from gesticulator.bundle.config import Config
 from gesticulator.bundle.features import Features, SpeechBlock, SpeechFeatures, front_end_for, tempo_column
@@ -80,7 +68,7 @@ class _PauseFlags:
     """Whether each frame lies in a pause; the flags of the last frames may still change."""
 
     def __init__(self) -> None:
-        self._tracker, self._final, self._first = PauseTracker(), list[bool](), 0
+        self._tracker, self._final, self._first = silence.PauseTracker(), list[bool](), 0
 
     def add(self, silent: Sequence[bool]) -> None:
         """Add frames that are silent or not."""
@@ -129,8 +117,8 @@ class BlockCutter:
         self._length = config.rhythm.frames * samples_per_frame(SAMPLE_RATE, config.rhythm.fps)
         self._context = round(CONTEXT * SAMPLE_RATE)
         self._words = None if words is None else WordTrack(words, config.selection.words_so_far)
-        self._loudness, self._voice, self._start = LoudnessTracker(), VoiceLevel(), SteadyStart()
-        self._pauses, self._quiet = _PauseFlags(), _PauseFlags()
+        self._loudness, self._voice = silence.LoudnessTracker(), silence.VoiceLevel()
+        self._start, self._pauses, self._quiet = silence.SteadyStart(), _PauseFlags(), _PauseFlags()
         self._onsets = OnsetTracker(SAMPLE_RATE)
         self._beats = BeatTracker(config.rhythm.beats, start)
         self._pending: list[Samples] = []  # less than a tick
@@ -140,7 +128,7 @@ class BlockCutter:
         self._processed = self._frames = self._count = 0
         self._edges: list[tuple[float, BeatFlag]] = [(start, BeatFlag.BOUNDARY)]  # of blocks that are not cut yet
         self._rises: list[float] = []  # onsets of blocks that are not cut yet
-        self._pitch = PitchLevel() if system_of(config).VARIES else None  # candidates are chosen by it
+        self._pitch = silence.PitchLevel() if system_of(config).VARIES else None  # candidates are chosen by it
         self._cut: list[_CutBlock] = []  # the block before, and those that are not returned yet
         self._ended = self._beats_given = False
 
@@ -225,12 +213,12 @@ class BlockCutter:
                                             self._processed / SAMPLE_RATE)
         return list(self._ready_blocks())
 
-    def _analyse(self, samples: Samples) -> tuple[LoudnessStep, list[tuple[float, float]]]:
+    def _analyse(self, samples: Samples) -> tuple[silence.LoudnessStep, list[tuple[float, float]]]:
         """Loudness and onsets that became known by these samples."""
         # Only the sound since the last returned block is held, so this copy is short.
         self._sound = np.concatenate([self._sound, samples])
         self._processed += len(samples)
-        loudness = self._loudness.step(frame_levels(samples, SAMPLE_RATE), self._ended)
+        loudness = self._loudness.step(silence.frame_levels(samples, SAMPLE_RATE), self._ended)
         self._frames += len(loudness.levels)
         self._voice.feed(loudness)
         self._pauses.add(loudness.silent.tolist())
@@ -261,35 +249,35 @@ class BlockCutter:
         """Whether sound, onsets and pauses of a block with this end are certain."""
         if self._ended:
             return True
-        if self._processed < round(end * SAMPLE_RATE) + self._context + 1 or self._frames < round(end / FRAME):
+        if self._processed < round(end * SAMPLE_RATE) + self._context + 1 or self._frames < round(end / silence.FRAME):
             return False
         if self._onsets.known_until <= end + _SAME:
             return False
         # The middle or end of a frame may lie one frame beyond.
-        return self.low or min(self._pauses.certain, self._quiet.certain) > end / FRAME + 1
+        return self.low or min(self._pauses.certain, self._quiet.certain) > end / silence.FRAME + 1
 
     def _cut_block(self, start: float, end: float, flag: BeatFlag) -> _CutBlock:
         ended = self._ended
         frames = Blocks(np.array([start, end]), np.zeros(1, np.int8), np.zeros(1, bool), self._config.rhythm.frames,
                         self._config.rhythm.fps).knot_times
         # Pauses are known per frame of 10 ms; a block takes those that begin within it.
-        first, last = frame_after(np.array([start, end])).tolist()
-        silent = in_pause(self._pauses.between(first, min(last, self._frames) if ended else last))
+        first, last = silence.frame_after(np.array([start, end])).tolist()
+        silent = silence.in_pause(self._pauses.between(first, min(last, self._frames) if ended else last))
         begin, stop = (min(round(edge * SAMPLE_RATE), self._processed) - self._from for edge in (start, end))
         pitch = None if self._pitch is None else self._pitch.block(
             self._sound[begin:stop], SAMPLE_RATE, self._config.rhythm.frames)
         return _CutBlock(start, end, flag, self._stretched(start, end), silent,
-                         self._quiet.at(frame_before(frames), ended), self._voice.block(end),
+                         self._quiet.at(silence.frame_before(frames), ended), self._voice.block(end),
                          np.array([time for time in self._rises if start - _SAME <= time <= end + _SAME]), pitch)
 
     def _foreseen(self, block: _CutBlock) -> _CutBlock:
         """A guess of the next block: of the same length, with the sound so far, continued by its mirror image."""
         start, end = block.end, block.end + block.duration
         share = np.arange(1, self._config.rhythm.frames + 1) / self._config.rhythm.frames
-        first, last = frame_after(np.array([start, end])).tolist()
+        first, last = silence.frame_after(np.array([start, end])).tolist()
         return _CutBlock(start, end, BeatFlag.EVEN_PSEUDO, self._stretched(start, end),
-                         in_pause(self._pauses.between(first, last)),
-                         self._quiet.at(frame_before(start + block.duration * share), False), 0.0, np.zeros(0))
+                         silence.in_pause(self._pauses.between(first, last)),
+                         self._quiet.at(silence.frame_before(start + block.duration * share), False), 0.0, np.zeros(0))
 
     def _stretched(self, start: float, end: float) -> Samples:
         first, last = (round(edge * SAMPLE_RATE) for edge in (start, end))
@@ -327,7 +315,7 @@ class BlockCutter:
         if first > self._from:
             self._sound, self._from = self._sound[first - self._from:], first
         for flags in (self._pauses, self._quiet):
-            flags.forget(int(start / FRAME) - 1)
+            flags.forget(int(start / silence.FRAME) - 1)
         if self._words is not None:
             self._words.forget(start)
 

@@ -33,33 +33,18 @@ from generator.flow_run import Circumstances, FlowConditions, FlowRunner, alone
 from generator.settings import GeneratorWidths
 from gesticulator.body.life import SIDES
 from gesticulator.bundle.features import CONTROL_WIDTH, SpeechBlock, body_columns
+from gesticulator.sampling import loop
 from gesticulator.sampling.candidates import CandidateChooser
-from gesticulator.sampling.loop import (
-    CONTIGUOUS,
-    BlockMotion,
-    Keys,
-    Request,
-    Scores,
-    Setup,
-    State,
-    at_rest,
-    choose,
-    decided,
-    features_of,
-    resting,
-    scores_of,
-    shown,
-)
 from interpreters.base import BlockFeatures
 from interpreters.planner_run import CLASSES, PHASES, PlannerRunner, UnitDecision, UnitStyleRunner
 from lexicon.movement_run import MovementLexiconRunner
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from generator.flow import FlowGenerator
     from gesticulator.bundle.bundle import Bundle
-    from gesticulator.bundle.config import Config, LexiconConfig
+    from gesticulator.bundle.config import Config
     from gesticulator.bundle.features import Sizes
     from interpreters.planner import UnitStyleInterpreter
     from interpreters.planner_run import PlannerState, UnitStyleState
@@ -85,16 +70,11 @@ def codebook_shape(config: Config) -> tuple[int, int]:
 
 def lexicon(sizes: Sizes) -> MovementLexicon:
     """The lexicon of movements: a VQ-VAE, or k-means, over the coefficients that a block adds to its past."""
-    return movement_lexicon(sizes.config.lexicon, sizes.frames, body_columns(sizes.config))
-
-
-def movement_lexicon(settings: LexiconConfig, frames: int, parts: Mapping[str, tuple[int, ...]]) -> MovementLexicon:
-    """The lexicon of movements of these settings; arguments as of `MovementLexicon`."""
     from lexicon.movement import MovementLexicon, MovementVqVae
 
-    if settings.quantizer == "vq-vae":
-        return MovementVqVae(settings, frames, parts)
-    return MovementLexicon(settings, frames, parts)
+    settings = sizes.config.lexicon
+    chosen = MovementVqVae if settings.quantizer == "vq-vae" else MovementLexicon
+    return chosen(settings, sizes.frames, body_columns(sizes.config))
 
 
 def lexicon_runner(sizes: Sizes, tensors: Tensors) -> MovementLexiconRunner:
@@ -141,9 +121,9 @@ def style_runner(sizes: Sizes, reads: bool, tensors: Tensors) -> UnitStyleRunner
 
 # ----------------------------------------------------------------------------------------------------- one block
 
-def begin(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
+def begin(bundle: Bundle, setup: loop.Setup, text: bool, keys: loop.Keys) -> loop.State:
     """The state before the first block: the body at rest, nothing planned, nothing sampled."""
-    state = at_rest(bundle, setup, text, keys)
+    state = loop.at_rest(bundle, setup, text, keys)
     sampler = FlowSampler(bundle, setup.speaker)
     style_state = None if sampler.style is None else sampler.style.start(setup.speaker)
     planner = bundle.runners["planner"].start(setup.speaker) if "planner" in bundle.parts else None
@@ -151,14 +131,15 @@ def begin(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
                    generator=FlowState(sampler, style=style_state))
 
 
-def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
+def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Request
+         ) -> tuple[loop.BlockMotion, loop.State]:
     """The next block, and the state after it."""
     speech = request.speech
-    if abs(speech.start - state.until) > CONTIGUOUS:  # an offset does not fade while nothing is seen
+    if abs(speech.start - state.until) > loop.CONTIGUOUS:  # an offset does not fade while nothing is seen
         state = replace(state, generated=state.past, offset=None)
     if speech.number == 0 and speech.start == 0.0 and state.rest and not state.rest.begins_at_rest(speech.span):
         state = begun(bundle, setup, state, speech)
-    features = features_of(bundle, request, state.generated)
+    features = loop.features_of(bundle, request, state.generated)
 
     # 1. The planner: what the hands do in this block.
     unit, planner = decide_unit(bundle, setup, state.planner, speech, features)
@@ -170,14 +151,14 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     # 2. Rest: whether they move at all.
     # A requested gesture is shown whatever the phase: only silent lexemes can be held.
     held = unit is not None and unit.holds and (request.lexeme is None or request.lexeme in bundle.silent)
-    rested = resting(bundle, setup, state, request, features, held)
+    rested = loop.resting(bundle, setup, state, request, features, held)
     rest = rested.rest
 
     # 3. The lexeme: which movement, given the phase.
-    scores, interpreter, unguided = scores_of(bundle, setup, state, features)
+    scores, interpreter, unguided = loop.scores_of(bundle, setup, state, features)
     scores = within_phase(bundle, scores, unit)
     quiet = rested.closed or (features.silent and bundle.config.silence.mask)
-    lexeme = choose(setup, request, scores, bundle.silent if quiet else None)
+    lexeme = loop.choose(setup, request, scores, bundle.silent if quiet else None)
 
     # 4. The motion: candidates from the flow generator, of which one is kept.
     keys = request.keys or state.keys
@@ -189,16 +170,16 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
         state.generated)
 
     # 5. What is shown: rest, idle motion, and the offset that joins it to what was shown before.
-    past, motion = shown(bundle, rest, block, offset)
+    past, motion = loop.shown(bundle, rest, block, offset)
     faded = state.offset is None or state.offset.over(speech.end)
-    record = decided(speech, lexeme, scores, keys, rested.probability)
+    record = loop.decided(speech, lexeme, scores, keys, rested.probability)
     after = replace(state, lexeme=lexeme, past=past, generated=past if offset is None else past - offset,
                     interpreter=interpreter, unguided=unguided, generator=generator, gate=rested.gate, unit=unit,
                     rest=rest, until=speech.end, offset=None if faded else state.offset)
-    return BlockMotion(record, lexeme, motion, code, unit), after
+    return loop.BlockMotion(record, lexeme, motion, code, unit), after
 
 
-def motion_of(bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
+def motion_of(bundle: Bundle, setup: loop.Setup, blocks: Sequence[loop.BlockMotion]) -> NDArray[np.float32]:
     """[N, K, D_m] motion of all blocks of a performance."""
     return np.stack([block.motion for block in blocks])
 
@@ -213,7 +194,7 @@ VOICE_RETURNS = 4.0
 """Added to the logit of a preparation in a pause that ends in the next block: people prepare before they speak."""
 
 
-def phrasing(speech: SpeechBlock) -> Scores:
+def phrasing(speech: SpeechBlock) -> loop.Scores:
     """[5] what is added to the planner's logits of the phases."""
     bias = np.zeros(len(PHASES))
     bias[PHASES.index("hold")] = HOLD
@@ -225,20 +206,20 @@ def phrasing(speech: SpeechBlock) -> Scores:
     return bias
 
 
-def decide_unit(bundle: Bundle, setup: Setup, planner: PlannerState | None, speech: SpeechBlock,
+def decide_unit(bundle: Bundle, setup: loop.Setup, planner: PlannerState | None, speech: SpeechBlock,
                 features: BlockFeatures) -> tuple[UnitDecision | None, PlannerState | None]:
     """The planner's decision for a block, and its state after it; None without a planner. Its noise is keyed by the
     seed and the time of the block, so that a difference elsewhere in the recording does not change it."""
     if planner is None:
         return None, None
     model: PlannerRunner = bundle.runners["planner"]
-    noise = Keys(setup.seed).plan(speech.keyed_at, sum(CLASSES))
+    noise = loop.Keys(setup.seed).plan(speech.keyed_at, sum(CLASSES))
     # Where the best lexeme is taken instead of a sample, so is the best phase.
     temperature = float(setup.temperature > 0)
     return model.step(planner, features, noise, temperature, phrasing(speech))
 
 
-def within_phase(bundle: Bundle, scores: Scores, unit: UnitDecision | None) -> Scores:
+def within_phase(bundle: Bundle, scores: loop.Scores, unit: UnitDecision | None) -> loop.Scores:
     """Scores [S] plus what each lexeme is worth in the planner's phase, with the sum of probabilities as before."""
     if unit is None:
         return scores
@@ -301,13 +282,13 @@ def first_pose(chances: Array, posture: Array, names: Sequence[str], rest: Array
     return pose.astype(np.float32)
 
 
-def _first_of(bundle: Bundle, setup: Setup, chances: Array, posture: Array) -> Floats:
+def _first_of(bundle: Bundle, setup: loop.Setup, chances: Array, posture: Array) -> Floats:
     """[D_m] `first_pose` of the speaker, within the training data."""
     names, rest = CHARACTERS[bundle.config.motion.joints].names, bundle.rest_feature(setup.speaker).astype(float)
     return np.clip(first_pose(chances, posture, names, rest), *bundle.statistics.bounds.astype(np.float32))
 
 
-def begun(bundle: Bundle, setup: Setup, state: State, speech: SpeechBlock) -> State:
+def begun(bundle: Bundle, setup: loop.Setup, state: loop.State, speech: SpeechBlock) -> loop.State:
     """The state before a first block in which somebody speaks: in a pose that the sound decides."""
     assert state.rest is not None
     frames, names = bundle.frames, CHARACTERS[bundle.config.motion.joints].names
@@ -324,7 +305,7 @@ def begun(bundle: Bundle, setup: Setup, state: State, speech: SpeechBlock) -> St
     return replace(state, past=past, generated=past, rest=rest)
 
 
-def sets_out(state: State, speech: SpeechBlock, unit: UnitDecision | None) -> bool:
+def sets_out(state: loop.State, speech: SpeechBlock, unit: UnitDecision | None) -> bool:
     """Whether what was before is forgotten: the hands set out, or one stroke has followed another for long."""
     if unit is None or state.rest is None:
         return False
@@ -332,7 +313,7 @@ def sets_out(state: State, speech: SpeechBlock, unit: UnitDecision | None) -> bo
                                              and speech.start - state.generator.set_out >= AFRESH)
 
 
-def set_out(bundle: Bundle, setup: Setup, state: State, speech: SpeechBlock) -> State:
+def set_out(bundle: Bundle, setup: loop.Setup, state: loop.State, speech: SpeechBlock) -> loop.State:
     """The state in which the block is generated as the first of a performance."""
     past, time = state.past, speech.keyed_at
     velocity = (past[-1] - past[-2]) * (len(past) / speech.durations[0])
@@ -387,7 +368,7 @@ class BlockToSample:
     features: BlockFeatures
     lexeme: int
     unit: UnitDecision | None
-    keys: Keys
+    keys: loop.Keys
     shift: Floats | None = None
     fast: bool = False
     hidden: bool = False

@@ -27,20 +27,7 @@ from generator.model_run import GeneratorRunner
 from generator.settings import GeneratorWidths
 from gesticulator.bundle.features import CONTROL_WIDTH
 from gesticulator.bundle.models import interpreter_sizes
-from gesticulator.sampling.loop import (
-    BlockMotion,
-    Keys,
-    Request,
-    Setup,
-    State,
-    at_rest,
-    choose,
-    decided,
-    features_of,
-    resting,
-    scores_of,
-    shown,
-)
+from gesticulator.sampling import loop
 from interpreters.base import BlockFeatures
 from interpreters.style_run import StyleRunner
 from lexicon.autoencoder_run import LexiconRunner
@@ -149,9 +136,9 @@ class GeneratorState(NamedTuple):
     style: Any
 
 
-def begin(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
+def begin(bundle: Bundle, setup: loop.Setup, text: bool, keys: loop.Keys) -> loop.State:
     """The state before the first block: the resting pose and the silent lexeme nearest to it (a_0 and s_0)."""
-    state = at_rest(bundle, setup, text, keys)
+    state = loop.at_rest(bundle, setup, text, keys)
     rest = bundle.rest_feature(setup.speaker)
     decoder = bundle.runners["generator"].start(rest, bundle.vectors[state.lexeme])
     interpreter = style_interpreter(bundle, text)
@@ -159,17 +146,18 @@ def begin(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
     return replace(state, generator=GeneratorState(decoder, decoder, style_state))
 
 
-def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
+def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Request
+         ) -> tuple[loop.BlockMotion, loop.State]:
     """The next block, and the state after it (RG Eq. 15)."""
     settings, speech = bundle.config.silence, request.speech
-    features = features_of(bundle, request, state.past)
+    features = loop.features_of(bundle, request, state.past)
 
     # The lexeme s_i from speech, speaker and the lexemes before (Eq. 16 to 18).
-    rested = resting(bundle, setup, state, request, features)  # addition
-    scores, interpreter, unguided = scores_of(bundle, setup, state, features)
+    rested = loop.resting(bundle, setup, state, request, features)  # addition
+    scores, interpreter, unguided = loop.scores_of(bundle, setup, state, features)
     # In silence only silent lexemes may follow (6.4.1).
     quiet = rested.closed or (features.silent and settings.mask)
-    lexeme = choose(setup, request, scores, bundle.silent if quiet else None)
+    lexeme = loop.choose(setup, request, scores, bundle.silent if quiet else None)
 
     # The style code z_i (Eq. 19) and the motion of the block (Eq. 15).
     features = as_silence(bundle, features) if rested.closed and rested.rest is None else features
@@ -180,14 +168,14 @@ def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[
     in_a_row = state.quiet + 1 if quiet else 0
     if rested.rest is None and in_a_row > BLOCKS_BEFORE_REST and settings.rest_decay > 0:
         block = approach_rest(state.past[-1], block, settings.rest_decay)
-    past, motion = shown(bundle, rested.rest, block)
+    past, motion = loop.shown(bundle, rested.rest, block)
 
-    record = decided(speech, lexeme, scores, request.keys or state.keys,
-                     rested.probability)
+    record = loop.decided(speech, lexeme, scores, request.keys or state.keys,
+                          rested.probability)
     after = replace(state, lexeme=lexeme, past=past, generated=past, interpreter=interpreter, unguided=unguided,
                     generator=generator._replace(style=style_state), gate=rested.gate, rest=rested.rest,
                     quiet=in_a_row, until=speech.end)
-    return BlockMotion(record, lexeme, motion, code), after
+    return loop.BlockMotion(record, lexeme, motion, code), after
 
 
 def style_interpreter(bundle: Bundle, text: bool) -> StyleRunner | None:
@@ -196,7 +184,7 @@ def style_interpreter(bundle: Bundle, text: bool) -> StyleRunner | None:
     return bundle.runners.get(part)
 
 
-def style_code(bundle: Bundle, state: State, features: BlockFeatures, lexeme: int) -> tuple[Floats, Any]:
+def style_code(bundle: Bundle, state: loop.State, features: BlockFeatures, lexeme: int) -> tuple[Floats, Any]:
     """z_i [d_z] of a block (Eq. 19), and the state after it; zeros without a style interpreter."""
     interpreter = style_interpreter(bundle, state.text)
     if interpreter is None:
@@ -204,7 +192,7 @@ def style_code(bundle: Bundle, state: State, features: BlockFeatures, lexeme: in
     return interpreter.step(state.generator.style, features, lexeme)
 
 
-def generate(bundle: Bundle, state: State, features: BlockFeatures, lexeme: int, code: Floats
+def generate(bundle: Bundle, state: loop.State, features: BlockFeatures, lexeme: int, code: Floats
              ) -> tuple[Floats, GeneratorState]:
     """M_i [K, D_m] = G(M_{i-1}, A_i, s_i, z_i) (Eq. 15), and the decoder's state."""
     model, before = bundle.runners["generator"], state.generator
@@ -231,6 +219,6 @@ def approach_rest(last: Floats, block: Floats, share: float) -> Floats:
     return last + share * steps * (block.mean(0) - last)
 
 
-def motion_of(bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
+def motion_of(bundle: Bundle, setup: loop.Setup, blocks: Sequence[loop.BlockMotion]) -> NDArray[np.float32]:
     """[N, K, D_m] motion of all blocks of a performance."""
     return np.stack([block.motion for block in blocks])

@@ -21,17 +21,7 @@ from numpy.typing import NDArray
 
 from data_module.errors import InputError
 from data_module.layers_run import Tensors
-from gesticulator.sampling.loop import (
-    BlockMotion,
-    Keys,
-    Request,
-    Setup,
-    State,
-    choose,
-    decided,
-    features_of,
-    scores_of,
-)
+from gesticulator.sampling import loop
 from lexicon.racer_run import CodecRunner
 
 if TYPE_CHECKING:
@@ -99,26 +89,27 @@ def style_runner(sizes: Sizes, reads: bool, tensors: Tensors) -> NoReturn:
 
 # ---------------------------------------------------------------------------------------------- one code, RACER 4.3
 
-def begin(bundle: Bundle, setup: Setup, text: bool, keys: Keys) -> State:
+def begin(bundle: Bundle, setup: loop.Setup, text: bool, keys: loop.Keys) -> loop.State:
     """The state before the first code, a_0: the code nearest to standing still in the resting pose."""
     code = bundle.rest_lexeme(setup.speaker)
     interpreter = setup.interpreter.start(setup.speaker, code)
     past = np.repeat(bundle.rest_feature(setup.speaker)[None], bundle.frames, axis=0)
-    return State(keys, text, code, past, past, interpreter, interpreter)
+    return loop.State(keys, text, code, past, past, interpreter, interpreter)
 
 
-def step(bundle: Bundle, setup: Setup, state: State, request: Request) -> tuple[BlockMotion, State]:
+def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Request
+         ) -> tuple[loop.BlockMotion, loop.State]:
     """The next code, without motion, and the state after it; activity 0 holds the resting code."""
-    scores, interpreter, unguided = scores_of(bundle, setup, state, features_of(bundle, request))
-    code = choose(setup, request, scores)
+    scores, interpreter, unguided = loop.scores_of(bundle, setup, state, loop.features_of(bundle, request))
+    code = loop.choose(setup, request, scores)
     if setup.activity == 0:
         code = bundle.rest_lexeme(setup.speaker)
-    record = decided(request.speech, code, scores, state.keys)
+    record = loop.decided(request.speech, code, scores, state.keys)
     after = replace(state, lexeme=code, interpreter=interpreter, unguided=unguided, until=request.speech.end)
-    return BlockMotion(record, code, np.empty((0, 0), np.float32), np.empty(0, np.float32)), after
+    return loop.BlockMotion(record, code, np.empty((0, 0), np.float32), np.empty(0, np.float32)), after
 
 
-def motion_of(bundle: Bundle, setup: Setup, blocks: Sequence[BlockMotion]) -> NDArray[np.float32]:
+def motion_of(bundle: Bundle, setup: loop.Setup, blocks: Sequence[loop.BlockMotion]) -> NDArray[np.float32]:
     """[N, K, D_m] all codes decoded together, after a resting code, so that the motion begins at rest (RACER 5.2)."""
     codes = [bundle.rest_lexeme(setup.speaker), *(block.lexeme for block in blocks)]
     codec: CodecRunner = bundle.runners["lexicon"]
