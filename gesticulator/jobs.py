@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError, printable
+from data_module.files import file_hash
 from data_module.settings import field_docs, whole_number
 from gesticulator.cli import PROGRAM, __version__
 from gesticulator.export.writers import WRITERS, check_output, suffix_of
@@ -118,12 +119,6 @@ def _content(value: Any) -> object:
 def _cached_hash(path: Path) -> str:
     """A character of many megabytes is read once for all recordings."""
     return file_hash(path)
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def jobs_for(names: Sequence[str], outputs: Mapping[str, str], text: str | None = None) -> list[Job]:

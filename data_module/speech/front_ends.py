@@ -135,8 +135,6 @@ class MelFrontEnd:
 def scaled_windows(windows: Samples, reference: Array | None, length: int, batch: int
                    ) -> Iterator[tuple[slice, Samples]]:
     """Windows [N, length] in parts of `batch`, brought from their reference level [N] to the typical one."""
-    if windows.ndim != 2 or windows.shape[1] != length:
-        raise ValueError(f"windows {windows.shape} are not [N, {length}]")
     gain = np.zeros(len(windows)) if reference is None else np.asarray(reference) - TYPICAL_LEVEL
     for start in range(0, len(windows), batch):
         part = slice(start, start + batch)
