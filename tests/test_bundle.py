@@ -256,7 +256,7 @@ def test_only_what_is_asked_for_is_opened(whole: Path, tmp_path: Path) -> None:
 
 
 def test_who_judges_a_policy_is_not_shipped_with_it(tmp_path: Path) -> None:
-    judge = models.reward(Sizes(untrained().config, 48, 9, 9, False, 2, 0, torch.ones(48)))
+    judge = models.reward(Sizes(untrained().config, 48, 9, 9, False, 2, 0, torch.ones(48)), untrained().config.reward)
     made = untrained().with_parts(reward=judge, reward_judge=judge)
     assert made.reward is judge
     bundles.save(made, tmp_path / "b", "a card")

@@ -23,9 +23,8 @@ from dataclasses import replace
 import numpy as np
 
 from data_module.controls import FEATURES, LEVELS, per_frame
-from data_module.errors import InputError
+from data_module.errors import InputError, install_line
 from data_module.motion.phases import gesture_units, runs
-from data_module.registry import install_line
 from data_module.types import Array, Speech
 from eval import stats
 from eval.acceptance.bounds import Measured, Results

@@ -46,10 +46,10 @@ class Normaliser:
     spread: Array
 
     @classmethod
-    def fit(cls, values: NDArray[np.floating], mask: NDArray[np.bool_] | None = None) -> Normaliser:
-        """From values [..., D]; `mask` [...] selects rows."""
+    def fit(cls, values: NDArray[np.floating]) -> Normaliser:
+        """From values [..., D]."""
         # Double precision: sums of millions of rows lose digits in single.
-        rows = values[mask] if mask is not None else values.reshape(-1, values.shape[-1])
+        rows = values.reshape(-1, values.shape[-1])
         if len(rows) == 0:
             raise ValueError("a normaliser needs a row at least")
         mean = rows.mean(axis=0, dtype=np.float64)

@@ -87,17 +87,9 @@ def system_of(config: Config) -> System:
     return cast(System, SYSTEMS.load(config.system))
 
 
-def reward(sizes: Sizes) -> RewardEnsemble:
-    """The ensemble of E_m and E_u that trains a policy (RACER 4.2)."""
-    return _reward(sizes, sizes.config.reward)
-
-
-def reward_judge(sizes: Sizes) -> RewardEnsemble:
-    """An ensemble of other sizes that evaluates a policy."""
-    return _reward(sizes, sizes.config.judge)
-
-
-def _reward(sizes: Sizes, config: RewardConfig) -> RewardEnsemble:
+def reward(sizes: Sizes, config: RewardConfig) -> RewardEnsemble:
+    """An ensemble of E_m and E_u (RACER 4.2): the one that trains a policy (settings "reward"), or one of other sizes
+    that evaluates it ("judge")."""
     from interpreters.reward import RewardEnsemble
 
     # The term compares lexemes that follow one another.

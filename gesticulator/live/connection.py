@@ -31,10 +31,8 @@ if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
 
     from data_module.types import Samples
-    from gesticulator.live.limits import ServerLimits
-    from gesticulator.live.metrics import ServerMetrics
+    from gesticulator.live.server import LiveServer
     from gesticulator.live.session import Session, Work
-    from gesticulator.live.vmc import VmcOutput
 
 T = TypeVar("T")
 
@@ -97,27 +95,12 @@ class ComputeThread:
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 
-@dataclass(frozen=True)
-class Workplace:
-    """Resources shared by connections.
-
-    open_session: creates a session for a request, in the compute thread. admit: gives a connection a place;
-    `RefusedError` if there is none or the token is wrong. output: also receives the motion, beside the WebSocket.
-    """
-
-    limits: ServerLimits
-    metrics: ServerMetrics
-    compute: ComputeThread
-    open_session: Callable[[str, StreamRequest], Session]
-    admit: Callable[[Connection, StreamRequest], None]
-    output: VmcOutput | None = None
-
-
 class Connection:
     """A client's stream from its hello to its end."""
 
-    def __init__(self, socket: ServerConnection, name: str, workplace: Workplace) -> None:
-        self.socket, self.name, self.place = socket, name, workplace
+    def __init__(self, socket: ServerConnection, name: str, server: LiveServer) -> None:
+        """server: has the limits, metrics and compute thread that all connections share."""
+        self.socket, self.name, self.server = socket, name, server
         self.reason = "closed by the client"
         self.code: int = CloseCode.NORMAL
         self.frames = 0
@@ -146,9 +129,9 @@ class Connection:
         """Serve the client; never raises, whatever the client sends."""
         try:
             request = await self._hello()
-            self.place.admit(self, request)
+            self.server.admit(self, request)
             # Opening a stream computes too, so it takes its turn in the compute thread.
-            session = await self.place.compute.run(lambda: self.place.open_session(self.name, request))
+            session = await self.server.compute.run(lambda: self.server.open_session(self.name, request))
             await self.socket.send(json.dumps(session.welcome()))
             await self._serve(request, session)
         except RefusedError as refused:
@@ -161,8 +144,8 @@ class Connection:
         except Exception as error:  # noqa: BLE001 - one stream's failure must end that stream alone
             await self.refuse(RefusedError(CloseCode.FAILED, f"the stream failed ({type(error).__name__}: {error})"))
         finally:
-            if self.place.output is not None:
-                self.place.output.leave(self.name)
+            if self.server.output is not None:
+                self.server.output.leave(self.name)
             self._waiting.clear()
             self._unread.clear()
 
@@ -174,7 +157,7 @@ class Connection:
 
     async def _hello(self) -> StreamRequest:
         try:
-            async with asyncio.timeout(self.place.limits.hello_seconds):
+            async with asyncio.timeout(self.server.limits.hello_seconds):
                 message = await self.socket.recv()
         except TimeoutError:
             raise RefusedError(CloseCode.TOO_QUIET, "no hello came") from None
@@ -202,7 +185,7 @@ class Connection:
 
     async def _read(self, request: StreamRequest) -> None:
         """Take messages until the client finishes; `RefusedError` for too much, too little or invalid data."""
-        limits, other_voice = self.place.limits, False
+        limits, other_voice = self.server.limits, False
         while True:
             try:
                 async with asyncio.timeout(limits.quiet_seconds):
@@ -216,7 +199,7 @@ class Connection:
                 continue
             # Checking a long message takes longer than a block, and the loop serves everybody.
             command = read_message(message) if len(message) < _SHORT else \
-                await self.place.compute.run(partial(read_message, message))
+                await self.server.compute.run(partial(read_message, message))
             if command["type"] == "hello":
                 raise RefusedError(CloseCode.BAD_MESSAGE, "a second hello came")
             other_voice = command["type"] == "listen" or (other_voice and command["type"] != "speak")
@@ -230,7 +213,7 @@ class Connection:
                 return
 
     async def _wait_with(self, item: _Sound | _Command, seconds: float) -> None:
-        limits = self.place.limits
+        limits = self.server.limits
         self.seconds += seconds
         if self.seconds > limits.stream_seconds:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"a stream takes {limits.stream_seconds:g} s of sound")
@@ -240,7 +223,7 @@ class Connection:
         if waiting > limits.waiting_seconds or len(self._waiting) >= _MOST_WAITING:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {limits.waiting_seconds:g} s of sound and waits, "
                                f"or {_MOST_WAITING} messages, wait to be worked on")
-        self.place.metrics.sound_seconds.inc(seconds)
+        self.server.metrics.sound_seconds.inc(seconds)
         self._pace.arrived(seconds)
         async with self._changed:
             if seconds or isinstance(item, _Command):
@@ -256,13 +239,9 @@ class Connection:
         self._pace.forget()
         async with self._changed:
             # Commands and the other speaker's voice stay: they do not belong to the interrupted answer.
-            remaining: deque[_Sound | _Command] = deque()
-            for item in self._waiting:
-                if isinstance(item, _Sound) and not item.other_voice:
-                    self.waiting_seconds -= len(item.samples) / request.sample_rate
-                else:
-                    remaining.append(item)
-            self._waiting = remaining
+            self._waiting = deque(item for item in self._waiting if isinstance(item, _Command) or item.other_voice)
+            left = sum(len(item.samples) for item in self._waiting if isinstance(item, _Sound))
+            self.waiting_seconds = left / request.sample_rate
 
     async def _work(self, session: Session) -> None:
         """Turn queued messages into poses, turn by turn, until the stream is finished."""
@@ -273,7 +252,7 @@ class Connection:
             if isinstance(item, _Sound):
                 await self._compute(session, session.feed(item.samples, item.other_voice, item.effort))
                 now = time.monotonic()
-                self.place.metrics.answer_seconds.observe(now - item.arrived)
+                self.server.metrics.answer_seconds.observe(now - item.arrived)
                 if item.effort != Effort.NONE:
                     self._pace.worked(len(item.samples) / session.request.sample_rate, now - begin)
             elif item is None:
@@ -304,8 +283,8 @@ class Connection:
         pauses while the client does not read."""
         done = False
         while not done and not (waits and session.until >= self._cut_at):
-            answer, done, elapsed = await self.place.compute.run(lambda: _turn(work))
-            self.place.metrics.compute_seconds.observe(elapsed)
+            answer, done, elapsed = await self.server.compute.run(lambda: _turn(work))
+            self.server.metrics.compute_seconds.observe(elapsed)
             await self._put(answer)
             if not done:
                 async with self._changed:
@@ -374,19 +353,16 @@ class Connection:
         # By the clock of the server: idle motion without an end must not run ahead of the client that watches it.
         left = self._idling + IDLE_SECONDS - time.monotonic()
         if left > 0:
-            try:
+            with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(left):
                     await self._changed.wait()
-            except TimeoutError:
-                pass
-            else:
                 return True
         self._idling += IDLE_SECONDS
         return False
 
     async def _room(self) -> None:
         """Wait until few enough poses are unread; `RefusedError` after a timeout. Called with the lock held."""
-        limits = self.place.limits
+        limits = self.server.limits
         try:
             async with asyncio.timeout(limits.unread_seconds):
                 await self._changed.wait_for(lambda: self.unread_bytes < limits.unread_bytes)
@@ -398,9 +374,9 @@ class Connection:
         """Queue an answer for the client, and pass its motion to the other output."""
         for frames in answer.frames:
             self.frames += len(frames)
-            self.place.metrics.frames.inc(len(frames))
-            if self.place.output is not None:
-                self.place.output.take(self.name, frames)
+            self.server.metrics.frames.inc(len(frames))
+            if self.server.output is not None:
+                self.server.output.take(self.name, frames)
         async with self._changed:
             self._unread.extend(answer.messages)
             self.unread_bytes += sum(map(len, answer.messages))
@@ -420,7 +396,7 @@ class Connection:
                 self._unread.popleft()
                 self.unread_bytes -= len(message)
                 self._changed.notify_all()
-            self.place.metrics.sent_bytes.inc(len(message))
+            self.server.metrics.sent_bytes.inc(len(message))
 
     async def refuse(self, refused: RefusedError) -> None:
         """Send the client the reason, if it is still connected, and close."""

@@ -24,7 +24,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from data_module.errors import InputError
-from gesticulator.live.connection import CLOSE_SECONDS, ComputeThread, Connection, Workplace
+from gesticulator.live.connection import CLOSE_SECONDS, ComputeThread, Connection
 from gesticulator.live.limits import ServerLimits
 from gesticulator.live.metrics import ServerMetrics
 from gesticulator.live.protocol import CloseCode, RefusedError, StreamRequest, published
@@ -129,8 +129,8 @@ def live_pages() -> dict[str, bytes]:
 class LiveServer:
     """Serves streams until stopped.
 
-    open_session: creates a session for a stream's name and request; output: also receives the motion; pages: URL path
-    -> file.
+    open_session: creates a session for a stream's name and request, in the compute thread; output: also receives the
+    motion, beside the WebSocket; pages: URL path -> file.
     """
 
     address: ServerAddress
@@ -186,7 +186,7 @@ class LiveServer:
     # ------------------------------------------------------------ streams
 
     def admit(self, connection: Connection, request: StreamRequest) -> None:
-        """Give a connection a place; see `Workplace`."""
+        """Give a connection a place; `RefusedError` if there is none or the token is wrong."""
         # The token comes first: a stranger learns nothing about how full the server is.
         if not self.address.accepts(request.token):
             raise RefusedError(CloseCode.BAD_TOKEN, "the token is missing or wrong")
@@ -202,8 +202,7 @@ class LiveServer:
         return len(self.connections) >= self.limits.streams
 
     async def _serve_one(self, ws: ServerConnection) -> None:
-        place = Workplace(self.limits, self.metrics, self.compute, self.open_session, self.admit, self.output)
-        connection = Connection(ws, str(next(self._numbers)), place)
+        connection = Connection(ws, str(next(self._numbers)), self)
         try:
             await connection.run()
         finally:
@@ -262,19 +261,16 @@ class LiveServer:
         # RFC 6750: Authorization: Bearer TOKEN.
         kind, _, token = request.headers.get("Authorization", "").partition(" ")
         if self.address.token and not (kind.lower() == "bearer" and self.address.accepts(token.strip())):
-            refused = _response(HTTPStatus.UNAUTHORIZED, b"send Authorization: Bearer TOKEN\n")
-            refused.headers["WWW-Authenticate"] = "Bearer"
-            return refused
+            return _response(HTTPStatus.UNAUTHORIZED, b"send Authorization: Bearer TOKEN\n",
+                             more={"WWW-Authenticate": "Bearer"})
         return _response(HTTPStatus.OK, generate_latest(self.metrics.registry), CONTENT_TYPE_LATEST)
 
     def _readiness(self) -> Response:
         """Whether another stream would be admitted."""
         text = f"{len(self.connections)} of {self.limits.streams} streams\n"
         if self.draining or self.full:
-            refused = _response(HTTPStatus.SERVICE_UNAVAILABLE, f"{'stopping' if self.draining else 'full'}: "
-                                f"{text}".encode())
-            refused.headers["Retry-After"] = str(math.ceil(RETRY_SECONDS))
-            return refused
+            return _response(HTTPStatus.SERVICE_UNAVAILABLE, f"{'stopping' if self.draining else 'full'}: "
+                             f"{text}".encode(), more={"Retry-After": str(math.ceil(RETRY_SECONDS))})
         return _response(HTTPStatus.OK, f"ok: {text}".encode())
 
 
@@ -283,9 +279,9 @@ def _subprotocol(ws: ServerConnection, offered: Any) -> Any:
     return published()["subprotocol"] if published()["subprotocol"] in offered else None
 
 
-def _response(status: HTTPStatus, body: bytes, kind: str = _TEXT) -> Response:
+def _response(status: HTTPStatus, body: bytes, kind: str = _TEXT, more: Mapping[str, str] | None = None) -> Response:
     headers = Headers({"Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close",
-                       "Cache-Control": "no-store", "X-Content-Type-Options": "nosniff"})
+                       "Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", **(more or {})})
     return Response(status.value, status.phrase, headers, body)
 
 

@@ -16,7 +16,7 @@ from torch.nn import functional
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
 from gesticulator.training import fit as fitting
-from gesticulator.training.stages.base import Figures, Node, Run, Stage
+from gesticulator.training.stages.base import Figures, Node, Run, Stage, checked
 from gesticulator.training.stages.corpus import Corpus
 from gesticulator.training.stages.interpreter import INTERPRETER, teacher_logits
 from gesticulator.training.stages.lexicon import LABELS, TOKENS, model_sizes
@@ -169,8 +169,8 @@ COUNTERFACTUALS: Node[CounterfactualRewards] = Node(
 """The rewards of all lexemes on the training split."""
 
 
-def critic_batch(corpus: Corpus, data: CounterfactualRewards, windows: dict[str, Tensor], unit: float,
-                 trained_on: NDArray[np.float32]) -> dict[str, Tensor]:
+def critic_batch(corpus: Corpus, windows: dict[str, Tensor], unit: float, trained_on: NDArray[np.float32]
+                 ) -> dict[str, Tensor]:
     """Windows with the critics' inputs and rewards in units. trained_on: [E, J] 1 where critic j
     learns from episode e."""
     scaled = {key: windows[key] / unit for key in ("every", "gained", "return")}
@@ -190,17 +190,16 @@ def _task(run: Run, model: Critics) -> fitting.Task:
     held = counterfactual(literal.episodes, run.get(TAUGHT_REWARD), run.get(INTERPRETER), corpus,
                           CriticConfig(states=min(_CHECKED, config.states), swaps=config.swaps), 1)
     everything = np.ones((len(held.lengths), CRITICS), np.float32)
-    checks = [critic_batch(corpus, held, held.windows(fitting.generator_for(4, i), _WINDOWS, config.decisions), unit,
+    checks = [critic_batch(corpus, held.windows(fitting.generator_for(4, i), _WINDOWS, config.decisions), unit,
                            everything) for i in range(_CHECKS)]
     model.scale_to(unit, torch.as_tensor(data.gained) / unit, torch.as_tensor(data.total) / unit)
 
-    @torch.no_grad()
-    def validate() -> Figures:
-        rows = [model.losses(fitting.moved(b, run.device)) for b in checks]
+    def validate(batches: list[fitting.Batch]) -> Figures:
+        rows = [model.losses(batch) for batch in batches]
         return {key: float(torch.stack([row[key] for row in rows]).mean()) for key in rows[0]}
 
-    return fitting.Task(lambda rng, size: critic_batch(corpus, data, data.windows(rng, size, config.decisions), unit,
-                                                       trained_on), validate=validate)
+    return fitting.Task(lambda rng, size: critic_batch(corpus, data.windows(rng, size, config.decisions), unit,
+                                                       trained_on), validate=checked(run, checks, validate))
 
 
 ADVANTAGE: Stage[Critics] = Stage(

@@ -172,6 +172,16 @@ class Run:
         return figures if task.finish is None else task.finish()
 
 
+def checked(run: Run, batches: list[fitting.Batch], figures: Callable[[list[fitting.Batch]], Figures]
+            ) -> Callable[[], Figures]:
+    """A validation that gives the figures of these batches, on the run's device and without gradients."""
+    @torch.no_grad()
+    def validate() -> Figures:
+        return figures([fitting.moved(batch, run.device) for batch in batches])
+
+    return validate
+
+
 WEIGHTS, FIGURES = "weights.safetensors", "figures.json"
 """Files of a finished stage; the figures are written last and mark it complete."""
 

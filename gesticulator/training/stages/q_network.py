@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -17,7 +18,7 @@ from gesticulator.bundle.features import Features
 from gesticulator.bundle.models import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.presets import LITERAL
-from gesticulator.training.stages.base import Figures, Node, Run, Stage
+from gesticulator.training.stages.base import Node, Run, Stage, checked
 from gesticulator.training.stages.corpus import Corpus, sizes
 from gesticulator.training.stages.interpreter import INTERPRETER
 from gesticulator.training.stages.lexicon import LABELS, TOKENS, model_sizes
@@ -109,12 +110,8 @@ def _task(run: Run, learner: ConservativeQ, episodes: Episodes, reward: Reward) 
     checks = [q_batch(corpus, held.windows(fitting.generator_for(3, i), _WINDOWS, config.decisions))
               for i in range(_CHECKS)]
 
-    @torch.no_grad()
-    def validate() -> Figures:
-        return q_figures(learner, [fitting.moved(b, run.device) for b in checks])
-
     return fitting.Task(lambda rng, size: q_batch(corpus, episodes.windows(rng, size, config.decisions)),
-                        validate=validate, before_step=learner.before_step)
+                        validate=checked(run, checks, partial(q_figures, learner)), before_step=learner.before_step)
 
 
 @torch.no_grad()

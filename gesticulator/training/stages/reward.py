@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,9 +15,8 @@ from data_module.errors import InputError
 from data_module.motion.movement import Pasts
 from gesticulator.bundle import models
 from gesticulator.bundle.config import RewardConfig
-from gesticulator.bundle.features import Sizes
 from gesticulator.training import fit as fitting
-from gesticulator.training.stages.base import Figures, Node, Run, Stage
+from gesticulator.training.stages.base import Figures, Node, Run, Stage, checked
 from gesticulator.training.stages.corpus import Corpus
 from gesticulator.training.stages.lexicon import LABELS, TOKENS, Tokens, decoded_blocks, model_sizes, token_labels
 from gesticulator.training.stages.speech import CORPUS
@@ -253,23 +252,22 @@ def _task(run: Run, model: RewardEnsemble, fold: int) -> fitting.Task:
     windows, check = of(half), of(held or half)
     checks = [check.sample(fitting.generator_for(2, i), _WINDOWS, 1.0) for i in range(_CHECKS)]
 
-    @torch.no_grad()
-    def validate() -> Figures:
-        figures = [model.figures(fitting.moved(b, run.device)) for b in checks]
+    def validate(batches: list[fitting.Batch]) -> Figures:
+        figures = [model.figures(batch) for batch in batches]
         return {key: float(np.mean([f[key] for f in figures])) for key in figures[0]}
 
-    return fitting.Task(windows.sample, validate=validate, before_step=model.before_step)
+    return fitting.Task(windows.sample, validate=checked(run, checks, validate), before_step=model.before_step)
 
 
-def _reward_stage(name: str, settings: str, fold: int, build: Callable[[Sizes], RewardEnsemble]
-                  ) -> Stage[RewardEnsemble]:
+def _reward_stage(name: str, settings: str, fold: int) -> Stage[RewardEnsemble]:
     return Stage(name, settings=(settings, "silence.hint"), needs=lambda config: (CORPUS, TOKENS, LABELS),
                  schedule="reward", wanted=lambda config: config.schedules.cql.steps > 0,
-                 build=lambda run: build(model_sizes(run)), train=lambda run, model: _task(run, model, fold))
+                 build=lambda run: models.reward(model_sizes(run), getattr(run.config, settings)),
+                 train=lambda run, model: _task(run, model, fold))
 
 
-REWARD = _reward_stage("reward", "reward", 0, models.reward)
-REWARD_JUDGE = _reward_stage("reward_judge", "judge", 1, models.reward_judge)
+REWARD = _reward_stage("reward", "reward", 0)
+REWARD_JUDGE = _reward_stage("reward_judge", "judge", 1)
 """A second model with another seed, trained on the other half of the recordings, so that policies are not evaluated by
 the model they were trained with."""
 

@@ -20,7 +20,7 @@ from data_module.speech.speech_encoder import PredictiveCoding, SpeechEncoder, T
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
 from gesticulator.training import fit as fitting
-from gesticulator.training.stages.base import Figures, Node, Run, Stage
+from gesticulator.training.stages.base import Figures, Node, Run, Stage, checked
 from gesticulator.training.stages.corpus import BLOCKS, Corpus, prepare, sizes
 
 Crops: TypeAlias = "Callable[[np.random.Generator, int], NDArray[np.float32]]"
@@ -59,16 +59,15 @@ def _predictive_task(run: Run, model: PredictiveCoding) -> fitting.Task:
     length = 3 * config.rhythm.frames * samples_per_frame(SAMPLE_RATE, config.rhythm.fps)
     crops, check = (crops_of((resample(store.load(name).speech, SAMPLE_RATE).samples for name in names), length)
                     for names in (known, held or known[:1]))
-    checks = [torch.as_tensor(check(fitting.generator_for(0, i), _CROPS)) for i in range(_CHECKS)]
+    checks = [{"samples": torch.as_tensor(check(fitting.generator_for(0, i), _CROPS))} for i in range(_CHECKS)]
 
-    @torch.no_grad()
-    def validate() -> Figures:
+    def validate(batches: list[fitting.Batch]) -> Figures:
         # The same random numbers in each validation, so that figures are comparable.
         torch.manual_seed(0)
-        return {"predictive": sum(float(model.losses({"samples": b.to(run.device)})["predictive"])
-                                  for b in checks) / len(checks)}
+        return {"predictive": sum(float(model.losses(b)["predictive"]) for b in batches) / len(batches)}
 
-    return fitting.Task(lambda rng, size: {"samples": torch.as_tensor(crops(rng, size))}, validate=validate)
+    return fitting.Task(lambda rng, size: {"samples": torch.as_tensor(crops(rng, size))},
+                        validate=checked(run, checks, validate))
 
 
 SPEECH: Stage[PredictiveCoding] = Stage(
@@ -118,14 +117,12 @@ def _contrast_task(run: Run, model: TextContrast) -> fitting.Task:
     held = _contrast_batches(corpus, corpus.recordings("val", with_text=True) or known[:1], frames)
     checks = [held(fitting.generator_for(1, i), size) for i in range(_CHECKS)]
 
-    @torch.no_grad()
-    def validate() -> Figures:
-        on = [fitting.moved(b, run.device) for b in checks]
-        retrieval = torch.stack([model.retrieval(b) for b in on]).nanmean(0)
-        return {"contrast": sum(float(model.losses(b)["contrast"]) for b in on) / len(on),
+    def validate(batches: list[fitting.Batch]) -> Figures:
+        retrieval = torch.stack([model.retrieval(batch) for batch in batches]).nanmean(0)
+        return {"contrast": sum(float(model.losses(b)["contrast"]) for b in batches) / len(batches),
                 **{f"retrieval_{level + 1}": float(value) for level, value in enumerate(retrieval)}}
 
-    return fitting.Task(_contrast_batches(corpus, known, frames), validate=validate)
+    return fitting.Task(_contrast_batches(corpus, known, frames), validate=checked(run, checks, validate))
 
 
 def _contrasted(config: Config) -> bool:

@@ -16,7 +16,7 @@ from gesticulator.bundle.config import ControlConfig
 from gesticulator.bundle.features import control_rows
 from gesticulator.training import fit as fitting
 from gesticulator.training.fit import Batch
-from gesticulator.training.stages.base import Figures, Run
+from gesticulator.training.stages.base import Figures, Run, checked
 from gesticulator.training.stages.corpus import Corpus
 from gesticulator.training.stages.measured import settled
 
@@ -191,10 +191,5 @@ def task_of(run: Run, windows: Windows, checks: list[Batch], validate: Callable[
     def complete(batch: Batch) -> Batch:
         return {**batch, **{name: table[batch["block"]] for name, table in (more or {}).items()}}
 
-    completed = [complete(batch) for batch in checks]
-
-    @torch.no_grad()
-    def validated() -> Figures:
-        return validate([fitting.moved(batch, run.device) for batch in completed])
-
+    validated = checked(run, [complete(batch) for batch in checks], validate)
     return fitting.Task(lambda rng, size: complete(windows.sample(rng, size)), losses, validated, watch=watch)
