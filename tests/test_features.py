@@ -132,7 +132,7 @@ def test_every_front_end_keeps_the_contract(kind: str) -> None:
     silence = front.encode(np.zeros((1, 24000), np.float32))
     assert np.isfinite(silence.low).all() and np.isfinite(silence.high).all()
     assert front.encode(windows[:0]).low.shape == (0, 30, front.width)
-    with pytest.raises(ValueError, match="windows"):
+    with pytest.raises(ValueError):
         front.encode(windows[:, :-1])
 
 

