@@ -10,15 +10,16 @@ import reprlib
 import sys
 from collections.abc import Iterator
 
-__all__ = ["InputError", "complain", "one_line_errors"]
+__all__ = ["PROJECT", "InputError", "complain", "install_line", "one_line_errors"]
+
+PROJECT = "gesticulator"
+"""The distribution, and the first part of every group of its entry points."""
 
 LONGEST_REASON = 500
 """Longest description of an error, characters: some four lines of a terminal."""
 EXIT_BAD_INPUT = 2
-EXIT_PIPE = 141
-"""Exit code of a program ended by SIGPIPE (13): 128 + 13."""
-EXIT_STOPPED = 130
-"""Exit code of a program ended by SIGINT (2): 128 + 2."""
+EXIT_PIPE, EXIT_STOPPED = 128 + 13, 128 + 2
+"""Exit codes of a program ended by SIGPIPE (13) and by SIGINT (2)."""
 # Extra of each package that is imported without a check before (`registry.Requirement`).
 EXTRAS = {"torch": "train", "librosa": "train", "sklearn": "train", "matplotlib": "figures", "PIL": "video"}
 # Control characters, which can clear a terminal or change its title, and those that hide text or change its direction.
@@ -53,6 +54,20 @@ def shown(value: object, width: int = 40) -> str:
     return printable(text[:width])[:width]
 
 
+def install_line(extra: str) -> str:
+    """The command that installs an extra from where this distribution came from, as pip noted it (PEP 610): a folder,
+    a wheel or a repository; without a note from the package index. With "-e" where pip had it."""
+    import json  # these two for this line alone: they would delay each command
+    from importlib import metadata
+
+    with contextlib.suppress(metadata.PackageNotFoundError):
+        if note := metadata.distribution(PROJECT).read_text("direct_url.json"):
+            url, about = (origin := json.loads(note))["url"], origin.get("vcs_info") or {}
+            return f'pip install -e "{url.removeprefix("file://")}[{extra}]"' if "editable" in note else \
+                f'pip install "{PROJECT}[{extra}] @ {about.get("vcs", "")}{"+" if about else ""}{url}"'
+    return f'pip install "{PROJECT}[{extra}]"'
+
+
 def one_line(error: InputError | OSError | MemoryError | ImportError) -> str:
     """The error in a line without the program's name; for any but an `InputError` with advice."""
     if isinstance(error, InputError):
@@ -65,8 +80,6 @@ def one_line(error: InputError | OSError | MemoryError | ImportError) -> str:
         return printable(f"memory: there is too little{f' ({reason})' if reason else ''}; "
                          "give a shorter recording or a smaller file, or close other programs")
     name = error.name or "a package"
-    from data_module.registry import install_line  # which has errors of this module
-
     extra = EXTRAS.get(name.partition(".")[0])
     remedy = f"run {install_line(extra)}" if extra else "install gesticulator again"
     return printable(f"{name}: cannot be imported ({reason}); {remedy}")

@@ -6,6 +6,7 @@ import codecs
 import contextlib
 import csv
 import errno
+import hashlib
 import json
 import os
 import re
@@ -90,6 +91,12 @@ def remove_unfinished_of(targets: Iterable[Path]) -> None:
             for entry in os.scandir(folder):
                 if _UNFINISHED.fullmatch(entry.name) and entry.name[:-_TOKEN] in wanted:
                     Path(entry.path).unlink(missing_ok=True)
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def is_free(target: Path) -> bool:

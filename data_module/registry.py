@@ -10,32 +10,16 @@ it is used, so that the command line can list the names.
 
 from __future__ import annotations
 
-import contextlib
 import difflib
-import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
-from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, entry_points
+from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from typing import Any, Generic, TypeVar
 
-from data_module.errors import InputError, complain
-
-PROJECT = "gesticulator"
-"""The distribution whose entries win, and the first part of every group's name."""
-
-
-def install_line(extra: str) -> str:
-    """The command that installs an extra from where this distribution came from, as pip noted it (PEP 610): a folder,
-    a wheel or a repository; without a note from the package index. With "-e" where pip had it."""
-    with contextlib.suppress(PackageNotFoundError):
-        if note := distribution(PROJECT).read_text("direct_url.json"):
-            url, about = (origin := json.loads(note))["url"], origin.get("vcs_info") or {}
-            return f'pip install -e "{url.removeprefix("file://")}[{extra}]"' if "editable" in note else \
-                f'pip install "{PROJECT}[{extra}] @ {about.get("vcs", "")}{"+" if about else ""}{url}"'
-    return f'pip install "{PROJECT}[{extra}]"'
+from data_module.errors import PROJECT, InputError, complain, install_line
 
 
 @dataclass(frozen=True)

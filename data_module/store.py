@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from data_module.arrays import as_floats, read_npz
 from data_module.errors import InputError, shown
-from data_module.files import is_free, read_json, rename, write_bytes, write_text
+from data_module.files import file_hash, is_free, read_json, rename, write_bytes, write_text
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, JOINTS, resized
 from data_module.speech.audio import load_speech, write_flac
@@ -152,7 +152,7 @@ class Store:
             raise InputError(name, f"is not in the store {self.path}", f"it holds {len(self.recordings)} recordings")
         sound, arrays = _files(self.path, name)
         for file, wanted in zip((sound, arrays), self._hashes[name], strict=True):
-            if _sha256(file) != wanted:
+            if file_hash(file) != wanted:
                 raise InputError(file, "was changed since its store was built", "build it again")
         recording = _read(info, sound, arrays)
         return replace(recording, motion=resized(recording.motion, CHARACTERS[joints]))
@@ -188,7 +188,7 @@ class StoreWriter:
         entry = asdict(info) | {"seconds": round(recording.speech.duration, 6), "frames": len(motion),
                                 "fps": motion.fps, "absent": list(motion.absent), "filled": list(motion.filled),
                                 "sources": list(info.sources),
-                                "sha256": {"flac": _sha256(sound), "npz": _sha256(arrays)}}
+                                "sha256": {"flac": file_hash(sound), "npz": file_hash(arrays)}}
         write_text(self._entry(info.name), json.dumps(entry))
         return sound
 
@@ -214,11 +214,6 @@ class StoreWriter:
 
 def _files(folder: Path, name: str) -> tuple[Path, Path]:
     return folder / _FOLDER / f"{name}.flac", folder / _FOLDER / f"{name}.npz"
-
-
-def _sha256(file: Path) -> str:
-    with file.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _fingerprint(entries: Sequence[Mapping[str, Any]]) -> str:

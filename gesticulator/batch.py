@@ -24,12 +24,12 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
 
 from data_module.errors import InputError, complain, one_line
-from data_module.files import lock, parse_json, read_bytes, remove_unfinished_of, write_bytes
+from data_module.files import file_hash, lock, parse_json, read_bytes, remove_unfinished_of, write_bytes
 from data_module.registry import Requirement
 from data_module.settings import NotNegative, check, from_dict, whole_number
 from gesticulator.bundle.files import INDEX, bundle_folder, read_index
 from gesticulator.cli import PROGRAM, __version__
-from gesticulator.jobs import Job, RunSettings, file_hash
+from gesticulator.jobs import Job, RunSettings
 
 SUFFIX = ".jsonl"
 _LARGEST = 1 << 30

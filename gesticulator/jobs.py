@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError, printable
+from data_module.files import file_hash
 from data_module.settings import field_docs, whole_number
 from gesticulator.cli import PROGRAM, __version__
 from gesticulator.export.writers import WRITERS, check_output, suffix_of
@@ -112,12 +113,6 @@ def _content(value: Any) -> object:
     if isinstance(value, str | os.PathLike) and Path(value).is_file():
         return _cached_hash(Path(value))
     return value
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 _cached_hash = lru_cache(maxsize=64)(file_hash)

@@ -9,7 +9,7 @@ import json
 import re
 import threading
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -30,13 +30,14 @@ from data_module.corpora.folder import FolderOptions
 from data_module.corpora.serialised import deserialise
 from data_module.corpora.table import open_corpus
 from data_module.errors import InputError
+from data_module.files import file_hash
 from data_module.motion import skeletons
 from data_module.motion.bvh import read_bvh, read_hierarchy, write_bvh
 from data_module.motion.representation import TED_JOINTS
 from data_module.motion.smplx import read_smplx
 from data_module.speech.audio import load_speech
 from data_module.speech.fingerprint import fingerprint_frames, fingerprint_text
-from data_module.store import Recording, RecordingInfo, Store, StoreWriter, _fingerprint, _sha256
+from data_module.store import Recording, RecordingInfo, Store, StoreWriter, _fingerprint
 from data_module.text.transcript import read_transcript
 from data_module.types import Speech, Word
 from eval.clip import foreign
@@ -203,6 +204,9 @@ TRANSCRIPTS = {
         {"word": word, "start": start, "end": end} for word, start, end in WORDS if word]}, {
         "start": 0.7, "end": 0.95, "text": "friend"}]}),
     ".tsv": "start\tend\ttext\n100\t500\thello [nod] there\n700\t950\tfriend\n",
+    **dict.fromkeys((".ass", ".ssa"), "[Events]\nDialogue: 0,0:00:00.10,0:00:00.50,D,,0,0,0,,hello {\\i1}there\n"),
+    ".sbv": "0:00:00.100,0:00:00.500\nhello there\n", ".lrc": "[00:00.10]hello there\n[00:00.70]friend\n",
+    ".ttml": '<tt><body><div><p begin="00:00:00.100" end="00:00:00.500">hello there</p></div></body></tt>',
 }
 MARKED = [("[shrug]hello", 0.1, 0.3), ("there", 0.3, 0.5), ("[count:3]", 0.5, 0.5), ("friend", 0.7, 0.95)]
 
@@ -231,7 +235,7 @@ def _with_hash(pack: Callable[[Path, bytes], object]) -> Callable[[Path, bytes],
         pack(file, data)
         listing = file.parents[1] / "store.json"
         content = json.loads(listing.read_text())
-        content["recordings"][0]["sha256"][file.suffix[1:]] = _sha256(file)
+        content["recordings"][0]["sha256"][file.suffix[1:]] = file_hash(file)
         content["fingerprint"] = _fingerprint(content["recordings"])
         listing.write_text(json.dumps(content))
 
@@ -660,11 +664,15 @@ def _repeated(data: bytearray, a: float, b: float, choice: int) -> None:
     data[first:first] = data[first:min(last, first + (1 << choice))]
 
 
-def _renumbered(data: bytearray, a: float, b: float, choice: int) -> None:
-    found = list(_NUMBER.finditer(bytes(data[:200_000])))
-    if found:
-        match = found[int(a * len(found)) % len(found)]
-        data[match.start():match.end()] = NUMBERS[choice % len(NUMBERS)]
+def _exchanged(pattern: re.Pattern[bytes], others: Sequence[bytes]) -> Callable[..., None]:
+    """A value becomes another where one stands."""
+    def damage(data: bytearray, a: float, b: float, choice: int) -> None:
+        found = list(pattern.finditer(bytes(data[:200_000])))
+        if found:
+            match = found[int(a * len(found)) % len(found)]
+            data[match.start():match.end()] = others[choice % len(others)]
+
+    return damage
 
 
 def _swapped(data: bytearray, a: float, b: float, choice: int) -> None:
@@ -677,16 +685,7 @@ def _swapped(data: bytearray, a: float, b: float, choice: int) -> None:
 _TOKEN = re.compile(rb'"(?:[^"\\\\]|\\\\.)*"|-?\d+(?:\.\d+)?|true|false|null')
 TOKENS = (b"{}", b"[]", b"[[1]]", b'""', b'"\\u0000"', b'"\\ud800"', b'"\\u001b[2J"', b"true", b"1e400", b"9" * 400,
           b"-1", b"2.5", b"NaN", b"[" * 200 + b"]" * 200, b'{"a": null}', b'"' + b"x" * 5000 + b'"')
-
-
-def _retyped(data: bytearray, a: float, b: float, choice: int) -> None:
-    """A value of another type where one stands."""
-    found = list(_TOKEN.finditer(bytes(data[:200_000])))
-    if found:
-        match = found[int(a * len(found)) % len(found)]
-        data[match.start():match.end()] = TOKENS[choice % len(TOKENS)]
-
-
+_retyped, _renumbered = _exchanged(_TOKEN, TOKENS), _exchanged(_NUMBER, NUMBERS)
 DAMAGE = (_swapped, _retyped, _retyped, _flipped, _set, _cut, _inserted, _deleted, _repeated, _renumbered, _renumbered)
 _SHARE = st.floats(0, 1, exclude_max=True)
 

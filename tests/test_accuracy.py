@@ -15,9 +15,7 @@ from eval.metrics.accuracy import lexeme_accuracy
 PAIRS = st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5)), min_size=1, max_size=40).map(np.array)
 
 
-def test_by_hand() -> None:
-    assert lexeme_accuracy([3, 1, 4, 1], [3, 1, 1, 4]) == 50.0
-    assert lexeme_accuracy([7], [7]) == 100.0 and lexeme_accuracy([7], [0]) == 0.0
+def test_of_nothing_it_is_undefined() -> None:
     assert math.isnan(lexeme_accuracy([], []))
 
 

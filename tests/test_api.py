@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import soundfile
 import torch
+from test_pipeline import same
 from untrained import untrained
 
 import gesticulator
@@ -21,7 +22,6 @@ from data_module.errors import InputError
 from data_module.speech.audio import amplified
 from data_module.types import Speech, Word
 from gesticulator.gesticulator import Gesticulator
-from gesticulator.performance import Performance
 
 RATE = 16000
 
@@ -37,11 +37,6 @@ def voice(seconds: float = 2.0, rate: int = RATE) -> np.ndarray:
     t = np.arange(round(seconds * rate)) / rate
     return (0.2 * np.sign(np.sin(2 * np.pi * 130 * t)) * np.clip(np.sin(2 * np.pi * 3.1 * t), 0, 1) ** 2
             ).astype(np.float32)
-
-
-def same(one: Performance, two: Performance) -> bool:
-    return (np.array_equal(one.motion.rotations, two.motion.rotations) and np.array_equal(one.scores, two.scores)
-            and np.array_equal(one.lexemes, two.lexemes))
 
 
 # -------------------------------------------------------------------------------------------------- the names

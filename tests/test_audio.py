@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from data_module.errors import InputError
-from data_module.registry import install_line
+from data_module.errors import InputError, install_line
 from data_module.speech.audio import (
     SAMPLE_RATE,
     SampleFeed,

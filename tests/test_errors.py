@@ -7,8 +7,7 @@ import sys
 
 import pytest
 
-from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line, one_line_errors, shown
-from data_module.registry import install_line
+from data_module.errors import EXIT_BAD_INPUT, InputError, complain, install_line, one_line, one_line_errors, shown
 
 _FAIL = """
 from data_module.errors import InputError, one_line_errors

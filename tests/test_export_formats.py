@@ -15,11 +15,10 @@ from hypothesis import strategies as st
 from performances import perform, write
 from scipy.spatial.transform import Rotation
 
-from data_module.errors import InputError
+from data_module.errors import InputError, install_line
 from data_module.motion import rotation, smplx
 from data_module.motion.kinematics import global_rotations
 from data_module.motion.skeletons import CHARACTERS, FINGER_JOINTS, FINGERED, HIP_HEIGHT, to_character
-from data_module.registry import install_line
 from data_module.types import Array
 from gesticulator.export.vrma import BONES
 from gesticulator.export.writers import WRITERS, check_output

@@ -48,6 +48,7 @@ NO_CASE = {
     "a file that this process, its worker or its child wrote a moment ago": """
         data_module/files.py:lock gesticulator/characters/blender.py:_converted
         gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:* gesticulator/export/usd.py:write_usd""",
+    "the note that pip left beside this distribution": "data_module/errors.py:install_line",
     "runs in a child process, whose parent has a case": "gesticulator/export/blender_child.py:compare_materials",
     "a model that another library reads": """
         data_module/text/alignment.py:_loaded_decoder data_module/text/word_vectors.py:_bert

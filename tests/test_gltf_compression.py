@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from performances import perform, write
 from small_characters import MIXAMO, write_character
 
-from data_module.errors import InputError
+from data_module.errors import InputError, install_line
 from data_module.motion.skeletons import FINGERED
-from data_module.registry import install_line
 from gesticulator.characters import gltf_compression
 from gesticulator.characters.gltf_compression import DRACO, MESHOPT
 from gesticulator.characters.reading import choose, read_character

@@ -6,11 +6,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from test_paper_run import EVERY, close, floats, tensors_of
 from torch import nn
 
-from data_module.layers_run import Floats, Tensors
+from data_module.layers_run import Floats
 from data_module.motion.movement import Pasts
 from data_module.motion.movement_run import PAST, BasisRunner
 from generator.flow import FlowGenerator, FlowInputs, FlowTime
@@ -34,7 +35,6 @@ from lexicon.settings import LexiconConfig
 BLOCKS, FRAMES, AUDIO, MOTION, TEXT, SPEAKERS, LEXEMES = 30, 5, 7, 9, 4, 3, 11
 PARTS = {"torso": (0, 4, 8), "left arm": (1, 2, 7), "right fingers": (3, 5, 6)}
 SEEDS, COUNTS = st.integers(0, 999), st.integers(1, 20)
-EVERY = settings(deadline=None, max_examples=15)
 
 
 def filled(module: nn.Module, seed: int) -> nn.Module:
@@ -45,18 +45,6 @@ def filled(module: nn.Module, seed: int) -> nn.Module:
         value.copy_(drawn.abs() + 0.3 if name.endswith(("scale", "deviation", "basis.weight")) else
                     torch.tensor([-50.0, 50.0])[:, None] + drawn if name.endswith("limits") else drawn)
     return module.eval()
-
-
-def tensors_of(module: nn.Module) -> Tensors:
-    return Tensors({key: value.numpy() for key, value in module.state_dict().items()})
-
-
-def floats(seed: int, *shape: int) -> Floats:
-    return np.random.default_rng(seed).standard_normal(shape).astype(np.float32)
-
-
-def close(found: object, wanted: torch.Tensor) -> None:
-    np.testing.assert_allclose(np.asarray(found), wanted.detach().numpy(), atol=1e-4, rtol=1e-5)
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib.metadata
 import json
 import os
 import re
@@ -18,8 +19,7 @@ from javascript import printed_by
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from data_module import registry
-from data_module.errors import EXTRAS
+from data_module.errors import EXTRAS, install_line
 
 ROOT = Path(__file__).resolve().parent.parent
 UNTRIED = {"fbx", "scale"}
@@ -120,8 +120,8 @@ def test_an_extra_is_installed_from_where_the_program_came_from(note: dict[str, 
         def read_text(self, name: str) -> str | None:
             return None if note is None or name != "direct_url.json" else json.dumps(note)
 
-    monkeypatch.setattr(registry, "distribution", lambda name: Installed())
-    assert registry.install_line("live") == line
+    monkeypatch.setattr(importlib.metadata, "distribution", lambda name: Installed())
+    assert install_line("live") == line
 
 
 def test_the_documented_line_installs_the_npm_package_beside_three(tmp_path: Path) -> None:

@@ -3,40 +3,33 @@
 from __future__ import annotations
 
 import json
-import threading
+import re
+import signal
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from browser import PATIENCE, opened_page
-from performances import example
-from test_story import _is, _rendered, _rotations
+from browser import PATIENCE, OpenedPage, chromium, opened_page
+from performances import write_example
+from test_story import _is, _rendered, _rotations, _viewing
+from test_view import viewing
 
-from gesticulator import Gesticulator
-from gesticulator.export import html
-from gesticulator.page.palette import moving_figures
 from gesticulator.page.server import PageServer
-from gesticulator.page.session import EditSession, levels_of
+from gesticulator.page.session import EditSession
+from gesticulator.plan.plan_file import read_plan
+
+FLAT = "--disable-3d-apis"
+"""A flag of a browser that draws no figure: nothing else here takes long."""
 
 
 @pytest.fixture(scope="module")
-def served(system: Gesticulator) -> Iterator[tuple[PageServer, EditSession]]:
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[PageServer, EditSession]]:
     """The page of six seconds of the example, with its renderer."""
-    system.keeps_generations = True
-    performance = system(example(6.0), seed=1)
-    server, session = PageServer(), EditSession(system, performance)
-    live = {"token": server.token, "renderings": [session.opened(performance)],
-            "levels": levels_of(system.bundle), "speakers": list(system.bundle.speakers)}
-    server.page = html.page({"lstm": performance.scene()}, "talk", more={"live": live}).encode()
-    server.render = session.answer
-    server.figures = lambda: json.dumps(moving_figures(system.bundle, 0)).encode()
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
-    yield server, session
-    server.shutdown()
-    server.server_close()
-    thread.join(10)
+    with _viewing(write_example(tmp_path_factory.mktemp("view") / "talk.wav", 6.0, "FLOAT"), "--seed", "1") as viewed:
+        yield viewed
 
 
 def _at(page: Any, seconds: float, row: str) -> tuple[float, float]:
@@ -173,3 +166,113 @@ def test_what_plays_stands_among_the_scores_is_found_by_words_and_varied(
         assert _rotations(page).tobytes() == seen[1]
         _is(page, plans, opened.plan())
         opened.check_quiet(server.url)
+
+
+def _silence(page: Any, block: int) -> None:
+    page.evaluate("(k) => { preview.session.select(k); document.getElementById('silence').click(); }", block)
+
+
+def _has(page: Any, **silent: bool) -> None:
+    """Wait until a page shows which blocks are silent, and their motion."""
+    page.wait_for_function("(wanted) => Object.entries(wanted).every(([name, silent]) => "
+                           "preview.session.plan.blocks[Number(name.slice(1))].silent === silent)", arg=silent,
+                           timeout=PATIENCE)
+    _rendered(page)
+
+
+def test_pages_open_with_the_present_plan_follow_each_other_and_lose_no_edit(tmp_path: Path) -> None:
+    sound, place = write_example(tmp_path / "talk.wav", 4.0, "FLOAT"), tmp_path / "talk.wav.edits.plan.json"
+    with chromium(FLAT) as browser, _viewing(sound) as (server, plans):
+        first = OpenedPage(browser, server.url, 640, 420)
+        count = len(first.plan()["blocks"])
+        one, two, three, four = [at for at, block in enumerate(first.plan()["blocks"]) if not block["silent"]][:4]
+        first.page.evaluate("(beat) => preview.session.selectBeat(beat)", count - 2)
+        first.page.keyboard.press("Delete")
+        _silence(first.page, one)
+        _has(first.page, **{f"b{one}": True})
+        # Another browser opens the address, and has what the first one has: its plan and its motion.
+        second = OpenedPage(browser, server.url, 640, 420)
+        _rendered(second.page)
+        assert second.plan() == first.plan() and len(second.plan()["blocks"]) == count - 1
+        np.testing.assert_array_equal(_rotations(second.page), _rotations(first.page))
+        _silence(second.page, two)
+        _has(first.page, **{f"b{one}": True, f"b{two}": True})
+        _is(first.page, plans, first.plan())
+
+        def at_once(second_block: int) -> None:
+            """Both pages edit before the second one has asked for news: its edit is refused."""
+            second.page.route("**/plan/*", lambda route: route.abort())
+            _silence(first.page, three)
+            _has(first.page, **{f"b{three}": True})
+            _silence(second.page, second_block)
+            second.page.wait_for_selector("#stale", timeout=PATIENCE)
+            second.page.unroute("**/plan/*")
+
+        at_once(four)
+        assert not first.plan()["blocks"][four]["silent"] and read_plan(place).blocks[three].silent
+        second.page.click("#stale-both")
+        _has(second.page, **{f"b{three}": False, f"b{four}": True})
+        _has(first.page, **{f"b{three}": False, f"b{four}": True})
+        assert read_plan(place).blocks[four].silent and not read_plan(place).blocks[three].silent
+        copy = place.with_name(place.name + ".old")
+        assert read_plan(copy).blocks[three].silent and not read_plan(copy).blocks[four].silent
+        second.page.wait_for_function("(name) => document.getElementById('notice').textContent.includes(name)",
+                                      arg=copy.name)
+        # The other way: the page goes on with the plan of the other one, and undo leads back to its edit.
+        at_once(one)
+        second.page.click("#stale-reload")
+        _has(second.page, **{f"b{one}": True, f"b{three}": True})
+        second.page.keyboard.press("Control+z")
+        _has(first.page, **{f"b{one}": False, f"b{three}": False, f"b{four}": True})
+        # A page that is loaded again can go back to the beginning. Nothing of it lies in the browser.
+        second.page.reload()
+        second.page.wait_for_function("() => document.body.dataset.ready === 'true'")
+        assert second.plan()["blocks"][four]["silent"]
+        second.page.keyboard.press("Control+z")
+        assert len(second.plan()["blocks"]) == count
+        assert first.page.evaluate("Object.keys(localStorage)") == []
+        for opened in (first, second):
+            assert all(re.search("412|ERR_FAILED|WebGL", text) for text in opened.complaints), opened.complaints
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits the files of a running process")
+def test_a_full_disk_and_a_program_that_ends_take_no_edit(tmp_path: Path) -> None:
+    import resource
+
+    sound, place = write_example(tmp_path / "talk.wav", 4.0, "FLOAT"), tmp_path / "talk.wav.edits.plan.json"
+    with chromium(FLAT) as browser:
+        with viewing(sound) as (process, url):
+            page = (opened := OpenedPage(browser, url, 640, 420)).page
+            # A disk without room is a limit on files: the write fails half-way, in the operating system.
+            resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (2000, resource.RLIM_INFINITY))
+            _silence(page, 3)
+            page.wait_for_selector("#unsaved", timeout=PATIENCE)
+            _rendered(page)
+            assert "not saved" in page.inner_text("#notice") and opened.plan()["blocks"][3]["silent"]
+            assert [path.name for path in tmp_path.iterdir() if "plan" in path.name] == [f".{place.name}.lock"]
+            assert OpenedPage(browser, url, 400, 300).plan() == opened.plan(), "the program has it"
+            resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+            page.wait_for_selector("#unsaved", state="hidden", timeout=PATIENCE)
+            assert json.loads(place.read_text())["blocks"][3]["silent"]
+            # It is ended before it has tried again: it saves first.
+            resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (2000, resource.RLIM_INFINITY))
+            _silence(page, 4)
+            page.wait_for_selector("#unsaved", timeout=PATIENCE)
+            resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(60) == 0
+            assert json.loads(place.read_text())["blocks"][4]["silent"]
+            page.wait_for_function("() => document.getElementById('status').textContent.includes('does not answer')",
+                                   timeout=PATIENCE)
+            # What is edited now is in this page alone, which says so before it closes.
+            page.click("#timeline")
+            page.keyboard.press("m")
+            assert not page.evaluate("dispatchEvent(new Event('beforeunload', { cancelable: true }))"), "it asks first"
+        # Killed at once after an answer: what was rendered is there, and so is the address in a new program.
+        with viewing(sound) as (process, url):
+            opened = OpenedPage(browser, url, 640, 420)
+            assert [opened.plan()["blocks"][at]["silent"] for at in (3, 4)] == [True, True]
+            _silence(opened.page, 5)
+            _rendered(opened.page)
+            process.kill()
+            assert json.loads(place.read_text())["blocks"][5]["silent"]

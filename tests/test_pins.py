@@ -1,4 +1,4 @@
-"""Pose pins: the motion goes through the place, smoothly, and is the same elsewhere; the page plays what files hold."""
+"""Pose pins: the motion goes through the place, smoothly, and is the same elsewhere."""
 
 from __future__ import annotations
 
@@ -12,17 +12,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from performances import perform
-from test_editing import Page, Plain, edited, first, frames_of_take, speech, system  # noqa: F401
+from test_editing import Plain
 
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
 from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT, standing
-from data_module.types import Array, Motion, Speech
-from gesticulator import Gesticulator
+from data_module.types import Array, Motion
 from gesticulator.body.clips import mirrored_motion
 from gesticulator.body.pins import REACH, pinned
-from gesticulator.performance import Performance
 from gesticulator.plan.plan import GesturePlan, PosePin
 from gesticulator.plan.plan_file import parse_plan
 
@@ -179,44 +177,3 @@ def test_pins_are_checked_where_the_plan_is_read(pin: Plain, told: str) -> None:
         parse_plan(json.dumps({**plain, "pins": [pin]}))
     with pytest.raises(InputError, match="one of"):
         parse_plan(json.dumps({**plain, "pins": [{"time": 1.0, "joint": "Neck", "rotation": [1, 0, 0, 0]}] * 500}))
-
-
-# ------------------------------------------------------------------------------------------- on the page and in files
-
-def test_the_page_and_the_command_play_the_same_and_undo_costs_nothing(
-        system: Gesticulator, speech: Speech, first: Performance,  # noqa: F811
-        monkeypatch: pytest.MonkeyPatch) -> None:
-    page = Page(system, first)
-    before, original = page.frames.copy(), page.plan
-    with_pin = {**page.plan, "pins": [{"time": 3.0, "joint": "LeftHand", "position": [0.3, 1.4, 0.3], "hold": 0.3}]}
-    page.edit(with_pin)
-    pinned_plan = page.plan
-    changed = np.flatnonzero((page.frames != before).any(axis=(1, 2)))
-    assert 2.4 * FPS < changed[0] <= 2.6 * FPS and 3.7 * FPS <= changed[-1] < 3.9 * FPS, "local"
-    assert page.sent < 60 * 3.0
-    made = Gesticulator(system.bundle)(speech, plan=parse_plan(json.dumps(page.plan)))
-    np.testing.assert_array_equal(page.frames, frames_of_take(made))
-    assert made.plan().pins == (PosePin(3.0, "LeftHand", position=(0.3, 1.4, 0.3), hold=0.3),)
-    hand = made.joints.index("LeftHand")
-    np.testing.assert_allclose(made.positions()[180:199, hand], np.broadcast_to((0.3, 1.4, 0.3), (19, 3)), atol=1e-9)
-    # An edit far away leaves the pin; one within it is played under it.
-    page.edit(edited(page.plan, "silence", 1, 0))
-    np.testing.assert_array_equal(page.frames[changed], frames_of_take(made)[changed])
-    at = next(k for k, block in enumerate(page.plan["blocks"]) if block["end"] > 2.8)
-    page.edit(edited(page.plan, "swap", at, 77))
-    anew = Gesticulator(system.bundle)(speech, plan=parse_plan(json.dumps(page.plan)))
-    np.testing.assert_array_equal(page.frames, frames_of_take(anew))
-    np.testing.assert_allclose(anew.positions()[180, hand], (0.3, 1.4, 0.3), atol=1e-9)
-    with pytest.raises(InputError, match="a wrist gets"):
-        page.edit({**page.plan, "pins": [{"time": 3.0, "joint": "LeftHand", "position": [0.9, 1.4, 0.3]}]})
-    calls = []
-    monkeypatch.setattr("gesticulator.body.pins._with_pins", lambda *given: calls.append(given))
-    page.edit(pinned_plan)
-    np.testing.assert_array_equal(page.frames, frames_of_take(made))
-    page.edit(original)
-    np.testing.assert_array_equal(page.frames, before)
-    assert not calls, "both are remembered"
-    again = Page(system, made)
-    np.testing.assert_array_equal(again.frames, frames_of_take(made))
-    again.edit({name: value for name, value in again.plan.items() if name != "pins"})
-    np.testing.assert_array_equal(again.frames, before)

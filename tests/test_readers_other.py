@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from published import TAKE, poses_of, ted_value, write_beat, write_beat2, write_ted
+from test_readers_bvh import _named
 
-from data_module.corpora.base import DroppedError, Item, Options, Reader, load
+from data_module.corpora.base import DroppedError, Options, load
 from data_module.corpora.beat import published_split
 from data_module.corpora.table import open_corpus
 from data_module.errors import InputError
@@ -24,10 +25,6 @@ from data_module.store import Store
 from gesticulator.cli import main
 
 # ---------------------------------------------------------------------------------------------------- BEAT
-
-
-def _named(reader: Reader) -> dict[str, Item]:
-    return {item.info.name: item for item in reader.items()}
 
 
 def test_the_real_take_of_beat_needs_its_frame_rate_told(outside_data: Path, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 from live_double import TURN, figure, opener
 from pipecat_gesticulator import Hello, Joint, Poses, ResumingStream, SteadyPlayer, Welcome, connect_resuming
 from pipecat_gesticulator.resuming import RefusedError
+from test_serve import pcm
 from websockets.asyncio.server import ServerConnection, serve
 
 from data_module.motion import rotation
@@ -46,10 +47,6 @@ def run(test: Callable[[], Awaitable[None]]) -> None:
             await test()
 
     asyncio.run(bounded())
-
-
-def pcm(seconds: float) -> bytes:
-    return (np.sin(np.arange(int(seconds * SAMPLE_RATE)) * 0.1) * 8000).astype("<i2").tobytes()
 
 
 def break_connections(server: LiveServer) -> None:

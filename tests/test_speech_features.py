@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -26,9 +27,9 @@ class Numbers:
 
     width = 2
 
-    def encode(self, words: tuple[Word, ...], *, so_far: bool = False) -> np.ndarray:
-        return np.array([[number + 1.0, 10.0] if word.text else [0.0, 0.0] for number, word in enumerate(words)],
-                        np.float32)
+    def encode_into(self, out: np.ndarray, words: tuple[Word, ...], so_far: bool) -> Iterator[None]:
+        out[:] = [[number + 1.0, 10.0] if word.text else [0.0, 0.0] for number, word in enumerate(words)]
+        yield
 
 
 def babble(seconds: float, seed: int = 0) -> np.ndarray:

@@ -13,10 +13,6 @@ from eval.stats import Interval, crossed_means, jackknife, limits, mean_interval
 RNG = np.random.default_rng(7)
 
 
-def test_a_constant_has_no_width() -> None:
-    assert mean_interval([2.0, 2.0, 2.0]) == Interval(2.0, 2.0, 2.0, 3)
-
-
 def test_it_agrees_with_scipy() -> None:
     values = RNG.exponential(size=40)
     ours = mean_interval(values, draws=20_000)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from data_module.errors import InputError
+from data_module.errors import InputError, install_line
 from data_module.speech.audio import load_speech
 from data_module.text import alignment as text
 from data_module.text.marks import EMOJI
@@ -243,7 +244,7 @@ def test_only_plain_english_needs_the_aligner(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setitem(sys.modules, "pocketsphinx", None)
     text._loaded_decoder.cache_clear()
     plain = _read(tmp_path, "a.txt", "hello there")
-    with pytest.raises(InputError, match=r'pip install "gesticulator\[align\]"'):
+    with pytest.raises(InputError, match=re.escape(install_line("align"))):
         with_transcript(_noise(1.0), plain)
     cues = _read(tmp_path, "a.srt", "1\n00:00:00,000 --> 00:00:01,000\nhello there\n")
     speech, timing = with_transcript(_noise(1.0), cues)

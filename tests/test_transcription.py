@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from data_module import registry
-from data_module.errors import InputError
-from data_module.registry import install_line
+from data_module.errors import InputError, install_line
 from data_module.speech.audio import load_speech
 from data_module.text import transcription
 from data_module.text.alignment import alignment

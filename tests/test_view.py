@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import http.client
 import json
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -17,9 +19,10 @@ from performances import example, write_example
 from small_characters import write_character
 
 from gesticulator import Gesticulator
-from gesticulator.options import InferenceOptions
-from gesticulator.page.command import COMMAND, _job, _way_in, _with_saved_edits, place_of, save
-from gesticulator.page.server import TOKEN_HEADER
+from gesticulator.page.command import COMMAND, _job, _performed, _way_in
+from gesticulator.page.edits import Edits, StaleError, held, place_of
+from gesticulator.performance import Performance
+from gesticulator.plan.plan import GesturePlan
 from gesticulator.plan.plan_file import read_plan
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -48,30 +51,87 @@ def test_what_cannot_be_viewed_is_told_in_a_line(words: list[str], said: str, re
     assert stop.value.code == 2 and error.count("\n") == 1 and said in error
 
 
-def test_saved_edits_are_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def _silenced(plan: GesturePlan, *places: int) -> GesturePlan:
+    return replace(plan, blocks=tuple(replace(block, silent=True) if at in places else block
+                                      for at, block in enumerate(plan.blocks)))
+
+
+def test_saved_edits_are_gone_on_with_and_nothing_is_overwritten(system: Gesticulator, tmp_path: Path,
+                                                                 capsys: pytest.CaptureFixture[str]) -> None:
     sound = write_example(tmp_path / "talk.wav", 4.0, "FLOAT")
-    system = Gesticulator.from_pretrained()
-    plan = system(sound, seed=1).plan()
+
+    def gone_on(*words: str, of: Path = sound) -> tuple[Performance, Edits]:
+        return _performed(system, _job(COMMAND.parser("gesticulator view").parse_args([str(of), *words])))
+
+    def texts() -> dict[str, str]:
+        return {path.name.partition(".json")[2]: path.read_text() for path in tmp_path.glob("talk.wav.*.json*")}
+
+    performance, edits = gone_on("--seed", "1")
+    assert not edits.place.exists(), "nothing is edited"  # type: ignore[union-attr]
+    plan = _silenced(performance.labelled(sound.name).plan(), 2, 3)
+    edits.take(plan, "page")
     place = place_of(sound)
-    save(sound, plan)
-    assert read_plan(place) == plan
-
-    def gone_on(*words: str) -> InferenceOptions:
-        args = COMMAND.parser("gesticulator view").parse_args([str(sound), *words])
-        return _with_saved_edits(system, _job(args)).options
-
-    options = gone_on()
-    assert (options.plan, options.retime) == (plan, False) and "are opened" in capsys.readouterr().out
-    # The sound was exported again, with a pause at the start.
+    assert read_plan(place) == plan and set(texts()) == {""}
+    (performance, edits), said = gone_on(), capsys.readouterr().out
+    assert [block.silent for block in performance.plan().blocks] == [block.silent for block in plan.blocks]
+    assert "are opened" in said and performance.retiming is None
+    # Another recording of that stem has edits of its own; those of the former name are of the sound that they name.
+    other = tmp_path / "talk.flac"
+    soundfile.write(other, example(3.0).samples, 16000)
+    former = tmp_path / "talk.edits.plan.json"
+    place.rename(former)
+    assert gone_on(of=other)[1].revision == 0 and "are opened" not in capsys.readouterr().out
+    edits = gone_on()[1]
+    assert "are opened" in capsys.readouterr().out
+    edits.take(_silenced(plan, 4), "page")
+    assert read_plan(former) == plan and read_plan(place) == _silenced(plan, 4)
+    # The sound was exported again, with a pause at the start: what is moved replaces the plan, which is copied first.
+    saved = place.read_text()
     soundfile.write(sound, np.concatenate([np.zeros(16000, np.float32), example(4.0).samples]), 16000,
                     subtype="FLOAT")
-    assert gone_on().retime and "moved onto the new sound" in capsys.readouterr().out
-    # What does not fit is put aside, and stays.
-    assert gone_on("--speaker", system.bundle.speakers[0]).plan is None
-    assert not place.exists() and read_plan(place.with_name(place.name + ".old")) == plan
+    performance, edits = gone_on()
+    assert performance.retiming is not None and "moved onto the new sound" in capsys.readouterr().out
+    assert texts() == {"": saved}
+    edits.take(performance.plan(), "page")
+    assert texts()[".old"] == saved and texts()[""] != saved
+    # Two plans in a row that do not fit, and one that is begun anew by another plan: all are there afterwards.
+    saved = place.read_text()
+    assert gone_on("--speaker", system.bundle.speakers[0])[1].notice and not place.exists()
     assert "determined by the plan" in capsys.readouterr().err
     place.write_text("{")
-    assert gone_on().plan is None and place.with_name(place.name + ".old.2").read_text() == "{"
+    assert gone_on()[1].revision == 0 and "is not opened" in capsys.readouterr().err
+    place.write_text("a plan of somebody")
+    edits = gone_on("--plan", str(tmp_path / "talk.wav.edits.plan.json.old.2"))[1]
+    edits.take(performance.plan(), "page")
+    edits.take(plan, "page")
+    assert [texts()[end] for end in (".old.2", ".old.3", ".old.4")] == [saved, "{", "a plan of somebody"]
+    # Another program writes the file while the page is open.
+    place.write_text("mine")
+    edits.take(performance.plan(), "page")
+    assert texts()[".old.5"] == "mine" and read_plan(place) == performance.plan()
+
+
+def test_an_edit_that_does_not_know_of_others_is_refused(system: Gesticulator) -> None:
+    plan, edits = system(example(3.0), seed=1).plan(), Edits()
+    edits.plan = plan
+    edits.check(0, "a")
+    edits.take(_silenced(plan, 1), "a")
+    edits.check(0, "a")  # it may send an edit before it has the answer to the last one
+    for base, page in ((0, "b"), (2, "a"), (-1, "b")):
+        with pytest.raises(StaleError):
+            edits.check(base, page)
+    edits.check(1, "b")
+    edits.take(edits.plan, "b")
+    assert edits.revision == 1, "the same plan is no edit"
+    assert "plan" not in json.loads(edits.state(1))
+    assert json.loads(edits.state(0))["plan"]["blocks"][1]["silent"]
+
+
+def test_a_second_page_of_a_file_is_refused_in_a_line(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with held(place_of(recording)), pytest.raises(SystemExit) as stop:
+        COMMAND.main("gesticulator view", [str(recording), "--no-browser"])
+    error = capsys.readouterr().err
+    assert stop.value.code == 2 and error.count("\n") == 1 and "is in use by gesticulator view (process" in error
 
 
 def test_a_browser_is_led_in_by_a_private_file(tmp_path: Path) -> None:
@@ -80,39 +140,28 @@ def test_a_browser_is_led_in_by_a_private_file(tmp_path: Path) -> None:
     assert "url=http://127.0.0.1:1/secret/" in Path(address.removeprefix("file://")).read_text()
 
 
-def test_the_command_shows_a_character_and_answers_edits(recording: Path, tmp_path: Path) -> None:
-    rig = write_character(tmp_path / "rig.glb")
-    process = subprocess.Popen([sys.executable, "-c", CODE, str(recording), "--no-browser", "--character", str(rig),
-                                "--fps", "25"], stdout=subprocess.PIPE, text=True)
+@contextmanager
+def viewing(sound: Path, *words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """`gesticulator view` as a program, and its address."""
+    process = subprocess.Popen([sys.executable, "-c", CODE, str(sound), "--no-browser", *words], stdout=subprocess.PIPE,
+                               text=True)
+    assert process.stdout is not None
     try:
-        assert process.stdout is not None
-        address, _, secret = process.stdout.readline().split()[0].removeprefix("http://").rstrip("/").partition("/")
-        connection = http.client.HTTPConnection(address, timeout=60)
-        connection.request("GET", f"/{secret}/")
-        page = connection.getresponse().read().decode()
+        yield process, next(line for line in process.stdout if line.startswith("http://")).split()[0]
+    finally:
+        process.kill()
+        process.wait(30)
+
+
+def test_the_command_shows_a_character(recording: Path, tmp_path: Path) -> None:
+    rig = write_character(tmp_path / "rig.glb")
+    with viewing(recording, "--character", str(rig), "--fps", "25") as (process, url), urlopen(url) as answer:
+        page = answer.read().decode()
         assert "<img" not in page
         told = json.loads(page.partition('id="performance">')[2].partition("</script>")[0])
         assert told["title"] == recording.stem and set(told["character"]["joints"]) > {"Hips", "LeftForeArm"}
         (first,) = told["takes"]
         assert "face" in first, "lips and blinks are on"
         assert "LeftFoot" in first["skeleton"]["names"], "a character with legs stands on them"
-
-        def ask(plan: dict[str, Any]) -> tuple[int, bytes]:
-            """The status and the answer to a plan; what answers hold is tested in test_editing.py."""
-            connection.request("POST", f"/{secret}/render", json.dumps({"plan": plan, "have": 1}), {
-                "Content-Type": "application/json", "Origin": f"http://{address}",
-                TOKEN_HEADER: told["live"]["token"]})
-            answer = connection.getresponse()
-            return answer.status, answer.read()
-
-        plan = json.loads(json.dumps(first["plan"]))
-        block = plan["blocks"][len(plan["blocks"]) // 2]
-        block["lexeme"] = next(other["lexeme"] for other in block["alternatives"] if other["lexeme"] != block["lexeme"])
-        (same, before), (status, edited) = ask(first["plan"]), ask(plan)
-        assert same == status == 200 and len(edited) > len(before) + 10_000, "bytes: frames come for the edit alone"
-        block["end"] += 3.0
-        status, wrong = ask(plan)
-        assert status == 400 and f'blocks[{len(plan["blocks"]) // 2}].end' in json.loads(wrong)["error"]
-    finally:
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0

@@ -145,23 +145,6 @@ def test_sentences_end_at_pauses_marks_and_forty_words() -> None:
     assert sentences([Word("late", 1.0, 1.2), Word("early", 0.0, 1.0)]) == [[1, 0]]
 
 
-def test_frames_by_hand() -> None:
-    """Three blocks of four frames: (0, 0.4] by 0.1, (0.4, 1.2] by 0.2, (1.2, 1.6] by 0.1."""
-    blocks = blocks_of([0.0, 0.4, 1.2, 1.6])
-    words = [
-        Word("one", 0.15, 0.3),   # frames 0.2 and 0.3 (0.3 closes it)
-        Word("", 0.3, 0.42),      # a gap of 0.12 is bridged: 0.4 is nearer to "two"
-        Word("two", 0.42, 0.85),  # 0.6 and 0.8
-        Word("", 0.85, 1.15),     # a gap of 0.3 stays: 1.0
-        Word("three", 1.15, 1.35),  # 1.2 and 1.3, and nothing after it: 1.4 is silent, at 0.05 from the word
-        Word("four", 1.55, 1.6),  # 1.6; before it a gap of 0.2
-    ]
-    assert word_frames(words, blocks).tolist() == [[-1, 0, 0, 2], [2, 2, -1, 4], [4, -1, -1, 5]]
-    assert word_frames(words, blocks, bridge=0.0).tolist() == [[-1, 0, 0, -1], [2, 2, -1, 4], [4, -1, -1, 5]]
-    assert word_frames(words, blocks, bridge=0.25).tolist() == [[-1, 0, 0, 2], [2, 2, -1, 4], [4, 4, 5, 5]]
-    assert (word_frames([], blocks) == -1).all()
-
-
 @given(st.lists(st.tuples(st.sampled_from(["", "a"]), st.floats(0, 3), st.floats(0, 1)), max_size=8),
        st.sampled_from([0.0, 0.15, 0.6]))
 def test_frames_agree_with_a_plain_search(drawn: list[tuple[str, float, float]], bridge: float) -> None:

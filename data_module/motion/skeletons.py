@@ -227,26 +227,27 @@ _NEEDED_BONES = (("Hips", "Head"), ("RightArm", "LeftArm"), *((side + bone, side
                  for bone, tip in (("Arm", "ForeArm"), ("ForeArm", "Hand"))))
 
 
-def _rest_positions(skeleton: Skeleton) -> Array:
-    identity = np.zeros((len(skeleton), 4))
-    identity[:, 0] = 1.0
-    return kinematics.joint_positions(skeleton, identity)
+def rest_positions(skeleton: Skeleton) -> Array:
+    """[J, 3] metres: the joints of the rest pose."""
+    return kinematics.joint_positions(skeleton, np.tile([1.0, 0.0, 0.0, 0.0], (len(skeleton), 1)))
 
 
-def _axes(rest: Array, table: Mapping[str, int]) -> Array:
+def nearest_axis(vector: Array) -> Array:
+    """[3] the axis that a vector points along most."""
+    axis = np.zeros(3)
+    axis[np.argmax(np.abs(vector))] = np.sign(vector[np.argmax(np.abs(vector))])
+    return axis
+
+
+def axes_of(rest: Array, table: Mapping[str, int]) -> Array:
     """[4] the rotation from a source's axes to the character's (Y up, left +X), from its rest pose."""
     # Snapped to the nearest axis: rest poses lean a little, but files swap whole axes.
-    def dominant(v: Array) -> Array:
-        out = np.zeros(3)
-        out[np.argmax(np.abs(v))] = np.sign(v[np.argmax(np.abs(v))])
-        return out
-
-    up = dominant(rest[table["Head"]] - rest[table["Hips"]])
+    up = nearest_axis(rest[table["Head"]] - rest[table["Hips"]])
     across = rest[table["LeftArm"]] - rest[table["RightArm"]]
     across = across - (across @ up) * up
     if np.linalg.norm(across) < _EPS:
         raise InputError("skeleton", "has one arm above the other", "check its offsets")
-    left = dominant(across)
+    left = nearest_axis(across)
     matrix = np.stack([left, up, np.cross(left, up)])
     return rotation.from_matrix(matrix)
 
@@ -261,11 +262,11 @@ def to_character(motion: Motion, table: Mapping[str, int] | None = None, skeleto
     skeleton: `CHARACTER`, `FINGERED` or `WHOLE_BODY`.
     """
     source, table = motion.skeleton, table or find_table(motion.skeleton.names)
-    rest = _rest_positions(source)
+    rest = rest_positions(source)
     for bone, tip in _NEEDED_BONES:
         if np.linalg.norm(rest[table[tip]] - rest[table[bone]]) < _EPS:
             raise InputError("skeleton", f"has {bone} and {tip} in one place", "check its offsets")
-    change = _axes(rest, table)
+    change = axes_of(rest, table)
     world = kinematics.global_rotations(source, motion.rotations)
     frames = len(motion)
     out = np.zeros((frames, len(skeleton), 4))
@@ -291,7 +292,7 @@ def to_character(motion: Motion, table: Mapping[str, int] | None = None, skeleto
 def _corrections(source: Skeleton, rest: Array, table: Mapping[str, int], change: Array, skeleton: Skeleton
                  ) -> dict[str, Array]:
     """Joint -> [4] the rotation from the character's rest bone to the source's; rest: [J, 3] the source's joints."""
-    target_rest = _rest_positions(skeleton)
+    target_rest = rest_positions(skeleton)
     out: dict[str, Array] = {}
     for side in _SIDES:
         for bone, tip in (("Arm", "ForeArm"), ("ForeArm", "Hand")):

@@ -103,7 +103,7 @@ class MelFrontEnd:
     def encode(self, windows: Samples, reference: Array | None = None) -> AudioFeatures:
         """See `FrontEnd.encode`. Without a reference the recording is not scaled."""
         out = np.empty((len(windows), self.frames, self.width), np.float32)
-        for part, scaled in scaled_windows(windows, reference, self.frames * self.samples_per_frame, _BATCH):
+        for part, scaled in scaled_windows(windows, reference, _BATCH):
             out[part] = self.rows(scaled)
         return AudioFeatures(out, out)
 
@@ -132,11 +132,8 @@ class MelFrontEnd:
         return np.log(power + np.float32(_ROBUST_FLOOR) if self.robust else np.maximum(power, np.float32(_FLOOR)))
 
 
-def scaled_windows(windows: Samples, reference: Array | None, length: int, batch: int
-                   ) -> Iterator[tuple[slice, Samples]]:
-    """Windows [N, length] in parts of `batch`, brought from their reference level [N] to the typical one."""
-    if windows.ndim != 2 or windows.shape[1] != length:
-        raise ValueError(f"windows {windows.shape} are not [N, {length}]")
+def scaled_windows(windows: Samples, reference: Array | None, batch: int) -> Iterator[tuple[slice, Samples]]:
+    """Windows [N, samples] in parts of `batch`, brought from their reference level [N] to the typical one."""
     gain = np.zeros(len(windows)) if reference is None else np.asarray(reference) - TYPICAL_LEVEL
     for start in range(0, len(windows), batch):
         part = slice(start, start + batch)

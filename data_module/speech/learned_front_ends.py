@@ -40,7 +40,7 @@ class LearnedFrontEnd:
     def encode(self, windows: Samples, reference: Array | None = None) -> AudioFeatures:
         mel = self.mel
         low, high = (np.empty((len(windows), mel.frames, self.width), np.float32) for _ in range(2))
-        for part, scaled in scaled_windows(windows, reference, mel.frames * mel.samples_per_frame, _BATCH):
+        for part, scaled in scaled_windows(windows, reference, _BATCH):
             levels = self.encoder.levels(scaled, mel.frames, self.layers)
             columns = mel.rows(scaled)[..., -_LEVEL_COLUMNS:]
             for out, level in zip((low, high), levels, strict=True):

@@ -10,6 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from data_module.speech.mel import mel_bands
 from data_module.speech.silence import FRAME, QUIETEST, LoudnessStep, frame_levels, loudness
@@ -130,10 +131,7 @@ class RiseTracker:
 
     def _strengths(self, count: int) -> Array:
         """The strengths [count] of the next spectra."""
-        piece = self._sound[:(count - 1) * self._hop + self._window]
-        # As librosa's stft, whose checks take five times as long as the arithmetic for so few windows.
-        windows = sliding_window_view(piece, self._window)[::self._hop] * self._hann
-        spectrum = np.fft.rfft(windows, axis=1).astype(np.complex64).T
+        spectrum = _spectra(self._sound[:(count - 1) * self._hop + self._window], self._hann, self._hop)
         power = spectrum.real ** 2 + spectrum.imag ** 2
         power = np.add.reduceat(self._weights * power[self._bins], self._first_of_band, axis=0)
         numbers = np.arange(self._frames, self._frames + count)
@@ -238,7 +236,12 @@ class OnsetTracker:
         return out
 
 
-@lru_cache(maxsize=4)
+def _spectra(sound: Samples, taper: Array, hop: int) -> NDArray[np.complex64]:
+    """[bins, F] of the windows [F, W] that begin every `hop` samples; librosa's checks take five times as long."""
+    windows = sliding_window_view(sound, len(taper))[::hop] * taper
+    return np.fft.rfft(windows, axis=1).astype(np.complex64).T
+
+
 @lru_cache(maxsize=4)
 def _covered(window: int, hop: int) -> Array:
     """Share of the power of the first windows that lies in the recording, up to 1, to correct for windows that are only

@@ -6,7 +6,6 @@ on every frame of the word. Silence is an empty word: zeros, and a flag.
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
 import math
 import re
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
-from data_module.files import read_object, read_text
+from data_module.files import file_hash, read_object, read_text
 from data_module.layers_run import Tensors
 from data_module.registry import Requirement
 from data_module.text.bert import BertEncoder
@@ -219,5 +218,4 @@ def _bert(folder: Path) -> BertEncoder:
 
 def _fingerprint(folder: Path) -> str:
     """Of the weights alone: notes and licences beside them may change."""
-    with (folder / _WEIGHTS).open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()[:16]
+    return file_hash(folder / _WEIGHTS)[:16]

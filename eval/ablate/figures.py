@@ -24,12 +24,12 @@ from data_module.store import Recording
 from eval.ablate.rows import COLUMNS, OURS, PERFORMER, REAL_TAKE, ROWS, TABLES
 from eval.ablate.run import RgRows, configured
 from eval.clip.excerpts import evenly
-from eval.metrics import pmb
+from eval.metrics import audio_clusters, pmb
 from eval.metrics.encode import EncodedMotion, latents_of
 from eval.metrics.evaluate import WIDE
 from eval.pictures.canvas import STYLE
 from eval.pictures.embedding import embed, embedding_panels, joint_embedding, neighbours_agree
-from eval.pictures.plots import Overview, beat_strips, delta_curves, interval_bars, overview, size_sweep
+from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curves, interval_bars, overview, size_sweep
 from eval.pictures.strips import PAGE, Source, draw_page, save_strip
 from gesticulator.training.stages import LABELS
 
@@ -119,6 +119,21 @@ def curves(rg: RgRows, rows: Summaries) -> Picture:
     return delta_curves({name: rows[name]["pmb_curve"] for name in names if name in rows}, pmb.DELTAS, dashed=beside)
 
 
+def clusters(rg: RgRows, rows: Summaries) -> Picture:
+    """RG Fig. 14, of the blocks in which something is said."""
+    corpus, frames = rg.context.corpus, rg.first.config.rhythm.frames
+    blocks = [corpus.blocks_of(corpus.names.index(name)) for name in rg.names("test")]
+    spoken = [~np.asarray(corpus.silent)[numbers].astype(bool) for numbers in blocks]
+    every = np.concatenate(blocks)[np.concatenate(spoken)]
+    # Features hold the block before and the one after it too; the block itself is the middle third.
+    levels = {f"{kind} level": audio_clusters.cluster(
+        features[every][:, frames:2 * frames].float().mean(dim=1).numpy())
+        for kind, features in (("low", corpus.low), ("high", corpus.high))}
+    return cluster_bars({name: audio_clusters.association(levels, [
+        clip.labels[voiced] for clip, voiced in zip(encoded(rg, name), spoken, strict=True)])
+        for name in (PERFORMER, OURS)})
+
+
 def panels(*names: str) -> Draw:
     """RG Figs 15 and 17: the latents of rows in one embedding."""
     def drawn(rg: RgRows, rows: Summaries) -> Picture:
@@ -174,7 +189,7 @@ FIGURES: dict[str, PaperFigure] = {
     "figure-5": PaperFigure(onset_intervals), "figure-6": PaperFigure(lexicon, dots=True),
     "figure-9-performer": PaperFigure(strip(PERFORMER), (PERFORMER,), dots=True),
     "figure-9-ours": PaperFigure(strip(OURS), (OURS,), dots=True),
-    "figure-11": PaperFigure(curves),
+    "figure-11": PaperFigure(curves), "figure-14": PaperFigure(clusters, (PERFORMER, OURS)),
     "figure-15": PaperFigure(panels(*_STEPS), _STEPS, dots=True),
     "figure-16": PaperFigure(strips_of_beats, (*_RANGES, PERFORMER)),
     "figure-17": PaperFigure(panels(*_LEXEMES), _LEXEMES, dots=True),

@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from data_module.types import Array
+from eval.context import Lexemes
 from eval.metrics.accuracy import lexeme_accuracy
 from eval.metrics.diversity import diversity, longest_run
 from gesticulator.bundle import bundle as bundles
@@ -27,7 +28,6 @@ from interpreters.episodes import Demonstration
 from interpreters.lstm_run import LstmRunner
 from interpreters.reward_table import EnsembleReward, RewardTable
 
-Lexemes = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 EPISODE = 15

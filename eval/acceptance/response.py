@@ -23,9 +23,8 @@ from dataclasses import replace
 import numpy as np
 
 from data_module.controls import FEATURES, LEVELS, per_frame
-from data_module.errors import InputError
+from data_module.errors import InputError, install_line
 from data_module.motion.phases import gesture_units, runs
-from data_module.registry import install_line
 from data_module.types import Array, Speech
 from eval import stats
 from eval.acceptance.bounds import Measured, Results
@@ -39,9 +38,9 @@ from eval.acceptance.stimuli import (
     other_words,
     readings,
     said_with,
-    spread_out,
     word_changed,
 )
+from eval.clip.excerpts import spread_out
 from eval.metrics import eye
 from eval.metrics.eye import common_body, hear, stability
 from eval.metrics.eye.body import HZ, CommonBody

@@ -31,7 +31,8 @@ from data_module.speech.audio import SAMPLE_RATE
 from data_module.types import Array, Motion, Speech
 from eval import stats
 from eval.acceptance.bounds import Measured, Results
-from eval.acceptance.stimuli import derived, faint, middle_of, noise, pauses_in, spread_out, unbroken, with_pauses
+from eval.acceptance.stimuli import derived, faint, middle_of, noise, pauses_in, unbroken, with_pauses
+from eval.clip.excerpts import spread_out
 from eval.metrics.eye import common_body, hands, together, trunk
 from eval.metrics.eye.body import HZ, CommonBody
 from eval.renderings import TAKE, AcceptanceVoice, BundleSystem, Rendering

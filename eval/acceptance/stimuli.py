@@ -133,12 +133,6 @@ def derived(voice: AcceptanceVoice, name: str, speech: Speech) -> AcceptanceVoic
     return AcceptanceVoice(f"{voice.name} {name}", replace(speech, words=None), group=voice.group or voice.name)
 
 
-def spread_out(voices: Sequence[AcceptanceVoice], count: int) -> list[AcceptanceVoice]:
-    """That many of the voices, the first one and others evenly chosen."""
-    at = np.unique(np.linspace(0, len(voices) - 1, min(count, len(voices))).round().astype(int))
-    return [voices[k] for k in at]
-
-
 def middle_of(voice: AcceptanceVoice, seconds: float) -> Speech:
     """The middle `seconds` of a voice at the models' sampling rate, with its words."""
     return excerpt_of_speech(resample(voice.speech, SAMPLE_RATE), seconds)

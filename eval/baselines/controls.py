@@ -108,9 +108,7 @@ def mean_pose(clips: Clips) -> list[Motion]:
     """Each clip held still in its mean pose (the rotation nearest to all of a joint's)."""
     out = []
     for clip in clips:
-        # The nearest rotation to all: the greatest eigenvector of their outer products, for which q and -q are one.
-        outer = np.einsum("tji,tjk->jik", clip.rotations, clip.rotations)
-        turns = np.linalg.eigh(outer)[1][..., -1]
+        turns = np.stack([rotation.mean(joint) for joint in clip.rotations.swapaxes(0, 1)])
         out.append(replace(clip, rotations=np.tile(turns, (len(clip), 1, 1)),
                            root_positions=np.tile(clip.root_positions.mean(axis=0), (len(clip), 1))))
     return out

@@ -32,22 +32,6 @@ def _only(lexeme: int, size: int) -> Array:
     return scores
 
 
-class Majority:
-    """Always the lexeme that the speaker uses most: the floor of every table."""
-
-    def __init__(self, bundle: Bundle) -> None:
-        self._best = [int(frequencies.argmax()) for frequencies in bundle.frequencies]
-        self._size = len(bundle.vectors)
-
-    def start(self, speaker: int, first_lexeme: int) -> int:
-        """The state is the speaker."""
-        return speaker
-
-    def step(self, state: int, features: BlockFeatures, previous_lexeme: int) -> tuple[Array, int]:
-        """The same scores [S] for every block."""
-        return _only(self._best[state], self._size), state
-
-
 class Bigram:
     """The most frequent successor of the previous lexeme for this speaker: what accuracy needs no sound for."""
 
@@ -72,6 +56,14 @@ class Bigram:
     def step(self, state: int, features: BlockFeatures, previous_lexeme: int) -> tuple[Array, int]:
         """One lexeme, by the table."""
         return _only(int(self._successors[state, previous_lexeme]), self._successors.shape[1]), state
+
+
+class Majority(Bigram):
+    """Always the lexeme that the speaker uses most, whatever came before it: the floor of every table."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        best = np.array([frequencies.argmax() for frequencies in bundle.frequencies])
+        super().__init__(np.repeat(best[:, None], len(bundle.vectors), axis=1))
 
 
 class ReplayInterpreter:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from data_module.speech.audio import load_speech
 from data_module.store import Recording, RecordingInfo, Split, Store
 from data_module.types import Motion, Speech, Word
 
+T = TypeVar("T")
 TAKE = Path("takes") / "beat_scott"
 """In GESTICULATOR_DATA: a real take, one BVH and one WAV."""
 TAKE_FPS = 15.0
@@ -30,9 +32,13 @@ def evenly(store: Store, split: str, limit: int | None = None) -> list[Recording
         raise InputError(store.path, f"has no recordings in its {split} split", "choose another split")
     if limit is not None and limit < 1:
         raise InputError("--limit", "must be 1 or more", "leave it out for all")
-    count = len(infos) if limit is None else min(limit, len(infos))
+    return spread_out(infos, len(infos) if limit is None else limit)
+
+
+def spread_out(items: Sequence[T], count: int) -> list[T]:
+    """That many of the items (all where they are fewer), the first one and others evenly chosen."""
     # Evenly over the list, as neighbours in it are often of one speaker.
-    return [infos[i] for i in np.linspace(0, len(infos) - 1, count).round().astype(int)]
+    return [items[k] for k in np.linspace(0, len(items) - 1, min(count, len(items))).round().astype(int)]
 
 
 def excerpt(recording: Recording, seconds: float) -> Recording:

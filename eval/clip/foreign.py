@@ -19,7 +19,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
 
 from data_module.errors import InputError, shown
 from data_module.files import read_json
@@ -27,8 +26,9 @@ from data_module.motion.bvh import FRAME_RATE_ADVICE, BvhWarning, read_bvh
 from data_module.motion.skeletons import FINGER_JOINTS, FINGERED, to_character
 from data_module.motion.smplx import read_smplx
 from data_module.speech.audio import SOUNDS, load_speech
-from data_module.store import RecordingInfo, Split, Store
+from data_module.store import Store
 from data_module.types import Motion, Speech
+from eval.clip.excerpts import evenly
 from eval.clip.positions import read_points, read_positions
 
 MOTIONS = (".bvh", ".npz", ".npy")
@@ -82,7 +82,7 @@ def find_sound(folder: Path, name: str) -> Path | None:
 def names_in(folder: Path, split: str = "test") -> list[str]:
     """The names of the clips that `read_folder` would read; nothing but their files' names is looked at."""
     if (folder / STORE).is_file():
-        return [info.name for info in _chosen(Store.open(folder), split)]
+        return [info.name for info in evenly(Store.open(folder), split)]
     return list(find_motions(folder)[0])
 
 
@@ -98,7 +98,7 @@ def read_folder(folder: Path, speech: Path | None = None, only: Sequence[str] | 
     clips = {}
     if (folder / STORE).is_file():
         store = Store.open(folder)
-        for info in _chosen(store, split):
+        for info in evenly(store, split):
             if only is None or info.name in only:
                 recording = store.load(info.name)
                 clips[info.name] = Clip(info.name, recording.motion, replace(recording.speech, speaker=info.speaker),
@@ -110,10 +110,6 @@ def read_folder(folder: Path, speech: Path | None = None, only: Sequence[str] | 
             sound = find_sound(speech or folder, name)
             clips[name] = Clip(name, read_motion(file), load_speech(sound) if sound else None, name)
     return clips, notes
-
-
-def _chosen(store: Store, split: str) -> list[RecordingInfo]:
-    return list(store.recordings if split == "all" else store.of_split(cast(Split, split)))
 
 
 # ---------------------------------------------------------------------------------------------------- files

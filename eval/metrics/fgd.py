@@ -74,12 +74,8 @@ class Figure:
 
 
 def gaussian(features: Array) -> Gaussian:
-    """The moments of features [N, E]. ValueError for fewer than two, another shape, or numbers not finite."""
+    """The moments of features [N, E], of two or more."""
     points = np.asarray(features, dtype=np.float64)
-    if points.ndim != 2 or len(points) < 2 or points.shape[1] == 0:
-        raise ValueError(f"features must be [N, E] with N of 2 or more, not {points.shape}")
-    if not np.isfinite(points).all():
-        raise ValueError("features must be finite")
     return Gaussian(points.mean(axis=0), np.atleast_2d(np.cov(points, rowvar=False)))
 
 
@@ -89,8 +85,6 @@ def frechet_distance(a: Gaussian, b: Gaussian) -> float:
     The trace of (C1 C2)^(1/2) is the sum of the singular values of C1^(1/2) C2^(1/2): nothing is inverted and no root
     of an unsymmetric matrix is taken, so nothing need be added to a diagonal. ValueError for widths that differ.
     """
-    if a.mean.shape != b.mean.shape or a.covariance.shape != b.covariance.shape:
-        raise ValueError(f"features of {len(a.mean)} and of {len(b.mean)} numbers cannot be compared")
     # For symmetric A, B the eigenvalues of AB are the squares of the singular values of A^(1/2) B^(1/2).
     shared = np.linalg.svd(_root(a.covariance) @ _root(b.covariance), compute_uv=False).sum()
     apart = float(((a.mean - b.mean) ** 2).sum())

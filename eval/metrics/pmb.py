@@ -102,8 +102,6 @@ def wrapped(onsets: Array, duration: float, wanted: float) -> Array:
 
     So that another's speech is as long as the motion that it is tried on.
     """
-    if not (duration > 0 and wanted > 0):
-        raise ValueError(f"durations must be positive, not {duration} and {wanted}")
     times = np.asarray(onsets, dtype=np.float64)
     rounds = np.arange(math.ceil(wanted / duration)) * duration
     # Onsets beyond the sound's own end would come twice where it begins anew.

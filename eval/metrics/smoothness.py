@@ -42,19 +42,11 @@ BINS = 60
 
 
 def derivative(positions: Array, fps: float, order: int) -> Array:
-    """[T - order, J] lengths of the `order`-th derivative of positions [T, J, 3], in m/s^order.
-
-    ValueError for another shape, numbers not finite, or an fps that is not positive.
-    """
-    places = np.asarray(positions, dtype=np.float64)
-    if places.ndim != 3 or places.shape[2] != 3 or not np.isfinite(places).all():
-        raise ValueError(f"positions must be finite, [T, J, 3], not {places.shape}")
-    if not (np.isfinite(fps) and fps > 0) or order < 1:
-        raise ValueError(f"fps must be positive and the order 1 or more, not {fps} and {order}")
-    if len(places) <= order:
-        return np.zeros((0, places.shape[1]))
+    """[T - order, J] lengths of the `order`-th derivative of positions [T, J, 3], in m/s^order."""
+    if len(positions) <= order:
+        return np.zeros((0, positions.shape[1]))
     # Plain differences, so that the figure is that of the frames and of no filter's.
-    lengths: Array = np.linalg.norm(np.diff(places, n=order, axis=0), axis=-1) * fps ** order
+    lengths: Array = np.linalg.norm(np.diff(positions, n=order, axis=0), axis=-1) * fps ** order
     return lengths
 
 
@@ -77,25 +69,15 @@ def _hands(motion: Motion) -> Array:
 
 
 def speed_histogram(speeds: Array) -> Array:
-    """[BINS] how many of the speeds (m/s, any shape) lie in each bin. ValueError for any below 0 or not finite."""
-    values = np.asarray(speeds, dtype=np.float64).ravel()
-    if values.size and not (np.isfinite(values).all() and values.min() >= 0):
-        raise ValueError("speeds must be finite and 0 or more")
+    """[BINS] how many of the speeds (m/s, any shape) lie in each bin."""
     # A speed on the edge of a bin is in the upper one, also where the division is a hair too small.
-    bins = np.minimum((values / BIN + 1e-9).astype(int), BINS - 1)
+    bins = np.minimum((speeds.ravel() / BIN + 1e-9).astype(int), BINS - 1)
     return np.bincount(bins, minlength=BINS).astype(np.float64)
 
 
 def hellinger(first: Array, second: Array) -> float:
-    """Hellinger distance between two histograms of counts or shares [n]; NaN where either is empty.
-
-    NaN has one reason here: a histogram of nothing. ValueError for different bins, or counts below 0 or not finite.
-    """
-    p, q = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    if p.shape != q.shape or p.ndim != 1 or not all(
-            np.isfinite(histogram).all() and (histogram >= 0).all() for histogram in (p, q)):
-        raise ValueError(f"histograms must have the same bins, finite and 0 or more: {p.shape} and {q.shape}")
-    if p.sum() <= 0 or q.sum() <= 0:
-        return float("nan")
+    """Hellinger distance between two histograms of counts or shares [n]; NaN where either is empty."""
+    if first.sum() <= 0 or second.sum() <= 0:
+        return math.nan
     # As the distance of roots, so that equal histograms are at 0 and not at the root of a rounding error.
-    return float(np.linalg.norm(np.sqrt(p / p.sum()) - np.sqrt(q / q.sum())) / np.sqrt(2.0))
+    return float(np.linalg.norm(np.sqrt(first / first.sum()) - np.sqrt(second / second.sum())) / np.sqrt(2.0))

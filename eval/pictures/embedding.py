@@ -14,9 +14,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_module.types import Array
+from eval.metrics.diversity import Labels
 from eval.pictures.canvas import COLUMNS, WIDE, canvas
 from gesticulator.export.figure import SOFT
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 PERPLEXITY, NEIGHBOURS = 30.0, 10
 NUMBERED = 12
 """Lexemes that have a number in a panel: the commonest ones; more would cover the points."""
-Labels = NDArray[np.int64]
 
 
 def embed(latents: Array, seed: int = 0) -> Array:

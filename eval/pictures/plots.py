@@ -2,6 +2,7 @@
 
     interval_bars      intervals between onsets and between beats      RG Fig. 5, 8a
     delta_curves       PMB against its tolerance                        RG Fig. 11
+    cluster_bars       entropy of lexemes within clusters of sound      RG Fig. 14
     beat_strips        motion beats beside onsets                       RG Fig. 16
     size_sweep         metrics against the size of the lexicon          RG Fig. 18
     overview           a few seconds of speech, blocks and motion       RG Fig. 2
@@ -133,6 +134,31 @@ def size_sweep(sizes: Sequence[int], figures: Mapping[str, Sequence[Triple]], re
         axis.set(title=title, xlabel="lexemes")
         axis.grid(axis="y")
     legend(figure, axes)
+    return figure
+
+
+# ---------------------------------------------------------------------------------------------------------- Fig. 14
+
+def cluster_bars(panels: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Figure:
+    """How much the cluster of a block's sound tells of its lexeme, for each level of the encoder (RG Fig. 14).
+
+    panels: whose motion -> `eval.metrics.audio_clusters.association`. The entropy of the lexeme given the cluster
+    beside what the same lexemes, turned round, have by chance, under the entropy of the lexeme alone. Clusters of a few
+    blocks have a low entropy whatever they hold, so a bar means something only beside its chance.
+    """
+    # One bar for each level of each motion, the performer's beside ours.
+    bars = {f"{whose}\n{level}": value for whose, levels in panels.items() for level, value in levels.items()}
+    figure, at = canvas(3.9), np.arange(len(bars))
+    axis = figure.subplots()
+    told, chance, alone = ([value[key] for value in bars.values()] for key in ("entropy", "by_chance", "alone"))
+    shown = axis.bar(at - 0.2, told, 0.38, color=BLUE, label="given the cluster")
+    axis.bar_label(shown, [f"p {value['p']:.2f}" for value in bars.values()])
+    axis.bar(at + 0.2, chance, 0.38, facecolor="white", edgecolor=BLUE, hatch="///", label="by chance")
+    axis.hlines(alone, at - 0.45, at + 0.45, color=INK, linestyle=DASHES[0], label="lexeme alone")
+    axis.set_xticks(at, list(bars))
+    axis.set(ylabel="entropy of the lexeme, nats")
+    axis.grid(axis="y")
+    legend(figure, (axis,))
     return figure
 
 

@@ -17,8 +17,7 @@ import warnings
 from functools import lru_cache
 from pathlib import Path
 
-from data_module.errors import InputError
-from data_module.registry import install_line
+from data_module.errors import InputError, install_line
 
 VARIABLE = "GESTICULATOR_BLENDER"
 """Environment variable with the path of the Blender, or the Python with bpy, to use."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from data_module.errors import InputError
 from data_module.motion import rotation, skeletons
-from data_module.motion.skeletons import FINGERS, WHOLE_BODY
+from data_module.motion.skeletons import FINGERS, WHOLE_BODY, nearest_axis
 from data_module.types import Array
 from gesticulator.characters import shape
 from gesticulator.characters.mapping import SIDES, RigMapping, ancestors
@@ -177,9 +177,9 @@ def _axes(character: Character, mapping: RigMapping, places: Array) -> Array:
     """[3, 3] the character's left, up and forward in the file's axes, from its joints in the bind pose."""
     joints = mapping.joints
     up = _unit_vector(character, places[joints["Head"]] - places[joints["Hips"]], "hips and head")
-    axis = _nearest_axis(up)
+    axis = nearest_axis(up)
     known = UPS.get(character.kind)
-    modelled = character.space @ _nearest_axis(character.space.T @ up)  # along an axis of the mesh
+    modelled = character.space @ nearest_axis(character.space.T @ up)  # along an axis of the mesh
     # In order of trust: an axis of the mesh, the format's up axis, any axis of the file that is near.
     if known is not None and up @ modelled > np.cos(_UPRIGHT) and modelled @ known < np.cos(_LEVEL):
         up = modelled
@@ -195,7 +195,7 @@ def _axes(character: Character, mapping: RigMapping, places: Array) -> Array:
             left = left + (across - (across @ up) * up)
     left = _unit_vector(character, left, "both shoulders")
     # A mesh is modelled along its axes, whatever the turn that the file gives it.
-    axis = _nearest_axis(left) if known is None else character.space @ _nearest_axis(character.space.T @ left)
+    axis = nearest_axis(left) if known is None else character.space @ nearest_axis(character.space.T @ left)
     axis = axis - (axis @ up) * up if known is not None else axis
     if left @ axis > np.cos(_SQUARE) and abs(axis @ up) < 1e-9:
         left = axis / np.linalg.norm(axis)
@@ -212,12 +212,6 @@ def _upright(character: Character, axes: Array) -> Array:
     # VRM 0.x characters face -Z, all others +Z, so their left is -X.
     left = np.array([-1.0 if character.vrm == "0.x" else 1.0, 0.0, 0.0])
     return np.stack([left, known, np.cross(left, known)])
-
-
-def _nearest_axis(vector: Array) -> Array:
-    axis = np.zeros(3)
-    axis[np.argmax(np.abs(vector))] = np.sign(vector[np.argmax(np.abs(vector))])
-    return axis
 
 
 def _unit_vector(character: Character, vector: Array, what: str) -> Array:

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.errors import InputError, shown
-from data_module.registry import install_line
+from data_module.errors import InputError, install_line, shown
 
 MESHOPT, DRACO = "EXT_meshopt_compression", "KHR_draco_mesh_compression"
 PACKAGES = {MESHOPT: "meshoptimizer", DRACO: "DracoPy"}

@@ -1,10 +1,11 @@
 """A server for one page and one user: it listens on this machine only, and renders the plans sent by its page.
 
-`GET /SECRET/` is the page, and `GET /SECRET/figures` the figures of its palette; `POST /SECRET/render` takes the page's
-request and answers with the messages of `gesticulator.page.session`, or with `{"error": ...}`. Other users of this
-machine can find the port, so the address holds a secret. Any page open in a browser can send requests to a local
-server; so a request must name this server as its host (which a foreign name resolved to this machine does not), and a
-rendering must come from its own page and carry the page's token.
+`GET /SECRET/` is the page, `GET /SECRET/figures` the figures of its palette, and `GET /SECRET/plan/N` the state of the
+edits, with the plan if there is one after revision N. `POST /SECRET/render` takes the page's request and answers with
+the messages of `gesticulator.page.session`, with `{"error": ...}`, or with the state where edits of another page came
+before. Other users of this machine can find the port, so the address holds a secret. Any page open in a browser can
+send requests to a local server; so a request must name this server as its host (which a foreign name resolved to this
+machine does not), and a rendering must come from its own page and carry the page's token.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from typing import Any
 
 from data_module.errors import InputError, one_line
 from data_module.files import parse_json
+from gesticulator.page.edits import Edits, StaleError
 
 HOST = "127.0.0.1"
 TOKEN_HEADER = "X-Gesticulator-Token"
@@ -69,6 +71,7 @@ class PageServer(ThreadingHTTPServer):
             raise InputError(f"--port {port}", f"cannot be used ({reason})",
                              "choose another, or leave it out") from None
         self.page = b""
+        self.edits = Edits()
         self.figures: Callable[[], bytes] = lambda: b"{}"
         """Makes the figures of the palette as JSON."""
         self.render: Render | None = None
@@ -82,15 +85,14 @@ class PageServer(ThreadingHTTPServer):
         """URL of the page, with the secret."""
         return f"http://{HOST}:{self.server_port}/{self.secret}/"
 
-    @property
-    def hosts(self) -> tuple[str, ...]:
-        """Accepted values of the Host header."""
-        return f"{HOST}:{self.server_port}", f"localhost:{self.server_port}"
-
     def abandons(self, page: str, number: int) -> Callable[[], bool]:
         """Note the latest request of a page; returns whether a later one has come."""
         self._latest[page] = max(number, self._latest.get(page, 0))
         return lambda: self._latest[page] > number
+
+    def service_actions(self) -> None:
+        """Between requests: what could not be saved is tried again."""
+        self.edits.save()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore browsers that disconnect early."""
@@ -111,8 +113,11 @@ class _PageHandler(BaseHTTPRequestHandler):
         if not self._is_ours():
             return
         place = self._place()
+        what, _, since = (place or "").partition("/")
         # To read, the secret is enough: another origin cannot see the answer.
-        if place == "figures":
+        if what == "plan" and since.isdecimal() and len(since) < 18:
+            self._answer(HTTPStatus.OK, self.server.edits.state(int(since)), "application/json")
+        elif place == "figures":
             self._answer(HTTPStatus.OK, self.server.figures(), "application/json")
         elif place == "":
             self._answer(HTTPStatus.OK, self.server.page, "text/html; charset=utf-8")
@@ -143,10 +148,10 @@ class _PageHandler(BaseHTTPRequestHandler):
         return place if self.path.startswith(f"/{secret}/") else None
 
     def _is_ours(self) -> bool:
-        if self.headers.get("Host") in self.server.hosts:
-            return True
-        self._refuse(HTTPStatus.FORBIDDEN, "this server goes by another name")
-        return False
+        known = self.headers.get("Host") in [f"{host}:{self.server.server_port}" for host in (HOST, "localhost")]
+        if not known:
+            self._refuse(HTTPStatus.FORBIDDEN, "this server goes by another name")
+        return known
 
     def _is_from_page(self) -> bool:
         token = self.headers.get(TOKEN_HEADER, "").encode()
@@ -175,6 +180,8 @@ class _PageHandler(BaseHTTPRequestHandler):
             # One at a time: the models hold all cores, and the renderer remembers what it sampled.
             with self.server.rendering:
                 self._part(render(request, abandoned, self._part))
+        except StaleError:
+            self._answer(HTTPStatus.PRECONDITION_FAILED, self.server.edits.state(-1), "application/json")
         except AbandonedError:
             self._refuse(HTTPStatus.CONFLICT, "the page has asked for something else")
         except (InputError, OSError) as error:

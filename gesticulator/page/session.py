@@ -1,8 +1,9 @@
 """Rendering of one recording's plans while they are edited on a page.
 
-A page has a motion and its plan, a *rendering* with a number. After each edit it sends the whole plan and that number,
-and gets the plan with what was decided in it, and the frames that differ from those that it has (`server.message`).
-Where the recording is generated again, messages with the share that is done come before that.
+A page has a motion and its plan, a *rendering* with a number. After each edit it sends the whole plan, that number and
+the revision of the plan that it started from, and gets the plan with what was decided in it, and the frames that differ
+from those that it has (`server.message`). Where the recording is generated again, messages with the share that is done
+come before that.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from gesticulator.directing.directions import check_plan_of, planned
 from gesticulator.editing.frames import EditedFrames, FrameRenderer
 from gesticulator.export.html import QUATERNION_STEPS, describe_shape, page_fps, root_path
 from gesticulator.options import InferenceOptions
+from gesticulator.page.edits import Edits
 from gesticulator.page.server import AbandonedError, message
 from gesticulator.performance import Performance
 from gesticulator.plan.plan import GesturePlan, fingerprinted, named, sound_hash
@@ -31,7 +33,6 @@ from gesticulator.plan.plan_file import plan_from
 if TYPE_CHECKING:
     from data_module.types import Motion
     from gesticulator.bundle.bundle import Bundle
-    from gesticulator.directing.shaping import Shaping
     from gesticulator.editing.render import PlanRenderer
     from gesticulator.gesticulator import Gesticulator
     from gesticulator.sampling.loop import GeneratedMotion
@@ -63,9 +64,9 @@ class Rendering:
 class EditSession:
     """Renders plans of the recording of a performance. Not thread-safe."""
 
-    def __init__(self, gesticulator: Gesticulator, first: Performance) -> None:
+    def __init__(self, gesticulator: Gesticulator, first: Performance, edits: Edits | None = None) -> None:
         """first: whose sound and words are used, and its generation, if it has one (`Gesticulator.keeps_generations`).
-        """
+        edits: the owner of the plan, by default one without a file."""
         self._gesticulator, self._speech, self._name = gesticulator, first.speech, first.decided.sound.name
         self._sound = sound_hash(first.speech)
         self._first = _identity(first.decided), first.generation
@@ -73,8 +74,7 @@ class EditSession:
         self._renderings: OrderedDict[int, Rendering] = OrderedDict()
         self._frames: OrderedDict[int, tuple[Hashable, EditedFrames]] = OrderedDict()
         self._count = 0
-        self.on_edit: Callable[[Mapping[str, Any], GesturePlan], None] = lambda request, plan: None
-        """Called with the request and the rendered plan before each answer."""
+        self.edits = edits or Edits()
 
     def perform(self, plan: GesturePlan) -> Performance:
         """The performance of a plan; `InputError` with the line if it is invalid or of another recording."""
@@ -89,18 +89,23 @@ class EditSession:
         # The first edit then computes a window of frames and not the whole take.
         if self._renders_parts and options.plan is not None and not options.plan.pins:
             generated = self._renderer(options).render(options.plan)
-            self._share(rendering, options, self._frame_renderer(options).render(
-                generated, self._shaping(options, generated), options.plan, None, performance.motion))
+            self._share(rendering, options, self._framed(options, generated, None, performance.motion))
+        self.edits.plan = rendering.plan
         return rendering.number
 
     def answer(self, request: Mapping[str, Any], abandoned: Callable[[], bool] = lambda: False,
                report: Callable[[bytes], object] = lambda message: None) -> bytes:
         """The message that answers a page.
 
-        request: `plan`, and `have`, the number of the rendering that the page has, or null. abandoned: called now and
-        then, ends the rendering with `AbandonedError`; what was generated until then is remembered. report: takes
-        messages of progress. `InputError` for an invalid plan.
+        request: `plan`; `have`, the number of the rendering that the page has, or null; `revision`, that the plan
+        started from, without which it is a try, and not taken; `page`, its name; `both`, whether the plan that is
+        replaced is kept as a file. abandoned: called now and then, ends the rendering with `AbandonedError`; what was
+        generated until then is remembered. report: takes messages of progress. `InputError` for an invalid plan,
+        `StaleError` for one that does not know of another page's edits.
         """
+        base, page = request.get("revision"), str(request.get("page", ""))
+        if isinstance(base, int):
+            self.edits.check(base, page)
         have = self._renderings.get(request["have"]) if isinstance(request.get("have"), int) else None
 
         def on_block(done: int, total: int) -> None:
@@ -110,8 +115,11 @@ class EditSession:
                 report(message({"kind": "progress", "share": round(done / total, 3)}))
 
         rendering = self.render(plan_from(request["plan"]), have, on_block)
-        self.on_edit(request, rendering.plan)
-        return _answer(rendering, have)
+        if isinstance(base, int):
+            if request.get("both"):
+                self.edits.copy()
+            self.edits.take(rendering.plan, page)
+        return _answer(rendering, have, self.edits.head())
 
     def render(self, plan: GesturePlan, have: Rendering | None = None,
                on_block: Callable[[int, int], None] | None = None) -> Rendering:
@@ -132,8 +140,7 @@ class EditSession:
         # The frames of the page's rendering, or else the latest ones: whatever differs is computed again.
         shared = self._frames.get(-1 if have is None else have.number) or next(reversed(self._frames.values()), None)
         before = shared[1] if shared is not None and shared[0] == self._framing(options) else None
-        frames = self._frame_renderer(options).render(generated, self._shaping(options, generated), options.plan,
-                                                      before)
+        frames = self._framed(options, generated, before)
         rendering = self._kept(plan, self._decided(options, generated), frames.motion)
         self._share(rendering, options, frames)
         return rendering
@@ -144,15 +151,17 @@ class EditSession:
         bundle = self._gesticulator.bundle
         return bundle.system.BLOCKS and representation_of(bundle.config).name == "rotations"
 
-    def _frame_renderer(self, options: InferenceOptions) -> FrameRenderer:
-        return FrameRenderer(self._gesticulator.bundle, self._gesticulator.resolver.speaker(options.speaker), options)
+    def _framed(self, options: InferenceOptions, generated: GeneratedMotion, before: EditedFrames | None,
+                motion: Motion | None = None) -> EditedFrames:
+        """The frames of a generation; see `FrameRenderer.render`."""
+        bundle, speaker = self._gesticulator.bundle, self._gesticulator.resolver.speaker(options.speaker)
+        shaping = self._gesticulator.assembler(self._speech, options).shaping(generated.cut.edges)
+        assert options.plan is not None
+        return FrameRenderer(bundle, speaker, options).render(generated, shaping, options.plan, before, motion)
 
     def _framing(self, options: InferenceOptions) -> Hashable:
         """The options on which frames depend, apart from their poses (`MotionPath`)."""
         return options.speaker, options.fps, options.legs, options.seated, options.mirrored, options.seed
-
-    def _shaping(self, options: InferenceOptions, generated: GeneratedMotion) -> Shaping | None:
-        return self._gesticulator.assembler(self._speech, options).shaping(generated.cut.edges)
 
     def _share(self, rendering: Rendering, options: InferenceOptions, frames: EditedFrames) -> None:
         """Let the next renderings share the frames of one."""
@@ -212,10 +221,10 @@ def levels_of(bundle: Bundle) -> dict[str, list[float]] | None:
                                         for name, row in zip(FEATURES, levels.table, strict=True)}
 
 
-def _answer(rendering: Rendering, have: Rendering | None) -> bytes:
+def _answer(rendering: Rendering, have: Rendering | None, head: Mapping[str, Any]) -> bytes:
     """The message with a rendering for a page that has another one, or none: the header `rendering` (its number),
     `shape` (null for the same one), `plan`, `range` of the frames (first, last + 1) and `root`, the bytes of the root's
-    path after those of the frames."""
+    path after those of the frames; and what pages are told of the edits (`Edits.head`)."""
     # Another number of frames or joints is another motion, which is sent as a whole.
     alike = have is not None and have.shape == rendering.shape
     first, last = 0, len(rendering.frames)
@@ -225,7 +234,7 @@ def _answer(rendering: Rendering, have: Rendering | None) -> bytes:
         first, last = (int(differs[0]), int(differs[-1]) + 1) if len(differs) else (0, 0)
     root = b"" if alike and have is not None and have.root == rendering.root else rendering.root
     return message({"kind": "done", "rendering": rendering.number, "shape": None if alike else rendering.shape,
-                    "plan": rendering.plan.to_dict(), "range": [first, last], "root": len(root)},
+                    "plan": rendering.plan.to_dict(), "range": [first, last], "root": len(root), **head},
                    rendering.frames[first:last].tobytes() + root)
 
 

@@ -1,4 +1,5 @@
-// With `gesticulator view` behind the page: what was edited goes there, and the frames that changed come back.
+// With `gesticulator view` behind the page, which owns the plan: what was edited goes there, and the frames that changed
+// come back; what other pages edited comes from there.
 
 import { countChanges, readJson } from "./plan.js";
 
@@ -8,12 +9,14 @@ const PAUSE = 15;
 const LATER = 1000;
 /** Milliseconds before an edit is sent again after the renderer did not answer, and how often it may end an answer. */
 const AWAY = 2000, BROKEN = 3;
-const BUSY = 503, CONFLICT = 409, STRANGE = [403, 404];
+const BUSY = 503, CONFLICT = 409, STALE = 412, STRANGE = [403, 404];
+/** Milliseconds between two questions whether another page has edited the plan, and whether it is saved. */
+const FOLLOWS = 700;
 
 /** The renderer does not answer. */
 class AwayError extends Error {}
 /** What is said while the renderer does not answer. */
-export const AWAY_TEXT = "gesticulator view does not answer: is it still running? The edits up to the last rendering are saved beside the sound.";
+export const AWAY_TEXT = "gesticulator view does not answer: is it still running? What was edited since is in this page alone: Save plan writes it to a file.";
 
 /** What a network gives; `AwayError` where it fails. */
 async function reached(promise) {
@@ -52,13 +55,74 @@ async function* messagesOf(answer) {
 }
 
 export class Live {
-  /** told: { token } from the server, or null for a page without one. say(state, text): shows the state of rendering. */
-  constructor(session, told, say) {
-    Object.assign(this, { session, told, say, waiting: 0, number: 0, asking: null, away: false, broken: 0 });
-    this.page = Math.random().toString(36).slice(2);
+  /** told: { token } from the server, or null for a page without one. say(state, text): shows the state of rendering.
+   *  tell: { unsaved(why), copied(text), stale(shown) } shows that of the file, and asks what to do where another page
+   *  has edited the plan at the same time. */
+  constructor(session, told, say, tell) {
+    Object.assign(this, { session, told, say, tell, waiting: 0, number: 0, asking: null, away: false, broken: 0, theirs: null });
+    Object.assign(this, { revision: 0, problem: "", copied: session.data.notice ?? "" });
+    this.page = crypto.randomUUID?.() ?? Math.random().toString(36).slice(2);
+    /** The last plan of this page that the program has. */
+    this.given = session.lanes[0].history.present;
     session.lanes.forEach((lane, k) => { lane.known = { plan: lane.rendered, rendering: told?.renderings?.[k] ?? null, take: lane.take }; });
     session.on("edited", () => this.edited());
     this.edited();
+    if (!told) return;
+    setInterval(() => this.follow(), FOLLOWS);
+    addEventListener("visibilitychange", () => this.follow());
+  }
+
+  /** Whether something was edited that the program does not have, or could not save. */
+  get unsaved() { return Boolean(this.problem) || this.edits; }
+  get edits() { return this.session.lanes[0].history.present !== this.given; }
+
+  /** Ask for what other pages have edited since. */
+  follow() {
+    this.following ??= this.hearNews().finally(() => { this.following = null; });
+    return this.following;
+  }
+
+  async hearNews() {
+    try {
+      const answer = await reached(fetch(`plan/${this.revision}`));
+      if (!answer.ok) throw new AwayError(AWAY_TEXT);
+      const state = readJson(await reached(answer.text()));
+      if (this.away && !this.edits) this.say("same", "");
+      this.away = false;
+      this.hear(state);
+      // What is edited here at the same time is sent, and refused: then the user decides.
+      if (!state.plan || state.revision <= this.revision || this.edits || this.tried || this.session.active) return;
+      if (state.author !== this.page) this.takeOver(state);
+      else if (!this.asking) this.send(); // an edit that was undone before its answer came
+    } catch (error) {
+      if (!(error instanceof AwayError)) throw error;
+      if (!this.away) this.say("bad", error.message);
+      this.away = true;
+    }
+  }
+
+  /** What every answer tells: whether the plan is saved, and what was copied before it was replaced. */
+  hear({ problem, notice }) {
+    if (problem !== this.problem) this.tell.unsaved(problem);
+    if (notice && notice !== this.copied) this.tell.copied(notice);
+    Object.assign(this, { problem, copied: notice });
+  }
+
+  /** Go on with the plan of another page: a step that can be undone. */
+  takeOver({ revision, plan }) {
+    Object.assign(this, { revision, given: plan, theirs: null });
+    this.tell.stale(false);
+    this.session.edit(plan, "elsewhere");
+  }
+
+  /** Another page edited the plan at the same time: go on with that one, or with this one, and the other as a file. */
+  reload() { if (this.theirs) this.takeOver(this.theirs); }
+
+  keepBoth() {
+    if (!this.theirs) return;
+    Object.assign(this, { revision: this.theirs.revision, theirs: null, both: true });
+    this.tell.stale(false);
+    this.send();
   }
 
   edited() {
@@ -124,8 +188,15 @@ export class Live {
     this.asking?.abort();
     const asking = this.asking = new AbortController(), begin = performance.now();
     try {
-      const answer = await this.ask(asked, known, asking.signal);
+      const answer = await this.ask(asked, known, asking.signal, lane !== this.session.lanes[0]);
       if (answer.status === CONFLICT) return;
+      if (answer.status === STALE) {
+        this.theirs = readJson(await answer.text());
+        this.hear(this.theirs);
+        this.say("edited", "not saved: another page has edited the plan");
+        this.tell.stale(true);
+        return;
+      }
       if (answer.status === BUSY) {
         this.say("busy", "waiting for the models …");
         this.waiting = setTimeout(() => this.send(), LATER);
@@ -151,11 +222,12 @@ export class Live {
     }
   }
 
-  /** Send a plan, with the number of the rendering that the page has. */
+  /** Send a plan, with the number of the rendering that the page has, and, unless it is a try, the revision that it was
+   *  made from. */
   ask(plan, { rendering }, signal, trial = false) {
     return reached(fetch("render", {
       method: "POST", signal, headers: { "Content-Type": "application/json", "X-Gesticulator-Token": this.told.token },
-      body: JSON.stringify({ page: this.page, number: ++this.number, trial, have: rendering, plan }),
+      body: JSON.stringify({ page: this.page, number: ++this.number, revision: trial ? null : this.revision, both: Boolean(this.both), have: rendering, plan }),
     }));
   }
 
@@ -174,7 +246,10 @@ export class Live {
       const { plan } = header, take = (lane.known?.take ?? lane.take).patched(header, data);
       this.session.show(lane, take);
       lane.known = { plan, rendering: header.rendering, take };
-      this.news = `rendered in ${((performance.now() - begin) / 1000).toFixed(2)} s`;
+      const saved = lane === this.session.lanes[0];
+      if (saved) Object.assign(this, { revision: header.revision, given: lane.history.present === asked ? plan : asked, both: false });
+      this.hear(header);
+      this.news = `rendered in ${((performance.now() - begin) / 1000).toFixed(2)} s${saved ? "" : "; a take for comparison is not saved"}`;
       this.session.rendered(lane, plan, asked);
     }
     if (ended || asking.signal.aborted) return;

@@ -379,6 +379,8 @@ function bindDesk() {
   click("ghost", toggleGhost);
   click("help", () => $("sheet").showModal());
   click("notice", () => notice(""));
+  click("stale-reload", () => live.reload());
+  click("stale-both", () => live.keepBoth());
   $("volume").addEventListener("input", (event) => setVolume(Number(event.target.value)));
   $("take").addEventListener("change", (event) => session.activate(Number(event.target.value)));
   $("speed").addEventListener("change", (event) => clock.setSpeed(Number(event.target.value)));
@@ -391,7 +393,8 @@ function bindDesk() {
   });
   addEventListener("change", (event) => { if (event.target.matches("select")) event.target.blur(); });
   addEventListener("beforeunload", (event) => {
-    if (!kept?.whole && session.plan !== session.original && session.plan !== saved) event.preventDefault();
+    const lost = data.live ? live.unsaved : !kept?.whole && session.plan !== session.original;
+    if (lost && session.plan !== saved) event.preventDefault();
   });
 }
 
@@ -453,9 +456,13 @@ session.on("edited", refresh);
 session.on("selected", refresh);
 session.on("takes", performers);
 session.on("refused", () => notice("A motion from a file has no plan to edit: choose the other take."));
-const live = new Live(session, data.live, status);
-const kept = session.lanes.length === 1 && session.plan.sound?.sha256
-  ? new Kept(session, `${data.live?.token ?? "file"} ${session.plan.sound.sha256.slice(0, 16)} ${session.plan.seed}`, notice) : null;
+const live = new Live(session, data.live, status, {
+  unsaved: (why) => { $("unsaved").hidden = !why; $("unsaved").title = why; notice(why ? `${why}. They are in this page, and saving is tried again.` : "The edits are saved again.", Boolean(why)); },
+  copied: (text) => notice(text),
+  stale: (shown) => { $("stale").hidden = !shown; },
+});
+const kept = !data.live && session.lanes.length === 1 && session.plan.sound?.sha256
+  ? new Kept(session, `file ${session.plan.sound.sha256.slice(0, 16)} ${session.plan.seed}`, notice) : null;
 const palette = data.live ? new Palette(session, clock, live, async () => {
   const answer = await fetch("figures");
   if (!answer.ok) throw new Error(answer.statusText);
@@ -487,9 +494,11 @@ new ResizeObserver(resized).observe($("stage"));
 new ResizeObserver(resized).observe($("desk"));
 const repaint = () => { readTheme(); stage?.paint(); refresh(); };
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
+// The page is that of the beginning: what was edited since is a step that can be undone.
+if (data.live) await live.follow();
 if (data.notice) notice(data.notice);
 if (data.character) await wear(bytesOf(data.character.data), data.character);
 // For the console: what is open, and the pose as the figure has it.
-window.preview = { clock, pins, timeline, session, inspector, takeFile, exports: { vrmaOf, characterGlb, figureGlb }, get stage() { return stage; }, get worn() { return worn; } };
+window.preview = { clock, live, pins, timeline, session, inspector, takeFile, exports: { vrmaOf, characterGlb, figureGlb }, get stage() { return stage; }, get worn() { return worn; } };
 requestAnimationFrame(tick);
 document.body.dataset.ready = "true";

@@ -18,8 +18,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from data_module.motion import kinematics, rotation
-from data_module.motion.skeletons import find_table
+from data_module.motion.skeletons import axes_of, find_table, rest_positions
 from data_module.types import Array, Motion, Skeleton
+from gesticulator.characters.mapping import ancestors
 
 HZ = 60.0
 """Frames per second of every figure."""
@@ -104,17 +105,9 @@ def common_body(motion: Motion) -> CommonBody:
                       _finger_speed(resampled, [joints[side + "Hand"] for side in SIDES]), wrists, bends)
 
 
-def _ancestors(parents: Sequence[int], joint: int) -> list[int]:
-    """The joint and all above it, upwards."""
-    above = [joint]
-    while parents[above[-1]] >= 0:
-        above.append(parents[above[-1]])
-    return above
-
-
 def _chain(parents: Sequence[int], top: int, end: int) -> list[int]:
     """The joints from `top` down to `end`; ValueError where `end` does not hang on `top`."""
-    above = _ancestors(parents, end)
+    above = [end, *ancestors(parents, end)]
     if top not in above:
         raise ValueError("the head and the arms do not hang on the hips")
     return above[:above.index(top) + 1][::-1]
@@ -122,8 +115,8 @@ def _chain(parents: Sequence[int], top: int, end: int) -> list[int]:
 
 def _chest(parents: Sequence[int], names: Sequence[str], joints: dict[str, int]) -> int:
     """The lowest joint that carries both arms; never the neck."""
-    right = set(_ancestors(parents, joints["RightArm"])[1:])
-    chest = next(joint for joint in _ancestors(parents, joints["LeftArm"])[1:] if joint in right)
+    right = set(ancestors(parents, joints["RightArm"]))
+    chest = next(joint for joint in ancestors(parents, joints["LeftArm"]) if joint in right)
     if "neck" in names[chest].lower() and parents[chest] >= 0:
         chest = parents[chest]
     # Arms that hang on the hips (rigs in pieces): the spine is the chest.
@@ -131,25 +124,15 @@ def _chest(parents: Sequence[int], names: Sequence[str], joints: dict[str, int])
 
 
 def _axes(skeleton: Skeleton, joints: dict[str, int]) -> Array:
-    """[4] the rotation that brings the source's axes onto ours (Y up, left +X), by its rest pose."""
-    rest = kinematics.joint_positions(skeleton, np.tile([1.0, 0.0, 0.0, 0.0], (len(skeleton), 1)))
-    trunk = unit(rest[joints["Head"]] - rest[joints["Hips"]])
-    across = unit(rest[joints["LeftArm"]] - rest[joints["RightArm"]])
-    # Files are Y up or Z up; which of the axes is up is read off the trunk of the rest pose.
-    up = _dominant(trunk)
-    if trunk @ up <= _UPRIGHT or abs(across @ up) >= _LEVEL:
+    """[4] the rotation that brings the source's axes onto ours (Y up, left +X); ValueError for a rest pose that is not
+    upright."""
+    rest = rest_positions(skeleton)
+    change = axes_of(rest, joints)
+    trunk, across = rotation.rotate(change, np.stack([unit(rest[joints[end]] - rest[joints[start]]) for start, end in (
+        ("Hips", "Head"), ("RightArm", "LeftArm"))]))
+    if trunk[1] <= _UPRIGHT or abs(across[1]) >= _LEVEL:
         raise ValueError("the rest pose is not upright, so there is no common body")
-    # What is square to up: shoulders of a rest pose may slope.
-    left = _dominant(across - (across @ up) * up)
-    matrix = np.stack([left, up, np.cross(left, up)])
-    return rotation.from_matrix(matrix)
-
-
-def _dominant(vector: Array) -> Array:
-    """[3] the axis that a vector points along most."""
-    out = np.zeros(3)
-    out[np.abs(vector).argmax()] = np.sign(vector[np.abs(vector).argmax()])
-    return out
+    return change
 
 
 def unit(vectors: Array) -> Array:
@@ -223,9 +206,8 @@ def _arm(points: dict[str, Array], side: str, sign: float, joints: dict[str, int
 def _finger_speed(motion: Motion, hands: Sequence[int]) -> Array | None:
     """[T - 1] degrees a second of the fastest joint below the wrists; None without such joints, or of one frame."""
     parents = motion.skeleton.parents
-    fingers = [joint for joint in range(len(parents))
-               if joint not in hands and any(hand in _ancestors(parents, joint) for hand in hands)
-               and motion.skeleton.names[joint] not in motion.absent]
+    fingers = [joint for joint, name in enumerate(motion.skeleton.names)
+               if {*hands} & {*ancestors(parents, joint)} and name not in motion.absent]
     if not fingers or len(motion) < 2:
         return None
     # The fastest joint, not the mean: a hand that points moves one finger.
@@ -247,7 +229,7 @@ def _hand_angles(motion: Motion, joints: dict[str, int], places: Array
     wrists, bends = [], {}
     for side in SIDES:
         hand, elbow = joints[side + "Hand"], joints[side + "ForeArm"]
-        below = [joint for joint in range(len(parents)) if hand in _ancestors(parents, joint)[1:]
+        below = [joint for joint in range(len(parents)) if hand in ancestors(parents, joint)
                  and skeleton.names[joint] not in motion.absent]
         tip = next((joint for name in ("middle", "index") for joint in below if name in names[joint]), None)
         if tip is not None:

@@ -37,7 +37,7 @@ from data_module.arrays import as_floats, read_npz
 from data_module.errors import InputError
 from data_module.types import Array
 from eval.metrics.eye.body import CommonBody
-from eval.metrics.fgd import Gaussian, gaussian
+from eval.metrics.fgd import Gaussian
 
 POINTS = ("RightHand", "LeftHand", "RightForeArm", "LeftForeArm", "Head")
 WIDTH = 40
@@ -47,7 +47,7 @@ _THIN, _WINDOW, _STEP = 4, 30, 6
 """60 Hz to 15 Hz; frames in a window (2 s) and from one to the next (0.4 s)."""
 _LEAST_SPREAD, _LEAST_SPEED = 0.003, 0.01
 """Metres and m/s under the logarithms: what is smaller is still."""
-_FEWEST = 3
+FEWEST = 3
 """Windows from which on a set has moments."""
 
 
@@ -62,11 +62,6 @@ def windows(body: CommonBody) -> Array:
         descriptors.append(np.concatenate([piece.mean(0).ravel(), np.log(piece.std(0).ravel() + _LEAST_SPREAD),
                                     np.log(speed.mean(0) + _LEAST_SPEED), np.log(speed.max(0) + _LEAST_SPEED)]))
     return np.array(descriptors, dtype=np.float64).reshape(-1, WIDTH)
-
-
-def moments_of(points: Array) -> Gaussian | None:
-    """Of windows [n, d] in a space; None for fewer than three."""
-    return gaussian(points) if len(points) >= _FEWEST else None
 
 
 @dataclass(frozen=True)

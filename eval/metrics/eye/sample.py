@@ -11,7 +11,7 @@ from data_module.types import Array, Motion
 from eval import stats
 from eval.metrics import EYE_METRICS, eye
 from eval.metrics.eye import ReferenceSpace, VoiceActivity, arms, frechet
-from eval.metrics.fgd import frechet_distance
+from eval.metrics.fgd import frechet_distance, gaussian
 from eval.stats import Interval
 
 POOLED, FIRST_SPREAD = "eye_frechet_pooled", "first_spread"
@@ -58,7 +58,7 @@ class EyeSample:
         projected = [space.see(windows) for windows in self.windows]
 
         def distance(chosen: Array) -> float:
-            moments = frechet.moments_of(np.concatenate([projected[k] for k in chosen]))
-            return math.nan if moments is None else frechet_distance(moments, space.real)
+            seen = np.concatenate([projected[k] for k in chosen])
+            return math.nan if len(seen) < frechet.FEWEST else frechet_distance(gaussian(seen), space.real)
 
         return stats.of_set(distance, len(projected), least=0.0)

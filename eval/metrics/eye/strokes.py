@@ -84,10 +84,8 @@ def repetition(hands: Array) -> float:
         return math.nan
     windows = np.stack([path[start:start + _WINDOW].ravel() for start in starts])
     nearest = np.empty(len(windows))
-    squares = (windows ** 2).sum(axis=1)
     for k, start in enumerate(starts):
-        # |a - b|^2 by the scalar product: the differences themselves would be [n, n, 120]; rounding may go below 0.
-        apart = np.maximum(squares[k] + squares - 2.0 * windows @ windows[k], 0.0)
+        apart = ((windows - windows[k]) ** 2).sum(axis=1)
         # Windows that overlap share frames and are near by construction.
         apart[np.abs(starts - start) < _WINDOW] = np.inf
         nearest[k] = apart.min()

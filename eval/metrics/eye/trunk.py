@@ -41,9 +41,7 @@ _FINGER_MOVES = 5.0
 
 def spread(turns: Array) -> float:
     """Degrees: root mean square of rotations [T, 4] about their mean."""
-    # The mean of quaternions by the greatest eigenvector, which does not mind that q and -q are one rotation.
-    mean = np.linalg.eigh(turns.T @ turns)[1][:, -1]
-    away = rotation.to_exponential_map(rotation.multiply(rotation.conjugate(mean), turns))
+    away = rotation.to_exponential_map(rotation.multiply(rotation.conjugate(rotation.mean(turns)), turns))
     return float(np.degrees(np.sqrt((away ** 2).sum(axis=-1).mean())))
 
 
