@@ -118,7 +118,7 @@ class MelFrontEnd:
         at = at[:, [round((k + 0.5) * self.samples_per_frame / self.hops) for k in range(spectra)]]
         spectrum = np.fft.rfft(at * self._taper, axis=-1)
         power = (spectrum.real ** 2 + spectrum.imag ** 2) @ self._filters
-        logs = self._log(power)
+        logs = self._log(power.astype(np.float32, copy=False))  # it is, and NumPy does not say so
         # Only rises count, as in `onsets`; the first spectrum has nothing before it and rises by 0.
         rise = np.maximum(np.diff(logs, axis=1, prepend=logs[:, :1]), 0.0).mean(axis=-1)
         energy = windows.reshape(count, self.frames, -1)
