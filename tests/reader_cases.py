@@ -436,7 +436,7 @@ def _read_request(file: Path) -> object:
         return json.dumps(plan_from(request["plan"]).to_dict()).encode()
 
     server = SimpleNamespace(
-        hosts=("127.0.0.1:1",), token="secret", secret="place", page=b"",
+        server_port=1, token="secret", secret="place", page=b"",
         rendering=threading.Lock(), render=render, abandons=lambda page, number: lambda: False)
     client = _Client(file)
     _PageHandler(client, ("127.0.0.1", 1), server)  # type: ignore[arg-type]

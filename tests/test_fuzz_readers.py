@@ -44,7 +44,7 @@ NO_CASE = {
         interpreters/base.py:opened""",
     "the bytes are hashed, copied or thrown away, not parsed": """
         data_module/text/word_vectors.py:_fingerprint gesticulator/bundle/files.py:replace_folder
-        gesticulator/jobs.py:file_hash gesticulator/export/html.py:character_data""",
+        gesticulator/export/html.py:character_data gesticulator/page/edits.py:Edits.save""",
     "a file that this process, its worker or its child wrote a moment ago": """
         data_module/files.py:lock gesticulator/characters/blender.py:_converted
         gesticulator/export/fbx.py:write_fbx gesticulator/export/film.py:* gesticulator/export/usd.py:write_usd""",

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from gesticulator.characters.rig import Character
     from gesticulator.face.motion import FaceMotion
 
+__all__ = ["write_comparison", "write_preview"]
+
 LONG = 600.0
 """Duration in seconds above which the page uses `LONG_FPS`, so that it still opens quickly: an hour is then about 40
 MB, half of it audio."""
