@@ -31,8 +31,8 @@ _WORDS, _GESTURES = 60.0, 660.0
 gestures, more than it can go back."""
 
 _TEXT = 4000
-"""Characters that a stream reads at a time, from the words that it keeps on: five minutes of speech. More would cost
-more than a block, and nobody says it in a minute."""
+"""Characters that a stream reads at a time, from the words that it keeps on: five minutes of speech. More would take
+longer to read than a block does."""
 
 
 class Level(NamedTuple):

@@ -15,7 +15,6 @@ import io
 import json
 import subprocess
 import wave
-from pathlib import Path
 from typing import Any
 
 from livekit import rtc
@@ -23,7 +22,7 @@ from livekit.agents import AgentSession, llm, tts
 from livekit.agents.voice.io import AudioOutput, AudioOutputCapabilities
 from pipecat_gesticulator import Hello, Poses, connect_resuming
 from pipecat_gesticulator.livekit import GesturingAgent
-from realtime_agent import Recorder
+from realtime_agent import Recorder, add_outputs
 
 RATE = 22050
 """Hertz of espeak-ng."""
@@ -108,9 +107,7 @@ async def answer(url: str, recorder: Recorder) -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("sound", type=Path, help="WAV to write")
-    p.add_argument("poses", type=Path, help="NPZ to write")
-    p.add_argument("--gestures", default="ws://127.0.0.1:8765/stream")
+    add_outputs(p)
     a = p.parse_args(arguments)
     recorder = Recorder(RATE)
     asyncio.run(answer(a.gestures, recorder))

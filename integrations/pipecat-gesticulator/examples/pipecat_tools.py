@@ -14,7 +14,6 @@ import io
 import subprocess
 import wave
 from collections.abc import AsyncGenerator
-from pathlib import Path
 
 from pipecat.frames.frames import (
     Frame,
@@ -35,7 +34,7 @@ from pipecat.services.tts_service import TTSService
 from pipecat.tests.utils import SleepFrame, run_test
 from pipecat_gesticulator.marks import spoken_text
 from pipecat_gesticulator.processor import GesticulatorProcessor, PoseFrame
-from realtime_agent import Recorder
+from realtime_agent import Recorder, add_outputs
 
 RATE = 22050
 """Hertz of espeak-ng."""
@@ -96,9 +95,7 @@ async def answer(url: str) -> list[Frame]:
 def main(arguments: list[str] | None = None) -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("sound", type=Path, help="WAV to write")
-    p.add_argument("poses", type=Path, help="NPZ to write")
-    p.add_argument("--gestures", default="ws://127.0.0.1:8765/stream")
+    add_outputs(p)
     a = p.parse_args(arguments)
     recorder, at = Recorder(RATE), 0.0
     for frame in asyncio.run(answer(a.gestures)):

@@ -118,14 +118,19 @@ async def _show(stream, recorder: Recorder) -> None:  # type: ignore[no-untyped-
             recorder.show(message)
 
 
+def add_outputs(p: argparse.ArgumentParser) -> None:
+    """Add the two files that are written, and the server that gestures."""
+    p.add_argument("sound", type=Path, help="WAV to write")
+    p.add_argument("poses", type=Path, help="NPZ to write")
+    p.add_argument("--gestures", default="ws://127.0.0.1:8765/stream")
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("question", type=Path)
-    p.add_argument("sound", type=Path, help="WAV to write")
-    p.add_argument("poses", type=Path, help="NPZ to write")
+    add_outputs(p)
     p.add_argument("--agent", default="wss://api.openai.com/v1/realtime?model=gpt-realtime")
-    p.add_argument("--gestures", default="ws://127.0.0.1:8765/stream")
     a = p.parse_args(arguments)
     recorder = Recorder()
     with contextlib.suppress(KeyboardInterrupt):
