@@ -219,6 +219,23 @@ def judge(outside_data: Path) -> ModuleType:
     return module
 
 
+@pytest.fixture
+def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs `gesticulator` with input that is wrong, and gives the line that says so: the only one that is printed on
+    either stream, before exit code 2."""
+    def line(*arguments: str | Path) -> str:
+        from gesticulator.cli import main
+
+        with pytest.raises(SystemExit) as left:
+            main([*map(str, arguments)])
+        out, error = capfd.readouterr()
+        assert (left.value.code, out, error.count("\n")) == (2, "", 1), out + error
+        assert error.startswith("gesticulator: ")
+        return error
+
+    return line
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """A headless Chromium; the test is skipped, with the reason, where there is none."""
