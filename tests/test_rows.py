@@ -48,6 +48,9 @@ def test_every_row_changes_something_and_no_two_are_equal(preset: str) -> None:
     papers = base(preset)
     variants: dict[str, str] = {}
     for name, row in ROWS.items():
+        # What `paper-quick` has otherwise than the paper, `tiny` may have as published.
+        if name.startswith("departs-") and preset == "tiny":
+            continue
         # RACER's rows stand on a bundle of the default preset, whose alpha is 1.
         default = configs.with_settings(presets.preset("default"), RACER_SIZES[preset])
         start = default if is_racer(name) else papers
