@@ -49,7 +49,8 @@ def test_choices_are_checked_before_any_recording_is_done(refused: Callable[...,
 
 def test_a_cue_of_unknown_name_is_refused_before_any_recording_is_done(refused: Callable[..., str],
                                                                        tmp_path: Path) -> None:
-    assert "did you mean wave or wave hello" in refused(EXAMPLE, "--cue", "2.5=wavee", "-o", str(tmp_path / "x.bvh"))
+    line = refused(EXAMPLE, "--cue", "2.5=wavee", "--quiet", "-o", tmp_path / "x.bvh")
+    assert "did you mean wave or wave hello" in line
     assert not list(tmp_path.iterdir())
 
 
