@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from html import escape
 from typing import Any, TypeAlias
 
 Words: TypeAlias = Sequence[tuple[str, float, float]]
@@ -168,6 +169,74 @@ def google_protobuf(words: Words) -> Any:
         {"word": word, "start_time": time(start), "end_time": time(end)} for word, start, end in words]}]}]}
 
 
+def _items(words: Words, word: str, times: Callable[[float], Any]) -> list[dict[str, Any]]:
+    """Words and punctuation apart. word: the type of words; times: what a time in seconds is written as."""
+    out: list[dict[str, Any]] = []
+    for text, start, end in words:
+        out.append({"type": word, "start_time": times(start), "end_time": times(end),
+                    "alternatives": [{"confidence": 0.9, "content": text.rstrip(",.")}]})
+        if text[-1] in ",.":
+            out.append({"type": "punctuation", "attaches_to": "previous", "alternatives": [{"content": text[-1]}]})
+    return out
+
+
+def aws(words: Words) -> Any:
+    return {"jobName": "a", "status": "COMPLETED", "results": {
+        "transcripts": [{"transcript": _text(words)}], "items": _items(words, "pronunciation", str),
+        "audio_segments": [{"id": 0, "transcript": _text(words), "start_time": str(words[0][1]),
+                            "end_time": str(words[-1][2]), "items": [0, 1]}]}}
+
+
+def speechmatics(words: Words) -> Any:
+    return {"format": "2.9", "job": {"duration": 4}, "metadata": {"type": "transcription"},
+            "results": _items(words, "word", float)}
+
+
+def elevenlabs(words: Words) -> Any:
+    spoken = [part for word in _plain(words, "text", type="word", speaker_id="speaker_0")
+              for part in (word, {"text": " ", "start": word["end"], "end": word["end"], "type": "spacing"})]
+    return {"language_code": "eng", "text": _text(words), "words": [
+        *spoken, {"text": "(laughter)", "start": words[-1][2], "end": words[-1][2] + 1, "type": "audio_event"}]}
+
+
+def gladia(words: Words) -> Any:
+    utterances = [{"start": part[0][1], "end": part[-1][2], "channel": 0, "text": _text(part),
+                   "words": [{**word, "word": " " + word["word"]} for word in _plain(part)]} for part in _parts(words)]
+    return {"id": "a", "status": "done", "file": {"audio_duration": 4}, "result": {
+        "metadata": {"audio_duration": 4}, "transcription": {"full_transcript": _text(words), "utterances": utterances}}}
+
+
+def rev(words: Words) -> Any:
+    elements = [part for word, start, end in words for part in (
+        {"type": "text", "value": word, "ts": start, "end_ts": end}, {"type": "punct", "value": " "})]
+    return {"monologues": [{"speaker": 0, "elements": elements}]}
+
+
+def watson(words: Words) -> Any:
+    return {"result_index": 0, "results": [{"final": True, "alternatives": [
+        {"transcript": _text(part), "timestamps": [list(word) for word in part]}]} for part in _parts(words)]}
+
+
+def _steps(words: Words) -> list[dict[str, Any]]:
+    return [{**word, "start_offset": n, "end_offset": n + 1} for n, word in enumerate(_plain(words))]
+
+
+def nemo(words: Words) -> Any:
+    """A hypothesis; offsets are in steps of the model."""
+    segments = [{"segment": _text(part), "start": part[0][1], "end": part[-1][2]} for part in _parts(words)]
+    return {"text": _text(words), "timestamp": {"timestep": [0], "word": _steps(words), "segment": segments}}
+
+
+def nemo_manifest(words: Words) -> Any:
+    return {"audio_filepath": "a.wav", "pred_text": _text(words), "timestamps_char": [], "timestamps_word":
+            _steps(words), "timestamps_segment": nemo(words)["timestamp"]["segment"]}
+
+
+def nemo_speakers(words: Words) -> Any:
+    return {"status": "Success", "session_id": "a", "transcription": _text(words), "words": [
+        {"word": word, "start_time": start, "end_time": end, "speaker": "speaker_0"} for word, start, end in words]}
+
+
 def azure(words: Words) -> Any:
     """The SDK's detailed result."""
     return {"Id": "a", "RecognitionStatus": "Success", "Offset": _ticks(words[0][1]),
@@ -220,6 +289,8 @@ JSON: dict[str, Callable[[Words], Any]] = {
     "assemblyai": assemblyai, "assemblyai, words": assemblyai_words, "google": google, "google, version 2": google_2,
     "google, speakers": google_speakers, "google, protobuf": google_protobuf, "azure": azure,
     "azure, batch": azure_batch, "azure, fast": azure_fast, "gentle": gentle, "mfa": mfa,
+    "aws": aws, "speechmatics": speechmatics, "elevenlabs": elevenlabs, "gladia": gladia, "rev": rev, "watson": watson,
+    "nemo": nemo, "nemo, manifest": nemo_manifest, "nemo, speakers": nemo_speakers,
     "list": lambda words: _plain(words, "text"), "text": lambda words: {"text": _text(words)},
 }
 """Sample -> what writes it; all but "text" have the times of words."""
@@ -297,6 +368,35 @@ def lrc(words: Words) -> str:
         f" <{_clock(start, '.')}>{word}" for word, start, _ in part) + "\n" for part in _parts(words))
 
 
+def ass_karaoke(words: Words) -> str:
+    """Syllables with their lengths in hundredths of a second."""
+    lines = []
+    for part in _parts(words):
+        starts = [start for _, start, _ in part] + [part[-1][2]]
+        lines.append(f"Dialogue: 0,{_clock(part[0][1], '.')},{_clock(part[-1][2], '.')},Default,,0,0,0,," + " ".join(
+            f"{{\\k0}}{word[:1]}{{\\kf{round(100 * (after - start))}}}{word[1:]}"
+            for (word, start, _), after in zip(part, starts[1:], strict=True)) + "\n")
+    return "".join(lines)
+
+
+def ass_coloured(words: Words) -> str:
+    """As NeMo's aligner highlights words: the line anew for each."""
+    return "".join(
+        f"Dialogue: 0,{_clock(start, '.')},{_clock(end, '.')},Default,,0,0,0,," + " ".join(
+            f"{{\\c&H{'09ab39' if k == n else 'c7c1c2'}&}}{word}{{\\r}}" for k, (word, _, _) in enumerate(part)) + "\n"
+        for part in _parts(words) for n, (_, start, end) in enumerate(part))
+
+
+def ttml(words: Words, spans: bool = False) -> str:
+    """spans: with the times of words."""
+    lines = ""
+    for part in _parts(words):
+        texts = [f'<span begin="{start:.3f}s">{escape(word)}</span>' if spans else escape(word)
+                 for word, start, _ in part]
+        lines += f'<p xml:id="c" end="{part[-1][2]:.3f}s" begin="{part[0][1]:.3f}s">{"<br/>".join(texts)}</p>'
+    return f'<?xml version="1.0"?>\n<tt xmlns="http://www.w3.org/ns/ttml"><body><div>{lines}</div></body></tt>'
+
+
 FILES: dict[str, tuple[str, Callable[[Words], str]]] = {
     **{name: (".json", lambda words, write=write: json.dumps(write(words))) for name, write in JSON.items()},
     "srt, highlighted": (".srt", srt_highlighted), "srt, coloured": (".srt", srt_coloured),
@@ -304,8 +404,10 @@ FILES: dict[str, tuple[str, Callable[[Words], str]]] = {
     "srt": (".srt", srt), "vtt": (".vtt", vtt), "tsv": (".tsv", tsv), "lrc": (".lrc", lrc),
     "ass": (".ass", lambda words: _lines(words, "Dialogue: 0,{},{},Default,,0,0,0,,{{\\i1}}{}\n", "\\N")),
     "sbv": (".sbv", lambda words: _lines(words, "{},{}\n{}\n\n")),
-    "ttml": (".ttml", lambda words: _lines(words, '<p begin="{}" xml:id="c" end="{}"><span>{}</span></p>\n', "<br/>")),
+    "ass, coloured": (".ass", ass_coloured), "ass, karaoke": (".ass", ass_karaoke),
+    "ttml": (".ttml", ttml), "ttml, spans": (".ttml", lambda words: ttml(words, spans=True)),
+    "ctm": (".ctm", lambda words: "".join(f"a 1 {a:.3f} {b - a:.3f} {word} 0.9\n" for word, a, b in words)),
 }
 """Sample -> its suffix, and what writes it."""
-WITHOUT_TIMES = {"srt", "vtt", "tsv", "text", "ass", "sbv", "ttml"}
+WITHOUT_TIMES = {"srt", "vtt", "tsv", "text", "ass", "ass, coloured", "sbv", "ttml"}
 """Samples without the times of words."""

@@ -30,7 +30,7 @@ RATE = 16000
 SPOKEN: Words = (("And", 0.0, 0.3), ("so,", 0.3, 0.55), ("my", 0.7, 0.9), ("fellow", 0.9, 1.4),
                  ("Americans,", 1.4, 2.1), ("ask", 2.6, 2.9), ("not", 3.0, 3.4))
 TIMED = sorted(set(FILES) - WITHOUT_TIMES)
-UNENDING = {"vtt, rolling", "lrc"}
+UNENDING = {"vtt, rolling", "lrc", "ass, karaoke", "ttml, spans"}
 """Samples that tell when words begin only: each lasts until the next."""
 
 
@@ -54,16 +54,16 @@ def _same(found: Transcript, words: Words, ends: bool = True) -> None:
         np.testing.assert_allclose([word.end for word in found.words], [end for _, _, end in words], atol=1e-9)
 
 
-WORD = st.from_regex(r"[A-Za-z]{1,9}[a-z]", fullmatch=True)
+WORD = st.from_regex(r"[A-Za-z]{1,9}[a-z][,.]?", fullmatch=True)
 
 
 @settings(max_examples=8)
-@given(st.lists(st.tuples(WORD, st.integers(0, 900), st.integers(80, 900)), min_size=3, max_size=20))
+@given(st.lists(st.tuples(WORD, st.integers(0, 90), st.integers(8, 90)), min_size=3, max_size=20))
 def test_any_words_read_the_same_from_every_recogniser(tmp_path_factory: pytest.TempPathFactory,
                                                        drawn: list[tuple[str, int, int]]) -> None:
     words, at = [], 0
     for word, pause, length in drawn:
-        words.append((word, (at + pause) / 1000, (at + pause + length) / 1000))
+        words.append((word, (at + pause) / 100, (at + pause + length) / 100))
         at += pause + length
     folder = tmp_path_factory.mktemp("words")
     for name in TIMED:
@@ -175,13 +175,37 @@ def test_what_was_not_recognised_is_passed_over(tmp_path: Path) -> None:
     ({"transcription": [{"text": "a", "offsets": {"from": 0, "to": 9}}, {"text": " b c"}]},
      "transcription[1]: has no times"),
     ({"chunks": [{"text": "a", "timestamp": [0, 1]}, {"text": "b c", "timestamp": 3}]}, "chunks[1]: has no times"),
-    ({"results": [{"alternatives": [{"words": [{"word": "a", "endTime": "1.5"}]}]}]}, "'1.5' is not a time"),
+    ({"results": [{"alternatives": [{"words": [{"word": "a", "endTime": "1:5"}]}]}]}, "'1:5' is not a time"),
     ({"chapters": []}, "neither words nor segments"),
 ])
 def test_what_cannot_be_used_is_refused(content: Any, said: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         _read(tmp_path, ".json", json.dumps(content))
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", [".srt", ".vtt", ".ass", ".ssa", ".ttml"])
+def test_subtitles_by_pysubs2(suffix: str, tmp_path: Path) -> None:
+    """Files that another program wrote; it reads no times inside of lines, and drops lines that are broken."""
+    pysubs2 = pytest.importorskip("pysubs2")
+    lines = ["I said {\\i1}no{\\i0},\\Nthen & there", "left"]
+    events = [pysubs2.SSAEvent(start=500 + 2000 * n, end=2000 + 2000 * n, text=line) for n, line in enumerate(lines)]
+    file = pysubs2.SSAFile()
+    file.extend([*events, pysubs2.SSAEvent(start=0, end=9000, text="never said", type="Comment")])
+    found = _read(tmp_path, suffix, file.to_string(suffix[1:]))
+    assert [(cue.text, cue.start, cue.end) for cue in found.cues] == [
+        ("I said no, then & there", 0.5, 2.0), ("left", 2.5, 4.0)]
+
+
+@pytest.mark.parametrize(("times", "start", "end"), [
+    ('begin="00:01:01.5" end="00:01:02"', 61.5, 62), ("begin='1500ms' dur='0.5s'", 1.5, 2), ('begin="20t" end="30t"', 2, 3),
+    ('begin="00:00:01:10" end="00:00:02:00"', 1.4, 2), ('begin="50f" end="0.05m"', 2, 3)])
+def test_times_of_ttml(times: str, start: float, end: float, tmp_path: Path) -> None:
+    text = ('<tt:tt xmlns:tt="urn:any" xmlns:p="urn:other" p:frameRate="25" p:tickRate="10"><tt:body begin="BEGINs">'
+            f"<tt:p {times}>so be it</tt:p></tt:body></tt:tt>")
+    for begin in (0, 100):
+        cue, = _read(tmp_path, ".dfxp", text.replace("BEGIN", str(begin))).cues
+        assert (cue.text, cue.start, cue.end) == ("so be it", pytest.approx(begin + start), pytest.approx(begin + end))
 
 
 @pytest.mark.parametrize(("content", "said"), [
