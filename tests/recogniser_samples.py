@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from html import escape
 from typing import Any, TypeAlias
 
 Words: TypeAlias = Sequence[tuple[str, float, float]]
@@ -202,19 +201,8 @@ def elevenlabs(words: Words) -> Any:
 def gladia(words: Words) -> Any:
     utterances = [{"start": part[0][1], "end": part[-1][2], "channel": 0, "text": _text(part),
                    "words": [{**word, "word": " " + word["word"]} for word in _plain(part)]} for part in _parts(words)]
-    return {"id": "a", "status": "done", "file": {"audio_duration": 4}, "result": {
-        "metadata": {"audio_duration": 4}, "transcription": {"full_transcript": _text(words), "utterances": utterances}}}
-
-
-def rev(words: Words) -> Any:
-    elements = [part for word, start, end in words for part in (
-        {"type": "text", "value": word, "ts": start, "end_ts": end}, {"type": "punct", "value": " "})]
-    return {"monologues": [{"speaker": 0, "elements": elements}]}
-
-
-def watson(words: Words) -> Any:
-    return {"result_index": 0, "results": [{"final": True, "alternatives": [
-        {"transcript": _text(part), "timestamps": [list(word) for word in part]}]} for part in _parts(words)]}
+    return {"id": "a", "status": "done", "result": {"metadata": {"audio_duration": 4}, "transcription": {
+        "full_transcript": _text(words), "utterances": utterances}}}
 
 
 def _steps(words: Words) -> list[dict[str, Any]]:
@@ -289,7 +277,7 @@ JSON: dict[str, Callable[[Words], Any]] = {
     "assemblyai": assemblyai, "assemblyai, words": assemblyai_words, "google": google, "google, version 2": google_2,
     "google, speakers": google_speakers, "google, protobuf": google_protobuf, "azure": azure,
     "azure, batch": azure_batch, "azure, fast": azure_fast, "gentle": gentle, "mfa": mfa,
-    "aws": aws, "speechmatics": speechmatics, "elevenlabs": elevenlabs, "gladia": gladia, "rev": rev, "watson": watson,
+    "aws": aws, "speechmatics": speechmatics, "elevenlabs": elevenlabs, "gladia": gladia,
     "nemo": nemo, "nemo, manifest": nemo_manifest, "nemo, speakers": nemo_speakers,
     "list": lambda words: _plain(words, "text"), "text": lambda words: {"text": _text(words)},
 }
@@ -368,17 +356,6 @@ def lrc(words: Words) -> str:
         f" <{_clock(start, '.')}>{word}" for word, start, _ in part) + "\n" for part in _parts(words))
 
 
-def ass_karaoke(words: Words) -> str:
-    """Syllables with their lengths in hundredths of a second."""
-    lines = []
-    for part in _parts(words):
-        starts = [start for _, start, _ in part] + [part[-1][2]]
-        lines.append(f"Dialogue: 0,{_clock(part[0][1], '.')},{_clock(part[-1][2], '.')},Default,,0,0,0,," + " ".join(
-            f"{{\\k0}}{word[:1]}{{\\kf{round(100 * (after - start))}}}{word[1:]}"
-            for (word, start, _), after in zip(part, starts[1:], strict=True)) + "\n")
-    return "".join(lines)
-
-
 def ass_coloured(words: Words) -> str:
     """As NeMo's aligner highlights words: the line anew for each."""
     return "".join(
@@ -387,25 +364,15 @@ def ass_coloured(words: Words) -> str:
         for part in _parts(words) for n, (_, start, end) in enumerate(part))
 
 
-def ttml(words: Words, spans: bool = False) -> str:
-    """spans: with the times of words."""
-    lines = ""
-    for part in _parts(words):
-        texts = [f'<span begin="{start:.3f}s">{escape(word)}</span>' if spans else escape(word)
-                 for word, start, _ in part]
-        lines += f'<p xml:id="c" end="{part[-1][2]:.3f}s" begin="{part[0][1]:.3f}s">{"<br/>".join(texts)}</p>'
-    return f'<?xml version="1.0"?>\n<tt xmlns="http://www.w3.org/ns/ttml"><body><div>{lines}</div></body></tt>'
-
-
 FILES: dict[str, tuple[str, Callable[[Words], str]]] = {
     **{name: (".json", lambda words, write=write: json.dumps(write(words))) for name, write in JSON.items()},
     "srt, highlighted": (".srt", srt_highlighted), "srt, coloured": (".srt", srt_coloured),
     "vtt, highlighted": (".vtt", vtt_highlighted), "vtt, rolling": (".vtt", vtt_rolling),
     "srt": (".srt", srt), "vtt": (".vtt", vtt), "tsv": (".tsv", tsv), "lrc": (".lrc", lrc),
     "ass": (".ass", lambda words: _lines(words, "Dialogue: 0,{},{},Default,,0,0,0,,{{\\i1}}{}\n", "\\N")),
-    "sbv": (".sbv", lambda words: _lines(words, "{},{}\n{}\n\n")),
-    "ass, coloured": (".ass", ass_coloured), "ass, karaoke": (".ass", ass_karaoke),
-    "ttml": (".ttml", ttml), "ttml, spans": (".ttml", lambda words: ttml(words, spans=True)),
+    "ass, coloured": (".ass", ass_coloured), "sbv": (".sbv", lambda words: _lines(words, "{},{}\n{}\n\n")),
+    "ttml": (".ttml", lambda words: '<tt xmlns="http://www.w3.org/ns/ttml">' + _lines(
+        words, '<p begin="{}" xml:id="c" end="{}"><span>{}</span></p>', "<br/>") + "</tt>"),
     "ctm": (".ctm", lambda words: "".join(f"a 1 {a:.3f} {b - a:.3f} {word} 0.9\n" for word, a, b in words)),
 }
 """Sample -> its suffix, and what writes it."""

@@ -54,7 +54,7 @@ class _Clock(NamedTuple):
 
 _CLOCKS = (
     _Clock("start", "end"), _Clock("startTime", "endTime"), _Clock("start_time", "end_time"),
-    _Clock("StartTime", "EndTime"), _Clock("time_begin", "time_end"), _Clock("ts", "end_ts"),
+    _Clock("StartTime", "EndTime"), _Clock("time_begin", "time_end"),
     # Google's. As numbers, gentle's count letters and NeMo's the steps of a model, whatever a step lasts.
     _Clock("startOffset", "endOffset", texts=True), _Clock("start_offset", "end_offset", texts=True),
     # Azure writes ticks beside an "offset" that is a text, so they come first.
@@ -67,16 +67,15 @@ _CLOCKS = (
 # Google's results have an end alone, and begin where the one before ends.
 _RESULT_ENDS = ("resultEndTime", "resultEndOffset", "result_end_time", "result_end_offset")
 _TEXTS = ("punctuated_word", "word", "text", "Word", "display", "Display", "DisplayText", "transcript", "content",
-          "Content", "value", "segment", "sentence", "pred_text", "Transcript")
+          "Content", "segment", "sentence", "pred_text", "Transcript")
 # Alternatives, of which the first is the best; lists of words; and what holds further parts, the better times first.
 _ALTERNATIVES = ("alternatives", "nBest", "NBest", "Alternatives")
-_WORDS = ("words", "Words", "result", "terms", "tokens", "items", "Items", "elements", "word", "timestamps_word",
-          "timestamps", "results")
+_WORDS = ("words", "Words", "result", "terms", "tokens", "items", "Items", "word", "timestamps_word", "results")
 _PARTS = ("segments", "chunks", "transcription", "phrases", "recognizedPhrases", "monologues", "response", "results",
-          "inlineResult", "inline_result", "transcript", "Transcript", "Results", "channels", "utterances", "prediction",
-          "word_segments", "timestamp", "timestep", "timestamps_segment", "segment", "sentences")
+          "inlineResult", "inline_result", "transcript", "Transcript", "Results", "channels", "utterances",
+          "prediction", "word_segments", "timestamp", "timestep", "timestamps_segment", "segment", "sentences")
 # Types of what is no word: what belongs to the word before, and what is not spoken.
-_PUNCTUATION, _UNSPOKEN = ("punctuation", "punct"), ("spacing", "audio_event")
+_PUNCTUATION, _UNSPOKEN = "punctuation", ("spacing", "audio_event")
 
 
 
@@ -142,7 +141,7 @@ def _words(source: str, item: Mapping[str, Any], where: str) -> list[Entry]:
     entries: list[Entry] = []
     for place, word in _numbered(item.get(key) or (), _below(where, key)):
         kind = str(word.get("type") or "").lower() if isinstance(word, Mapping) else ""
-        if kind in _PUNCTUATION:
+        if kind == _PUNCTUATION:
             mark = str(_of(_best(word, place)[0], *_TEXTS) or "").strip()
             entries[-1:] = [replace(last, text=last.text + mark) for last in entries[-1:]]
         # whisper's tokens are numbers.
@@ -152,12 +151,9 @@ def _words(source: str, item: Mapping[str, Any], where: str) -> list[Entry]:
 
 
 def _is_words(key: str, items: object) -> bool:
-    """Whether the value of one of `_WORDS` is a list of words: of results if they have types, of times if they are
-    more."""
-    if not isinstance(items, list) or not items:
-        return False
-    typed = isinstance(items[0], Mapping) and isinstance(items[0].get("type"), str)
-    return typed if key == "results" else key != "timestamps" or isinstance(items[0], list)
+    """Whether the value of one of `_WORDS` is a list of words; results are words if they have a type."""
+    return isinstance(items, list) and bool(items) and (
+        key != "results" or (isinstance(items[0], Mapping) and "type" in items[0]))
 
 
 def _is_note(word: object) -> bool:
@@ -186,8 +182,6 @@ def _below(where: str, key: str) -> str:
 def _entry(source: str, item: object, where: str) -> Entry:
     """A JSON object as a word or a segment; both times may be missing (for a word that was not aligned), or the start
     alone (of a result)."""
-    if isinstance(item, list) and len(item) == 3:  # IBM's [word, start, end]
-        item = dict(zip(("word", "start", "end"), item, strict=True))
     if not isinstance(item, Mapping):
         raise InputError(source, f"{where}: is not an object with a word and its times", "write it again")
     item, _ = _best(item, where)

@@ -139,22 +139,6 @@ def tsv(source: str, text: str, speaker: str | None = None) -> Content:
 
 
 def ctm(source: str, text: str, speaker: str | None = None) -> Content:
-    """CTM, as NeMo and Kaldi write it: rows of recording, channel, start, length and word. In a word that is a whole
-    segment spaces are "<space>"."""
-    rows = [(number, line.split()) for number, line in enumerate(text.split("\n"), 1)
-            if line.strip() and not line.startswith(";;")]
-    for number, row in rows:
-        if len(row) < 5 or not _timed(row[2:4]):
-            raise InputError(source, f"line {number}: is not a recording, a channel, a start, a length and a word",
-                             "write it again")
-    if len(recordings := {row[0] for _, row in rows}) > 1:
-        raise InputError(source, f"holds the words of {len(recordings)} recordings", "leave those of one in it")
-    entries = tuple(Entry("" if row[4].lower() in SILENCES else row[4].replace("<space>", " "), float(row[2]),
-                          float(row[2]) + float(row[3]), f"line {number}") for number, row in rows)
-    return Content(cues=entries) if any(" " in entry.text for entry in entries) else Content(words=entries)
-
-
-def ctm(source: str, text: str, speaker: str | None = None) -> Content:
     """CTM, as NeMo and Kaldi write it: rows of recording, channel, start, length and word. In a row of a whole segment
     spaces are "<space>"."""
     rows = [(number, line.split()) for number, line in enumerate(text.split("\n"), 1)
@@ -261,8 +245,7 @@ def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
         if cues and len(clock) == 4:
             cues[-1] = replace(cues[-1], end=max(start, cues[-1].start))
         end = _clock(clock[4:]) if len(clock) > 4 else start + _UNTIMED * len(line.split())
-        cue = _Cue([_with_times(line.replace("\\N", " "), start)], start, end,
-                   f"line {text.count(chr(10), 0, match.start()) + 1}")
+        cue = _Cue([line.replace("\\N", " ")], start, end, f"line {text.count(chr(10), 0, match.start()) + 1}")
         # NeMo's aligner shows a line anew for each word, in other colours.
         if cues and "\\c&" in line and cues[-1].text == cue.text:
             cues[-1] = replace(cues[-1], end=end)
@@ -271,78 +254,42 @@ def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
     return _of_cues(cues)
 
 
-_KARAOKE = re.compile(r"\{[^{}]*\\[kK][fo]?(\d{1,6})[^{}]*\}")
-
-
-def _with_times(line: str, start: float) -> str:
-    """A line of karaoke, which has the lengths of syllables in hundredths of a second, with WebVTT's times of words."""
-    parts = _KARAOKE.split(line)
-    out = parts[0]
-    for length, syllable in zip(parts[1::2], parts[2::2], strict=True):
-        # A syllable without a space before it continues the word.
-        whole = not out or out[-1].isspace() or syllable[:1].isspace()
-        out += (_inner(start) if whole else "") + syllable
-        start += int(length) / 100
-    return out
-
-
-def _inner(seconds: float) -> str:
-    return f"<{int(seconds // 60)}:{seconds % 60:06.3f}>"
-
-
 TIMED_LINES = {
     **dict.fromkeys((".ass", ".ssa"), re.compile(rf"^Dialogue:[^,\n]*,{_CLOCK},{_CLOCK},(?:[^,\n]*,){{6}}(.*)$", re.M)),
     ".lrc": re.compile(rf"^\[{_CLOCK}\](.*)$", re.M),
     ".sbv": re.compile(rf"^{_CLOCK},{_CLOCK}\n((?:.+\n?)+)", re.M)}
 
 
+_MOMENT = re.compile(r"(?:(?:(\d{1,6}):)?(\d{1,6}):)?(\d{1,12}(?:\.\d{1,12})?)(?::(\d{1,6}))?(h|ms?|s|f|t|)")
+
+
 def ttml(source: str, text: str, speaker: str | None = None) -> Content:
-    """TTML in any of its profiles; the times of spans in a paragraph, as lyrics have them, are those of words."""
+    """TTML in any of its profiles: of each paragraph its text and its begin, and its end or length."""
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise InputError(source, f"line {error.position[0]}: is not XML", "export it again") from None
     rates = {name.rpartition("}")[2]: value for name, value in root.attrib.items()}
-    frames, ticks = (float(rates[name]) if re.fullmatch(r"[1-9]\d{0,9}", rates.get(name, "")) else 0.0
+    frames, ticks = (float(rates[name]) if re.fullmatch(r"[1-9]\d{0,9}", rates.get(name, "")) else 30.0
                      for name in ("frameRate", "tickRate"))
-    units = {"h": 3600.0, "m": 60.0, "s": 1.0, "": 1.0, "ms": 1e-3, "f": 1 / (frames or 30.0),
-             "t": 1 / (ticks or frames or 1.0)}
+    units = {"h": 3600.0, "m": 60.0, "s": 1.0, "": 1.0, "ms": 1e-3, "f": 1 / frames, "t": 1 / ticks}
+
+    def seconds(time: str) -> float:
+        if (match := _MOMENT.fullmatch(time.strip())) is None:
+            raise InputError(source, f"{time[:60]!r} is not a time", "write 00:00:01.000")
+        hours, minutes, count, frame, unit = match.groups(default="0")
+        return 3600.0 * int(hours) + 60.0 * int(minutes) + float(count) * units[unit] + int(frame) / frames
+
     cues: list[_Cue] = []
-    waiting = [(root, 0.0)]
-    while waiting:
-        element, begin = waiting.pop()
-        start, end = _span(source, element, begin, units)
-        if element.tag.rpartition("}")[2] not in ("p", "span") or end is None:
-            waiting += [(child, start) for child in reversed(element)]
-            continue
-        for part in element.iter():
-            if part.tag.rpartition("}")[2] == "br":
-                part.tail = " " + (part.tail or "")
-            elif part is not element and "begin" in part.attrib:
-                part.text = _inner(_span(source, part, start, units)[0]) + (part.text or "")
-        cues.append(_Cue(["".join(element.itertext())], start, end, f"paragraph {len(cues) + 1}"))
+    for paragraph in root.iter():
+        begin, end, length = map(paragraph.get, ("begin", "end", "dur"))
+        if paragraph.tag.rpartition("}")[2] == "p" and begin and (end or length):
+            for part in paragraph.iter():
+                part.text = (" " if part.tag.endswith("br") else "") + (part.text or "")
+            start = seconds(begin)
+            cues.append(_Cue(["".join(paragraph.itertext())], start, start + seconds(length) if length else seconds(
+                end or ""), f"paragraph {len(cues) + 1}"))
     return _of_cues(cues)
-
-
-_MOMENT = re.compile(r"(?:(?:(\d{1,6}):)?(\d{1,6}):)?(\d{1,12}(?:\.\d{1,12})?)(?::(\d{1,6}))?(h|ms?|s|f|t|)")
-
-
-def _span(source: str, element: ElementTree.Element, begin: float, units: Mapping[str, float]
-          ) -> tuple[float, float | None]:
-    """The start and the end of an element of TTML, seconds; those of what it is in without times of its own. Times
-    before `begin`, that of what it is in, count from there."""
-    times = {}
-    for name, value in element.attrib.items():
-        if name in ("begin", "end", "dur"):
-            if (match := _MOMENT.fullmatch(value.strip())) is None:
-                raise InputError(source, f"{value[:60]!r} is not a time", "write 00:00:01.000")
-            hours, minutes, count, frame, unit = match.groups()
-            times[name] = 3600.0 * int(hours or 0) + 60.0 * int(minutes or 0) + float(count) * units[unit] + (
-                int(frame or 0) * units["f"])
-    start = times.get("begin", 0.0)
-    shift = begin if start < begin else 0.0
-    end = start + times["dur"] if "dur" in times else times.get("end")
-    return start + shift, None if end is None else end + shift
 
 
 def _of_cues(cues: Sequence[_Cue]) -> Content:
