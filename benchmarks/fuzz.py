@@ -11,7 +11,7 @@ over 1 GB, or ends the process.
 from __future__ import annotations
 
 import argparse
-import json
+import multiprocessing
 import os
 import random
 import signal
@@ -20,12 +20,14 @@ import tempfile
 import time
 import warnings
 from collections import Counter
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 SECONDS, GIGABYTES = 5.0, 1.0
 """What one reading may take."""
+FORK = multiprocessing.get_context("fork")
 _ADDRESSES = 8 << 30
 """Bytes of address space beyond what the process has when it begins: libraries map much more than they use."""
 
@@ -92,12 +94,17 @@ def outcome(read: Any, file: Path) -> str:
     return f"over {GIGABYTES:g} GB" if _peak() - held > GIGABYTES * 1e9 else ""
 
 
-def child(name: str, seed: int, first: int, count: int) -> None:
-    """Inputs `first` to `count` of one reader; a line for each that begins, and for each that fails."""
+def child(name: str, seed: int, first: int, count: int, results: Connection) -> None:
+    """Try inputs `first` to `count` of one reader. Sends the number of each that begins, with "", and of each that
+    fails, with what is wrong; `count` at the end."""
     import resource
 
     from reader_cases import READERS
 
+    # What libraries print of a damaged file is of no interest.
+    quiet = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(quiet, 1)
+    os.dup2(quiet, 2)
     case = READERS[name]
     signal.signal(signal.SIGALRM, _stop)
     with tempfile.TemporaryDirectory() as place:
@@ -109,7 +116,7 @@ def child(name: str, seed: int, first: int, count: int) -> None:
         mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (mapped + _ADDRESSES, resource.RLIM_INFINITY))
         for number in range(first, count):
-            print(json.dumps({"begins": number}), flush=True)
+            results.send((number, ""))
             data = damaged(content, random.Random(f"{seed} {name} {number}"))
             for other in folder.rglob("*"):
                 if other.is_file() and other not in beside:
@@ -119,8 +126,8 @@ def child(name: str, seed: int, first: int, count: int) -> None:
             case.packed(file, data)
             wrong = outcome(case.read, file)
             if wrong:
-                print(json.dumps({"number": number, "wrong": wrong}), flush=True)
-    print(json.dumps({"ends": True}), flush=True)
+                results.send((number, wrong))
+    results.send((count, ""))
 
 
 class Child:
@@ -133,39 +140,27 @@ class Child:
 
     def begin(self, first: int) -> None:
         """Try the inputs from `first` on."""
-        self.at, self.ended = first, first >= self.count
-        ours, theirs = os.pipe()
-        self.pid = os.fork()
-        if self.pid == 0:
-            os.close(ours)
-            quiet = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(theirs, 1)
-            os.dup2(quiet, 2)
-            try:
-                child(self.name, self.seed, first, self.count)
-            finally:
-                os._exit(1)
-        os.close(theirs)
-        self.lines = os.fdopen(ours, "rb", buffering=0)  # so that select() sees every line
+        self.at = first
+        self.results, theirs = FORK.Pipe(duplex=False)
+        self.process = FORK.Process(target=child, args=(self.name, self.seed, first, self.count, theirs))
+        self.process.start()
+        theirs.close()
 
     def step(self) -> bool:
-        """Read a line of the child; False when all is done."""
-        line = self.lines.readline()
-        if line:
-            told = json.loads(line) if line.startswith(b"{") else {}
-            self.at, self.ended = told.get("begins", self.at), self.ended or "ends" in told
-            if "wrong" in told:
-                self.failed.append((told["number"], told["wrong"]))
-            return True
-        self.lines.close()
-        _, status = os.waitpid(self.pid, 0)
-        if self.ended:
-            return False
-        self.failed.append((self.at, f"the process ended with {os.waitstatus_to_exitcode(status)}"))
-        if self.at + 1 < self.count:
+        """Take a result of the process; False when all is done."""
+        try:
+            self.at, wrong = self.results.recv()
+        except (EOFError, OSError):  # at the end, or in the middle of a result
+            self.results.close()
+            self.process.join()
+            if self.at == self.count:
+                return False
+            self.failed.append((self.at, f"the process ended with {self.process.exitcode}"))
             self.begin(self.at + 1)
-            return True
-        return False
+        else:
+            if wrong:
+                self.failed.append((self.at, wrong))
+        return True
 
 
 def main() -> int:
@@ -177,7 +172,6 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=2, help="readers at a time")
     asked = parser.parse_args()
     sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
-    import select
 
     from reader_cases import READERS
 
@@ -186,16 +180,16 @@ def main() -> int:
     names = [name for name in READERS if asked.only is None or asked.only in name]
     shares = {name: asked.inputs // len(names) + (at < asked.inputs % len(names)) for at, name in enumerate(names)}
     found: dict[str, list[tuple[int, str]]] = {}
-    waiting, running = list(reversed(names)), dict[int, Child]()
+    waiting, running = list(reversed(names)), dict[Connection, Child]()
     while waiting or running:
         while waiting and len(running) < asked.workers:
             name = waiting.pop()
             one = Child(name, asked.seed, shares[name])
-            running[one.lines.fileno()] = one
-        for handle in select.select(list(running), [], [])[0]:
-            one = running.pop(handle)
+            running[one.results] = one
+        for results in wait(list(running)):
+            one = running.pop(results)
             if one.step():
-                running[one.lines.fileno()] = one
+                running[one.results] = one
                 continue
             found[one.name] = one.failed
             print(f"{one.name}: {one.count} inputs, {len(one.failed)} failures", flush=True)

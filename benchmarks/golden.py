@@ -13,7 +13,6 @@ Only the command line and the public names of `gesticulator` are used, so module
     edit        gesture plans that were edited as JSON and rendered again
     paper       the bundle in the papers' own form: options, words, and a plan rendered again
     clips       loops, masks, layers, keys, faces, and a folder with texts
-    foreign     a downloaded form of character (VRM, and GLB with blend shapes), where $GESTICULATOR_CASES names them
 
 A name is KIND:GROUP/CASE, such as bvh:edit/swap. `plan:` and `html:` hold what was decided, the others the motion;
 `--motion` compares the motion alone, for a change that adds fields to the plan. `--only GROUP` runs one group.
@@ -23,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import copy
+import functools
 import hashlib
 import io
 import json
@@ -150,21 +150,6 @@ def run_command(arguments: Sequence[str]) -> None:
             raise RuntimeError(f"exit code {end.code}: {said.getvalue().strip()}") from None
     finally:
         sys.argv = before
-
-
-def load_once() -> None:
-    """Let every command share one set of loaded models. Without effect, but for time, where they are loaded otherwise.
-    """
-    loaded: dict[str, Gesticulator] = {}
-    load = Gesticulator.from_pretrained
-
-    def from_pretrained(path: str | os.PathLike[str] | None = None, **more: Any) -> Gesticulator:
-        key = f"{path} {more}"
-        if key not in loaded:
-            loaded[key] = load(path, **more)
-        return loaded[key]
-
-    Gesticulator.from_pretrained = from_pretrained  # type: ignore[method-assign]
 
 
 def cut(source: Path, target: Path, start: float, seconds: float) -> Path:
@@ -460,21 +445,8 @@ def clips(golden: Golden) -> None:
             golden.add(path.suffix[1:], f"clips/folder_{path.stem}", path.read_bytes())
 
 
-def foreign(golden: Golden) -> None:
-    """Characters that were not made here."""
-    folder = os.environ.get("GESTICULATOR_CASES")
-    if not folder:
-        print("left out: foreign (GESTICULATOR_CASES is not set)", file=sys.stderr)
-        return
-    for path in sorted([*Path(folder, "base-forms").glob("*.glb"), *Path(folder, "base-forms").glob("*.vrm")]):
-        cases = {"plain": (), "legs": ("--legs",), "seated": ("--seated",), "face": ("--face", "full")}
-        for name, options in cases.items():
-            golden.infer(f"foreign/{path.stem}{path.suffix}_{name}", golden.sound(PIECE), "--character", path, *options,
-                         suffixes=(".glb",))
-
-
 GROUPS = {"example": example, "variation": variation, "recording": recording, "stream": stream, "edit": edit,
-          "paper": paper, "clips": clips, "foreign": foreign}
+          "paper": paper, "clips": clips}
 
 
 # ---------------------------------------------------------------------------------------------------------- the verbs
@@ -541,7 +513,8 @@ def main() -> int:
     groups = asked.only or list(GROUPS)
     threadpool_limits(1)
     warnings.simplefilter("ignore")
-    load_once()
+    # Every command shares one set of loaded models.
+    Gesticulator.from_pretrained = functools.cache(Gesticulator.from_pretrained)  # type: ignore[method-assign]
     return record(asked.file, groups) if asked.verb == "record" else compare(asked.file, groups, asked.motion)
 
 

@@ -1,6 +1,6 @@
 """Do the tests notice a wrong formula? Sixty one-line mutants, each with the test file that must kill it.
 
-    python benchmarks/mutants.py [--only SUBSTRING] [--list]
+    python benchmarks/mutants.py [--only SUBSTRING]
 
 A mutant replaces a fragment of one line of a formula. Its test file runs on a temporary copy of the tree, never on the
 checkout, with `pytest -x -n 0`. It is killed when a test fails within the limit, 60 s of processor time, that passes
@@ -116,7 +116,7 @@ class FirstFailure:
             self.note.write_text(report.nodeid, encoding="utf-8")
 
 
-def run_tests(tree: Path, tests: str, limit: float) -> Ended:
+def run_tests(tree: Path, tests: str) -> Ended:
     """Run a test file of a tree, or one test of it."""
     with tempfile.TemporaryDirectory() as folder:
         output, note = Path(folder) / "output", Path(folder) / "failed"
@@ -127,7 +127,7 @@ def run_tests(tree: Path, tests: str, limit: float) -> Ended:
             os.dup2(stream, 1)
             os.dup2(stream, 2)
             os._exit(pytest_in(tree, tests, FirstFailure(note)))
-        code, seconds = awaited(child, PATIENCE * limit)
+        code, seconds = awaited(child)
         lines = output.read_text(encoding="utf-8", errors="replace").splitlines() if output.exists() else []
         failed = note.read_text(encoding="utf-8") if note.exists() else ""
     return Ended(code, seconds, failed, "\n".join(lines[-15:]))
@@ -146,10 +146,10 @@ def pytest_in(tree: Path, tests: str, plugin: FirstFailure) -> int:
     return code
 
 
-def awaited(child: int, patience: float) -> tuple[int | None, float]:
+def awaited(child: int) -> tuple[int | None, float]:
     """Exit code and processor seconds of a child, with the children that it waited for; it is stopped, code None, after
-    so many seconds on the clock."""
-    until = time.monotonic() + patience
+    `PATIENCE` limits on the clock."""
+    until = time.monotonic() + PATIENCE * LIMIT
     while time.monotonic() < until:
         ended, status, used = os.wait4(child, os.WNOHANG)
         if ended:
@@ -160,7 +160,7 @@ def awaited(child: int, patience: float) -> tuple[int | None, float]:
     return None, used.ru_utime + used.ru_stime
 
 
-def tried(mutant: Mutant, tree: Path, limit: float) -> Outcome:
+def tried(mutant: Mutant, tree: Path) -> Outcome:
     """Run a mutant's test file on the copied tree with its line replaced, and put the line back.
 
     A test that fails for another reason kills nothing: the one that failed must pass once the line is put back.
@@ -172,16 +172,16 @@ def tried(mutant: Mutant, tree: Path, limit: float) -> Outcome:
     original = path.read_text(encoding="utf-8")
     try:
         write_source(path, original.replace(mutant.fragment, mutant.replacement))
-        ended = run_tests(tree, mutant.test, limit)
+        ended = run_tests(tree, mutant.test)
     finally:
         write_source(path, original)
     if ended.code == 0:
         return Outcome(SURVIVED, ended.seconds)
-    if ended.code is None or ended.seconds > limit:
-        return Outcome(SURVIVED, ended.seconds, f"not noticed within {limit:g} s")
+    if ended.code is None or ended.seconds > LIMIT:
+        return Outcome(SURVIVED, ended.seconds, f"not noticed within {LIMIT:g} s")
     if ended.code != 1:
         return Outcome(ERROR, ended.seconds, f"pytest ended with {ended.code}:\n{ended.output}")
-    again = run_tests(tree, ended.failed, limit)
+    again = run_tests(tree, ended.failed)
     if again.code != 0:
         return Outcome(ERROR, ended.seconds, f"{ended.failed} fails without the mutant, too:\n{again.output}")
     return Outcome(KILLED, ended.seconds, ended.failed.partition("::")[2])
@@ -194,7 +194,7 @@ def write_source(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def judged(mutants: Iterable[Mutant], limit: float) -> dict[Mutant, Outcome]:
+def judged(mutants: Iterable[Mutant]) -> dict[Mutant, Outcome]:
     """Each mutant's outcome, printed as it comes."""
     load_libraries()
     outcomes: dict[Mutant, Outcome] = {}
@@ -202,7 +202,7 @@ def judged(mutants: Iterable[Mutant], limit: float) -> dict[Mutant, Outcome]:
         tree = Path(folder)
         copied_tree(tree)
         for mutant in mutants:
-            outcome = outcomes[mutant] = tried(mutant, tree, limit)
+            outcome = outcomes[mutant] = tried(mutant, tree)
             print(f"{outcome.verdict:8}  {outcome.seconds:5.1f} s  {mutant.file}: {mutant.formula}"
                   + (f"\n{'':20}{outcome.note}" if outcome.note else ""), flush=True)
     return outcomes
@@ -212,18 +212,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--only", default="", metavar="SUBSTRING", help="of the formula, the file or the test")
-    p.add_argument("--list", action="store_true", help="print the mutants and run nothing")
-    p.add_argument("--limit", type=float, default=LIMIT, metavar="SECONDS", help="processor time of a test file")
     asked = p.parse_args(arguments)
     chosen = [mutant for mutant in MUTANTS if asked.only in mutant.haystack]
-    if asked.list:
-        for mutant in chosen:
-            print(f"{mutant.file}: {mutant.formula} ({mutant.test})\n  - {mutant.fragment}\n  + {mutant.replacement}")
-        return 0
     if not chosen:
         p.error(f"no mutant matches {asked.only!r}")
     started = time.perf_counter()
-    outcomes = judged(chosen, asked.limit)
+    outcomes = judged(chosen)
     killed = sum(outcome.verdict == KILLED for outcome in outcomes.values())
     print(f"{killed} of {len(outcomes)} killed in {time.perf_counter() - started:.0f} s")
     return 0 if killed == len(outcomes) else 1

@@ -165,16 +165,16 @@ def tiny_store(toy_corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 @pytest.fixture(scope="session")
 def tiny_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The `tiny` preset, trained once by the real command."""
-    from gesticulator.training.command import main
+    from gesticulator.cli import main
 
     return trained_once(tmp_path_factory, "trained", lambda out: main(
-        ["--data", str(tiny_store), "--out", str(out), "--preset", "tiny", "--threads", "1", "--quiet"]))
+        ["train", "--data", str(tiny_store), "--out", str(out), "--preset", "tiny", "--threads", "1", "--quiet"]))
 
 
 @pytest.fixture(scope="session")
 def tiny_movement_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The `default` preset (movements, flow head, 46 joints) at toy size, trained once by the real command."""
-    from gesticulator.training.command import main
+    from gesticulator.cli import main
 
     short = {"generator": 60, "interpreter": 60, "interpreter_text": 0, "gate": 20, "planner": 20, "reward": 10,
              "cql": 10, "advantage": 10, "style": 20}
@@ -195,9 +195,9 @@ def tiny_movement_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFact
         "advantage.audio_bottleneck=8", "advantage.states=200", "advantage.swaps=2",
         "cql.width=16", "cql.heads=2", "cql.layers=2", "cql.decisions=6", "cql.audio_features=4",
         "cql.audio_bottleneck=8", "cql.copy_every=5", "episodes.prefix=2")]
-    given = [part for setting in settings for part in ("--set", setting)]
+    given = ["--threads", "1", "--quiet", *(part for setting in settings for part in ("--set", setting))]
     return trained_once(tmp_path_factory, "moving", lambda out: main(
-        ["--data", str(tiny_store), "--out", str(out), "--preset", "default", "--threads", "1", "--quiet", *given]))
+        ["train", "--data", str(tiny_store), "--out", str(out), "--preset", "default", *given]))
 
 
 @pytest.fixture(scope="session")
@@ -217,6 +217,23 @@ def judge(outside_data: Path) -> ModuleType:
     finally:
         sys.dont_write_bytecode = written
     return module
+
+
+@pytest.fixture
+def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs `gesticulator` with input that is wrong, and gives the line that says so: the only one that is printed on
+    either stream, before exit code 2."""
+    def line(*arguments: str | Path) -> str:
+        from gesticulator.cli import main
+
+        with pytest.raises(SystemExit) as left:
+            main([*map(str, arguments)])
+        out, error = capfd.readouterr()
+        assert (left.value.code, out, error.count("\n")) == (2, "", 1), out + error
+        assert error.startswith("gesticulator: ")
+        return error
+
+    return line
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,6 @@ from eval.ablate.rows import COLUMNS, OURS, REFERENCES, ROWS, TABLES, base
 from eval.ablate.run import RgRows
 from eval.baselines.controls import reversed_in_time
 from eval.baselines.interpreters import RandomStyle
-from eval.commands import ABLATE
 from eval.context import EvalContext
 from eval.metrics.gesture_features import RawFeatures
 from eval.table import NO_BUNDLE, NOT_RECORDED, Provenance, load
@@ -202,12 +201,8 @@ def test_racers_rows_stand_on_what_is_trained_here(ablation: Ablation, tmp_path:
     assert here.cells.file("racer-cql", 1).stat().st_mtime_ns == before, "finished rows are reused"
 
 
-def test_what_cannot_be_run(tiny_store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    given = ["--data", str(tiny_store), "--work", str(tmp_path)]
+def test_what_cannot_be_run(tiny_store: Path, tmp_path: Path, refused: Any) -> None:
     for wrong, word in ((["--only", "nothing"], "invalid choice"), (["--system", "ours=."], "name of a row"),
                         (["--seeds", "0"], "--seeds 0")):
-        with pytest.raises(SystemExit) as error:
-            ABLATE.main("gesticulator ablate", [*given, *wrong])
-        assert error.value.code == 2 and word in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        ABLATE.main("gesticulator ablate", [])
+        assert word in refused("ablate", "--data", tiny_store, "--work", tmp_path, *wrong)
+    assert "--data" in refused("ablate")

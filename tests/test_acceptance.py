@@ -32,7 +32,6 @@ from eval.acceptance.lexicon import HeldOut
 from eval.acceptance.rest import Rested
 from eval.acceptance.stimuli import LIVELY, SUBDUED, loudness, said_with, tilted
 from eval.baselines import controls as baselines
-from eval.commands import ACCEPTANCE
 from eval.metrics.eye import ReferenceSpace, common_body, hear
 from eval.metrics.eye.pitch import pitch_track
 from eval.metrics.eye.sample import EyeSample
@@ -41,6 +40,7 @@ from eval.renderings import Rendering
 from eval.stats import mean_interval
 from eval.table import load
 from gesticulator.bundle import bundle as bundles
+from gesticulator.cli import main
 from lexicon.movement import MovementLexicon
 from lexicon.settings import LexiconConfig
 from tests.test_eye import elbow, posed
@@ -572,15 +572,15 @@ def standing(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "store", folder / "bundle"
 
 
-def judged_by_the_command(standing: tuple[Path, Path], *more: str) -> int:
-    store, bundle = standing
-    return ACCEPTANCE.main("gesticulator acceptance", ["--data", str(store), "--bundle", str(bundle), *more])
+def by_the_command(standing: tuple[Path, Path], *more: str) -> list[str]:
+    store, bundle = map(str, standing)
+    return ["acceptance", "--data", store, "--bundle", bundle, *more]
 
 
 def test_every_group_is_judged(standing: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("GESTICULATOR_DATA", raising=False)
     out = tmp_path / "motion.json"
-    assert judged_by_the_command(standing, "--renderings", "1", "--out", str(out)) == 0
+    assert main(by_the_command(standing, "--renderings", "1", "--out", str(out))) == 0
     about, *groups = load(out)
     assert [group.title for group in groups] == list(command.TITLES.values()) and "clauses hold" in about.notes[0]
     entries = [entry for group in groups for entry in group.facts["clauses"]]
@@ -601,15 +601,11 @@ def test_every_group_is_judged(standing: tuple[Path, Path], tmp_path: Path, monk
     (["--renderings", "0"], "give 1 or more"), (["--limit", "0"], "give 1 or more"),
     (["--speaker", "unknown"], "unknown"), (["--only", "everything"], "invalid choice")])
 def test_wrong_input_is_refused(standing: tuple[Path, Path], more: list[str], told: str,
-                                capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        judged_by_the_command(standing, *more)
-    assert caught.value.code == 2 and told in capsys.readouterr().err
+                                refused: Callable[..., str]) -> None:
+    assert told in refused(*by_the_command(standing, *more))
 
 
 def test_without_a_voice_there_is_nothing_to_judge(standing: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch,
-                                                   capsys: pytest.CaptureFixture[str]) -> None:
+                                                   refused: Callable[..., str]) -> None:
     monkeypatch.delenv("GESTICULATOR_DATA", raising=False)
-    with pytest.raises(SystemExit):
-        ACCEPTANCE.main("gesticulator acceptance", ["--bundle", str(standing[1])])
-    assert "no voice to gesture for" in capsys.readouterr().err
+    assert "no voice to gesture for" in refused("acceptance", "--bundle", standing[1])

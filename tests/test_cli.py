@@ -54,16 +54,6 @@ def verbs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None
         sys.modules.pop(name, None)
 
 
-def stopped(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> str:
-    """The one line with which the door refuses the arguments."""
-    with pytest.raises(SystemExit) as stop:
-        cli.main(arguments)
-    out, error = capfd.readouterr()
-    assert stop.value.code == 2 and out == "" and error.count("\n") == 1, error
-    assert error.startswith("gesticulator: ")
-    return error
-
-
 def test_a_verb_gets_its_arguments_and_gives_its_exit_code(verbs: Callable[..., None],
                                                            capfd: pytest.CaptureFixture[str]) -> None:
     verbs(works="others_verbs:WORKS", infer="gesticulator.infer:COMMAND")
@@ -91,21 +81,21 @@ def test_help_lists_the_verbs_on_one_screen_and_tells_of_broken_ones(verbs: Call
     assert "nowhere_to_be_found" in error
 
 
-def test_an_unknown_verb_is_told_and_the_nearest_named(capfd: pytest.CaptureFixture[str]) -> None:
-    assert "did you mean infer?" in stopped(["infre"], capfd)
-    assert "is neither a verb nor a file" in stopped(["zzzz", "--help"], capfd)
+def test_an_unknown_verb_is_told_and_the_nearest_named(refused: Callable[..., str]) -> None:
+    assert "did you mean infer?" in refused("infre")
+    assert "is neither a verb nor a file" in refused("zzzz", "--help")
 
 
 def test_a_recording_without_a_verb_is_inferred_whatever_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                                                                  capfd: pytest.CaptureFixture[str]) -> None:
+                                                                  refused: Callable[..., str]) -> None:
     monkeypatch.chdir(tmp_path)
-    assert "speech.wav: does not exist" in stopped(["speech.wav", "-o", "o.bvh"], capfd)
+    assert "speech.wav: does not exist" in refused("speech.wav", "-o", "o.bvh")
     (tmp_path / "talk").write_bytes(b"no sound")
-    assert "talk: is not sound" in stopped(["talk", "-o", "o.bvh"], capfd), "a file without an ending is not a verb"
+    assert "talk: is not sound" in refused("talk", "-o", "o.bvh"), "a file without an ending is not a verb"
     # A file that is called like a verb: the verb is meant, and ./infer is the file.
     (tmp_path / "infer").write_bytes(b"no sound")
-    assert "speech: is missing" in stopped(["infer"], capfd)
-    assert "infer: is not sound" in stopped(["./infer", "-o", "o.bvh"], capfd)
+    assert "speech: is missing" in refused("infer")
+    assert "infer: is not sound" in refused("./infer", "-o", "o.bvh")
 
 
 def test_the_same_command_by_every_name() -> None:
@@ -134,8 +124,8 @@ def test_every_example_of_infer_is_understood() -> None:
         assert verb == "infer" and asked.speech
 
 
-def test_abbreviations_are_refused(capfd: pytest.CaptureFixture[str]) -> None:
-    assert "--temper" in stopped(["speech.wav", "-o", "o.bvh", "--temper", "1"], capfd)
+def test_abbreviations_are_refused(refused: Callable[..., str]) -> None:
+    assert "--temper" in refused("speech.wav", "-o", "o.bvh", "--temper", "1")
 
 
 # ------------------------------------------------------------------------------------------------- numbers
@@ -147,8 +137,8 @@ def test_abbreviations_are_refused(capfd: pytest.CaptureFixture[str]) -> None:
     ("gain", "inf"), ("gain", "71"), ("activity", ""),
 ])
 def test_numbers_out_of_range_are_refused_before_anything_is_read(name: str, text: str,
-                                                                 capfd: pytest.CaptureFixture[str]) -> None:
-    said = stopped(["infer", "speech.wav", "-o", "o.bvh", f"--{name}={text}"], capfd)
+                                                                 refused: Callable[..., str]) -> None:
+    said = refused("infer", "speech.wav", "-o", "o.bvh", f"--{name}={text}")
     assert said.startswith(f"gesticulator: --{name} ") and RANGES[name].advice in said and len(said) < 200
 
 

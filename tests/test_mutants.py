@@ -42,7 +42,7 @@ import mutants as m
 tree = Path(sys.argv[1])
 wrong = ("a * b", "a + b"), ("a * b", "b * a"), ("a * b", "a *"), ("b", "c"), ("a * b", "a * b.c")
 for fragment, replacement in wrong:
-    print(m.tried(m.Mutant("product", "formula.py", fragment, replacement, "test_formula.py"), tree, 60.0).verdict)
+    print(m.tried(m.Mutant("product", "formula.py", fragment, replacement, "test_formula.py"), tree).verdict)
 """
 
 

@@ -15,8 +15,8 @@ from performances import example
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle.config import Config, from_dict, to_dict
 from gesticulator.bundle.files import CARD, INDEX, NAMED, bundle_folder, read_index
+from gesticulator.cli import main
 from gesticulator.gesticulator import Gesticulator
-from gesticulator.training import command as train
 from gesticulator.training.presets import preset
 from gesticulator.training.stages import wanted
 
@@ -41,8 +41,8 @@ def toy(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("paper") / "bundle"
     short = [f"schedules.{stage}.{what}" for stage, steps in STEPS.items() for what in (
         f"steps={steps}", "batch=64" if stage == "lexicon" else "batch=8", "validations=1")]
-    assert train.main(["--data", str(tiny_store), "--out", str(out), "--preset", "paper", "--threads", "1", "--quiet",
-                       *(part for setting in (*TOY, *short) for part in ("--set", setting))]) == 0
+    assert main(["train", "--data", str(tiny_store), "--out", str(out), "--preset", "paper", "--threads", "1",
+                 "--quiet", *(part for setting in (*TOY, *short) for part in ("--set", setting))]) == 0
     return out
 
 

@@ -20,8 +20,8 @@ from gesticulator import infer
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
 from gesticulator.bundle.features import representation_of
+from gesticulator.cli import main
 from gesticulator.gesticulator import Gesticulator
-from gesticulator.training import command as train
 from gesticulator.training import presets
 from gesticulator.training.stages import REWARD, Run
 from gesticulator.training.stages.corpus import Corpus, prepare
@@ -130,8 +130,8 @@ def native(tiny_store: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """RACER's own form, trained by the command at toy size."""
     out = tmp_path_factory.mktemp("native") / "bundle"
     settings = [part for setting in NATIVE for part in ("--set", setting)]
-    assert train.main(["--data", str(tiny_store), "--out", str(out), "--preset", "racer-native", "--threads", "1",
-                       "--quiet", *settings]) == 0
+    assert main(["train", "--data", str(tiny_store), "--out", str(out), "--preset", "racer-native", "--threads", "1",
+                 "--quiet", *settings]) == 0
     return out
 
 

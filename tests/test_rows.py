@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -227,11 +228,9 @@ def test_racers_table_has_its_rows_and_the_papers_figures() -> None:
     assert first.rows["racer-cql"]["return, paper"] == "9.34"
 
 
-def test_tables_and_claims_are_written_again_from_the_cells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tables_and_claims_are_written_again_from_the_cells(tmp_path: Path, refused: Callable[..., str]) -> None:
     out = tmp_path / "ablation"
-    with pytest.raises(SystemExit) as error:
-        ABLATE.main("gesticulator ablate", ["--tables", "--out", str(out)])
-    assert error.value.code == 2 and "holds no cells" in capsys.readouterr().err
+    assert "holds no cells" in refused("ablate", "--tables", "--out", out)
     for seed in (1, 2, 3):
         CellStore(out).add(cell(OURS, seed, 1.0 * seed))
         CellStore(out).add(cell("no-style", seed, 2.0 * seed))

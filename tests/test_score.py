@@ -290,12 +290,9 @@ def test_the_command_writes_both_files(truth: dict[str, Clip], tmp_path: Path) -
     (["--truth", ".", "--system", "a=."], "holds no motion"),
 ])
 def test_bad_input_is_one_line(arguments: list[str], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                               capsys: pytest.CaptureFixture[str]) -> None:
+                               refused: Any) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as stop:
-        door(arguments)
-    told = capsys.readouterr().err
-    assert stop.value.code == 2 and says in told and len(told.splitlines()) == 1
+    assert says in refused("score", *arguments)
 
 
 def test_a_real_take_as_a_foreign_system(outside_data: Path, tmp_path: Path) -> None:
@@ -387,7 +384,7 @@ def test_the_shortest_clips_are_scored_or_say_why_not(truth: dict[str, Clip], fr
     ("a.npz", b"not a zip", "is not an .npz of plain arrays"), ("a.bvh", b"HIERARCHY\nROOT", "a.bvh"),
     ("a.npy", b"\x93NUMPY", "is not an .npy of plain numbers"), ("a.wav", b"RIFF", "a.wav")])
 def test_spoilt_files_are_one_line_and_leave_nothing(truth: dict[str, Clip], name: str, spoil: bytes, says: str,
-                                                     tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+                                                     tmp_path: Path, refused: Any) -> None:
     real = write_clips(tmp_path / "real", {"a": replace(truth["clip0"], name="a")})
     ours = tmp_path / "ours"
     ours.mkdir()
@@ -395,10 +392,8 @@ def test_spoilt_files_are_one_line_and_leave_nothing(truth: dict[str, Clip], nam
         write_bvh(ours / "a.bvh", truth["clip0"].motion)
     (ours / "a.json").write_text('{"joints": ["Hips"], "fps": 20}')
     (ours / name).write_bytes(spoil)
-    with pytest.raises(SystemExit) as stop:
-        door(["--truth", str(real), "--system", f"ours={ours}", "--out", str(tmp_path / "out" / "s.json")])
-    told = capsys.readouterr().err
-    assert stop.value.code == 2 and says in told and len(told.splitlines()) == 1 and not (tmp_path / "out").exists()
+    assert says in refused("score", "--truth", real, "--system", f"ours={ours}", "--out", tmp_path / "out" / "s.json")
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_table_says_whether_the_sample_suffices() -> None:
@@ -492,12 +487,10 @@ def test_the_command_shows_what_people_say(truth: dict[str, Clip], tmp_path: Pat
     ("[70, 60]", "is not a JSON object"), ('{"a": "good"}', "rates a with good"), ('{"a": true}', "rates a with True"),
     ('{"a": 1, "b": 2, "c": 3}', "rates 1 of the systems"), ('{"a": NaN}', "is not valid JSON")])
 def test_ratings_that_cannot_be_used_are_one_line(text: str, says: str, tmp_path: Path,
-                                                  capsys: pytest.CaptureFixture[str]) -> None:
+                                                  refused: Any) -> None:
     (tmp_path / "people.json").write_text(text)
-    with pytest.raises(SystemExit) as stop:
-        door(["--truth", str(tmp_path), "--system", f"a={tmp_path}", "--ratings", str(tmp_path / "people.json")])
-    complaint = capsys.readouterr().err
-    assert stop.value.code == 2 and says in complaint and len(complaint.splitlines()) == 1
+    assert says in refused("score", "--truth", tmp_path, "--system", f"a={tmp_path}", "--ratings",
+                           tmp_path / "people.json")
 
 
 # -------------------------------------------------------------------------------------------- as a bundle reads it

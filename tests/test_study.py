@@ -272,16 +272,13 @@ def _bad(folder: Path, told: Any) -> Path:
                                       enumerate([told["answers"][0]] * 2)]}, "twice and differently"),
     (lambda told: told | {"answers": []}, "length >= 1"),
 ])
-def test_bad_ratings_are_one_line_and_exit_2(made: Path, tmp_path: Path, capsys: Any, change: Any, says: str) -> None:
+def test_bad_ratings_are_one_line_and_exit_2(made: Path, tmp_path: Path, refused: Any, change: Any, says: str) -> None:
     told = json.loads(_files(made, tmp_path, raters=1)[0].read_text())
-    with pytest.raises(SystemExit) as left:
-        ask(["analyse", "--key", str(made / "key.json"), str(_bad(tmp_path, change(told)))])
-    line = capsys.readouterr().err
-    assert left.value.code == 2 and line.count("\n") == 1 and says in line
+    assert says in refused("study", "analyse", "--key", made / "key.json", _bad(tmp_path, change(told)))
 
 
 def test_other_bad_input_is_one_line_and_exit_2(made: Path, systems: dict[str, Path], tmp_path: Path,
-                                                capsys: Any) -> None:
+                                                refused: Any) -> None:
     good = [f"{name}={folder}" for name, folder in systems.items()]
     (tmp_path / "empty").mkdir()
     other = tmp_path / "other"
@@ -298,10 +295,7 @@ def test_other_bad_input_is_one_line_and_exit_2(made: Path, systems: dict[str, P
         ([*make, *good, "--seconds", "0"], "1 s"), ([*make, *good, "--raters", "0"], "1 rater"),
         ([*analyse, str(tmp_path / "none.json"), rated], "none.json"), ([*analyse, rated, rated], "not the key"),
     ]:
-        with pytest.raises(SystemExit) as left:
-            ask(command)
-        line = capsys.readouterr().err
-        assert left.value.code == 2 and line.count("\n") == 1 and says in line, line
+        assert says in refused("study", *command)
     assert not (tmp_path / "out").exists()
 
 

@@ -6,7 +6,7 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -44,11 +44,8 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (["SOUND", "-o", "out.bvh"], "-o"),
 ])
 def test_what_cannot_be_viewed_is_told_in_a_line(words: list[str], said: str, recording: Path,
-                                                 capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        COMMAND.main("gesticulator view", [str(recording) if word == "SOUND" else word for word in words])
-    error = capsys.readouterr().err
-    assert stop.value.code == 2 and error.count("\n") == 1 and said in error
+                                                 refused: Callable[..., str]) -> None:
+    assert said in refused("view", *(recording if word == "SOUND" else word for word in words))
 
 
 def _silenced(plan: GesturePlan, *places: int) -> GesturePlan:
@@ -127,11 +124,9 @@ def test_an_edit_that_does_not_know_of_others_is_refused(system: Gesticulator) -
     assert json.loads(edits.state(0))["plan"]["blocks"][1]["silent"]
 
 
-def test_a_second_page_of_a_file_is_refused_in_a_line(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with held(place_of(recording)), pytest.raises(SystemExit) as stop:
-        COMMAND.main("gesticulator view", [str(recording), "--no-browser"])
-    error = capsys.readouterr().err
-    assert stop.value.code == 2 and error.count("\n") == 1 and "is in use by gesticulator view (process" in error
+def test_a_second_page_of_a_file_is_refused_in_a_line(recording: Path, refused: Callable[..., str]) -> None:
+    with held(place_of(recording)):
+        assert "is in use by gesticulator view (process" in refused("view", recording, "--no-browser")
 
 
 def test_a_browser_is_led_in_by_a_private_file(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
 from data_module.errors import InputError, complain
@@ -76,8 +75,3 @@ COMMAND = Command(
     examples=("train --data store --out bundle", "train --data store --out bundle --preset tiny",
               "train --data store --out bundle --set generator.lstm_width=320 --seed 2",
               "train --data store --out bundle --device cuda"))
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Parse and run, as `gesticulator train` does; the exit code."""
-    return COMMAND.main(f"{PROGRAM} train", argv)
