@@ -32,7 +32,6 @@ __all__ = ["Text", "Transcript", "as_transcript", "read_transcript", "timed_tran
 FORMATS: dict[str, Callable[[str, str, str | None], Content]] = {
     ".txt": formats.plain, ".textgrid": formats.textgrid, ".srt": formats.subtitles,
     ".vtt": formats.subtitles, ".tsv": formats.tsv, ".json": words_json, ".jsonl": words_json, ".ctm": formats.ctm,
-    ".ttml": formats.ttml, ".dfxp": formats.ttml,
     **dict.fromkeys(formats.TIMED_LINES, formats.timed_lines),
 }
 """Readers by suffix: (file, its text, speaker) to its content."""

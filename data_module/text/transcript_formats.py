@@ -15,7 +15,6 @@ import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -36,6 +35,7 @@ _CLOCK = r"(?:(\d{1,4}):)?(\d{1,4}):(\d{1,4})(?:[.,](\d+))?"
 _CUE = re.compile(rf"\s*{_CLOCK}\s*-->\s*{_CLOCK}(?:\s.*)?")
 # Tags, positions of the SubStation kind, and descriptions of sounds.
 _NOT_SPOKEN = re.compile(r"<[^<>]*>|\{\\[^{}]*\}|\[[^\[\]]*\]")
+_BETWEEN_WORDS = re.compile(r"\[|<(\w+:)?br\b")
 # Duration of a word without times and without timed neighbours, seconds: the mean of spoken English.
 _UNTIMED = 0.3
 _INNER = re.compile(rf"<{_CLOCK}>")
@@ -139,19 +139,18 @@ def tsv(source: str, text: str, speaker: str | None = None) -> Content:
 
 
 def ctm(source: str, text: str, speaker: str | None = None) -> Content:
-    """CTM, as NeMo and Kaldi write it: rows of recording, channel, start, length and word. In a row of a whole segment
-    spaces are "<space>"."""
-    rows = [(number, line.split()) for number, line in enumerate(text.split("\n"), 1)
-            if line.strip() and not line.startswith(";;")]
-    for number, row in rows:
-        if len(row) < 5 or not _timed(row[2:4]):
-            raise InputError(source, f"line {number}: is not a recording, a channel, a start, a length and a word",
-                             "write it again")
-    if len(recordings := {row[0] for _, row in rows}) > 1:
-        raise InputError(source, f"holds the words of {len(recordings)} recordings", "leave those of one in it")
-    entries = tuple(Entry("" if row[4].lower() in SILENCES else row[4].replace("<space>", " "), float(row[2]),
-                          float(row[2]) + float(row[3]), f"line {number}") for number, row in rows)
-    return Content(cues=entries) if any(" " in entry.text for entry in entries) else Content(words=entries)
+    """CTM, as NeMo and Kaldi write it: rows of recording, channel, start, length and word, or with "<space>" a line."""
+    entries, recording = [], ""
+    for number, row in ((number, line.split()) for number, line in enumerate(text.split("\n"), 1)):
+        if row and not row[0].startswith(";;"):
+            recording = recording or row[0]
+            if len(row) < 5 or not _timed(row[2:4]) or row[0] != recording:
+                raise InputError(source, f"line {number}: is not a recording (one in all), a channel, a start, a "
+                                 "length and a word", "leave those of one recording in it")
+            entries.append(Entry("" if row[4].lower() in SILENCES else row[4].replace("<space>", " "), float(row[2]),
+                                 float(row[2]) + float(row[3]), f"line {number}"))
+    whole = any(" " in entry.text for entry in entries)
+    return Content(cues=tuple(entries)) if whole else Content(words=tuple(entries))
 
 
 def _timed(row: Sequence[str]) -> bool:
@@ -198,26 +197,9 @@ def filled(entries: Sequence[Entry], begin: float | None = None, end: float | No
 
 # ---------------------------------------------------------------------------------------------------- subtitles
 
-@dataclass(frozen=True)
-class _Cue:
-    """A cue as written: lines with their tags, and its time, seconds."""
-
-    lines: list[str]
-    start: float
-    end: float
-    where: str
-
-    @property
-    def text(self) -> str:
-        return _plain(" ".join(self.lines))
-
-    def entry(self) -> Entry:
-        return Entry(self.text, self.start, self.end, self.where)
-
-
 def subtitles(source: str, text: str, speaker: str | None = None) -> Content:
     """SubRip or WebVTT: of each cue a line with two times, and the lines up to an empty one; the rest is not spoken."""
-    cues: list[_Cue] = []
+    cues: list[Entry] = []
     inside = False
     for number, line in enumerate(text.split("\n"), 1):
         if re.match(r"\s*\d+:[^>]*-->", line):
@@ -226,86 +208,62 @@ def subtitles(source: str, text: str, speaker: str | None = None) -> Content:
                 raise InputError(source, f"line {number}: {line.strip()[:60]!r} is not a pair of times",
                                  "write 00:00:01,000 --> 00:00:02,500")
             times = match.groups()
-            cues.append(_Cue([], _clock(times[:4]), _clock(times[4:]), f"line {number}"))
+            cues.append(Entry("", _clock(times[:4]), _clock(times[4:]), f"line {number}"))
             inside = True
         # In WebVTT a line of spaces is a line; rolling captions have one above the first.
-        elif inside and (line.strip() or (line and not cues[-1].lines)):
-            cues[-1].lines.append(line)
+        elif inside and (line.strip() or (line and not cues[-1].text)):
+            cues[-1] = replace(cues[-1], text=f"{cues[-1].text}{line}\n")
         else:
             inside = False
     return _of_cues(cues)
 
 
 def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
-    """SubStation, SBV and LRC, by the file's suffix; a line of LRC lasts until the next one."""
-    cues: list[_Cue] = []
+    """SubStation, TTML, SBV and LRC, by the file's suffix; a line of LRC lasts until the next one."""
+    cues: list[Entry] = []
     for match in TIMED_LINES[source[source.rindex("."):].lower()].finditer(text):
         *clock, line = match.groups()
         start = _clock(clock[:4])
         if cues and len(clock) == 4:
-            cues[-1] = replace(cues[-1], end=max(start, cues[-1].start))
-        end = _clock(clock[4:]) if len(clock) > 4 else start + _UNTIMED * len(line.split())
-        cue = _Cue([line.replace("\\N", " ")], start, end, f"line {text.count(chr(10), 0, match.start()) + 1}")
+            cues[-1] = replace(cues[-1], end=max(start, cues[-1].start or 0.0))
+        end = start + _UNTIMED * len(line.split())
+        if len(clock) > 4:
+            end = _clock(clock[5:]) + (start if clock[4] else 0.0)
+        cue = Entry(line.replace("\\N", " "), start, end, f"line {text.count(chr(10), 0, match.start()) + 1}")
         # NeMo's aligner shows a line anew for each word, in other colours.
-        if cues and "\\c&" in line and cues[-1].text == cue.text:
+        if cues and "\\c&" in line and _plain(cues[-1].text) == _plain(cue.text):
             cues[-1] = replace(cues[-1], end=end)
         else:
             cues.append(cue)
     return _of_cues(cues)
 
 
+_ANY_TIME = r"""["'](?:(?:(\d{1,4}):)?(\d{1,4}):)?(\d{1,6})(?:[.,:](\d+))?s?["']"""
 TIMED_LINES = {
-    **dict.fromkeys((".ass", ".ssa"), re.compile(rf"^Dialogue:[^,\n]*,{_CLOCK},{_CLOCK},(?:[^,\n]*,){{6}}(.*)$", re.M)),
-    ".lrc": re.compile(rf"^\[{_CLOCK}\](.*)$", re.M),
-    ".sbv": re.compile(rf"^{_CLOCK},{_CLOCK}\n((?:.+\n?)+)", re.M)}
+    **dict.fromkeys((".ass", ".ssa"), re.compile(rf"^Dialogue:[^,\n]*,{_CLOCK},(){_CLOCK},(?:[^,\n]*,){{6}}(.*)$",
+                                                 re.M)),
+    ".lrc": re.compile(rf"^\[{_CLOCK}\](.*)$", re.M), ".sbv": re.compile(rf"^{_CLOCK},(){_CLOCK}\n((?:.+\n?)+)", re.M),
+    **dict.fromkeys((".ttml", ".dfxp"), re.compile(
+        rf"<(?:\w+:)?p\b(?=[^>]*\bbegin={_ANY_TIME})(?=[^>]*\b(?:end|(dur))={_ANY_TIME})[^>]*>(.*?)</(?:\w+:)?p>",
+        re.S))}
+"""By suffix: the time of a line, whether the next one is a length, that one, and the text."""
 
 
-_MOMENT = re.compile(r"(?:(?:(\d{1,6}):)?(\d{1,6}):)?(\d{1,12}(?:\.\d{1,12})?)(?::(\d{1,6}))?(h|ms?|s|f|t|)")
-
-
-def ttml(source: str, text: str, speaker: str | None = None) -> Content:
-    """TTML in any of its profiles: of each paragraph its text and its begin, and its end or length."""
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise InputError(source, f"line {error.position[0]}: is not XML", "export it again") from None
-    rates = {name.rpartition("}")[2]: value for name, value in root.attrib.items()}
-    frames, ticks = (float(rates[name]) if re.fullmatch(r"[1-9]\d{0,9}", rates.get(name, "")) else 30.0
-                     for name in ("frameRate", "tickRate"))
-    units = {"h": 3600.0, "m": 60.0, "s": 1.0, "": 1.0, "ms": 1e-3, "f": 1 / frames, "t": 1 / ticks}
-
-    def seconds(time: str) -> float:
-        if (match := _MOMENT.fullmatch(time.strip())) is None:
-            raise InputError(source, f"{time[:60]!r} is not a time", "write 00:00:01.000")
-        hours, minutes, count, frame, unit = match.groups(default="0")
-        return 3600.0 * int(hours) + 60.0 * int(minutes) + float(count) * units[unit] + int(frame) / frames
-
-    cues: list[_Cue] = []
-    for paragraph in root.iter():
-        begin, end, length = map(paragraph.get, ("begin", "end", "dur"))
-        if paragraph.tag.rpartition("}")[2] == "p" and begin and (end or length):
-            for part in paragraph.iter():
-                part.text = (" " if part.tag.endswith("br") else "") + (part.text or "")
-            start = seconds(begin)
-            cues.append(_Cue(["".join(paragraph.itertext())], start, start + seconds(length) if length else seconds(
-                end or ""), f"paragraph {len(cues) + 1}"))
-    return _of_cues(cues)
-
-
-def _of_cues(cues: Sequence[_Cue]) -> Content:
+def _of_cues(cues: Sequence[Entry]) -> Content:
     # One time inside a line is enough: the first word of each line has the time of its cue.
-    if any(_INNER.search(line) for cue in cues for line in cue.lines):
+    if any(_INNER.search(cue.text) for cue in cues):
         return Content(words=tuple(_timed_inside(cues)))
     lines = _highlighted_lines(cues)
     if lines is None:
-        return Content(cues=tuple(cue.entry() for cue in cues))
+        return Content(cues=tuple(replace(cue, text=_plain(cue.text)) for cue in cues))
     return Content(words=tuple(word for line in lines for word in _words_of_line(line)))
 
 
 def _plain(text: str) -> str:
     """A line as it is spoken: without tags and notes in brackets; marks of gestures stay."""
-    # A tag may stand inside of a word.
-    spoken = _NOT_SPOKEN.sub(lambda note: note[0] if is_mark(note[0]) else " " * note[0].startswith(("[", "<br")), text)
+    # A tag may stand inside of a word, unless it is a break.
+    spoken = _NOT_SPOKEN.sub(
+        lambda note: note[0] if is_mark(note[0]) else " " if _BETWEEN_WORDS.match(note[0]) else "", text)
     return " ".join(html.unescape(spoken).split())
 
 
@@ -316,13 +274,12 @@ def _clock(parts: Sequence[str | None]) -> float:
 
 # ------------------------------------------------------------------------------------------ highlighted words
 
-def _highlight(cue: _Cue) -> tuple[int, int] | None:
+def _highlight(cue: Entry) -> tuple[int, int] | None:
     """Where the one highlighted word of a cue begins and ends among the words of its text; None without one."""
-    text = " ".join(cue.lines)
-    spans = list(_HIGHLIGHT.finditer(text))
+    spans = list(_HIGHLIGHT.finditer(cue.text))
     if len(spans) != 1:
         return None
-    before, inside = (len(_tokens(part)) for part in (text[:spans[0].start()], spans[0][2]))
+    before, inside = (len(_tokens(part)) for part in (cue.text[:spans[0].start()], spans[0][2]))
     return (before, before + inside) if inside else None
 
 
@@ -330,16 +287,16 @@ def _tokens(text: str) -> list[str]:
     return _plain(text).split()
 
 
-def _highlighted_lines(cues: Sequence[_Cue]) -> list[list[_Cue]] | None:
+def _highlighted_lines(cues: Sequence[Entry]) -> list[list[Entry]] | None:
     """The cues of each line, if one line is shown several times with one word after the other highlighted; else None.
     """
-    lines: list[list[_Cue]] = []
+    lines: list[list[Entry]] = []
     place = 0
     repeated = False
     for cue in cues:
         span = _highlight(cue)
         # The highlight only moves forward in a line; a step back means that the line is spoken again.
-        again = bool(lines) and lines[-1][-1].text == cue.text and (span is None or span[0] >= place)
+        again = bool(lines) and _plain(lines[-1][-1].text) == _plain(cue.text) and (span is None or span[0] >= place)
         if again:
             lines[-1].append(cue)
             repeated = repeated or (span is not None and place > 0)
@@ -350,10 +307,10 @@ def _highlighted_lines(cues: Sequence[_Cue]) -> list[list[_Cue]] | None:
     return lines if repeated else None
 
 
-def _words_of_line(cues: Sequence[_Cue]) -> list[Entry]:
+def _words_of_line(cues: Sequence[Entry]) -> list[Entry]:
     """The words of a line with the times at which each is highlighted; a line without highlights is spread over its
     time, and other words have no times."""
-    tokens = _tokens(" ".join(cues[0].lines))
+    tokens = _tokens(cues[0].text)
     words: list[Entry] = []
     at = 0
     for cue in cues:
@@ -365,26 +322,27 @@ def _words_of_line(cues: Sequence[_Cue]) -> list[Entry]:
         words.append(Entry(" ".join(tokens[span[0]:span[1]]), cue.start, cue.end, cue.where))
         at = span[1]
     if not words:
-        return shared_in_cue(Entry(cues[0].text, cues[0].start, cues[-1].end, cues[0].where))
+        return shared_in_cue(Entry(_plain(cues[0].text), cues[0].start, cues[-1].end, cues[0].where))
     return words + [Entry(token, None, None, cues[-1].where) for token in tokens[at:]]
 
 
 # ---------------------------------------------------------------------------------------- times inside of cues
 
-def _timed_inside(cues: Sequence[_Cue]) -> Iterator[Entry]:
+def _timed_inside(cues: Sequence[Entry]) -> Iterator[Entry]:
     """The words of cues with times inside; a line that repeats one of the cue before is left out."""
     before: list[str] = []
     for cue in cues:
-        lines = [_plain(line) for line in cue.lines]
-        for line, plain in zip(cue.lines, lines, strict=True):
+        lines = [_plain(line) for line in cue.text.split("\n")]
+        for line, plain in zip(cue.text.split("\n"), lines, strict=True):
             # A rolling caption shows the line before once more, without times.
             if plain and (plain not in before or _INNER.search(line)):
                 yield from _pieces(line, cue)
         before = lines
 
 
-def _pieces(line: str, cue: _Cue) -> Iterator[Entry]:
+def _pieces(line: str, cue: Entry) -> Iterator[Entry]:
     """The words of a line with times inside: each piece lasts from its time to the next one."""
+    assert cue.start is not None and cue.end is not None
     starts = [cue.start, *(_clock(match.groups()) for match in _INNER.finditer(line)), cue.end]
     ends = [0, *(edge for match in _INNER.finditer(line) for edge in match.span()), len(line)]
     for (start, end), first, last in zip(itertools.pairwise(starts), ends[::2], ends[1::2], strict=True):
