@@ -178,15 +178,9 @@ def _label_between(labels: NDArray[np.int8], height: Array, speed: Array, units:
         labels[first:last][held] = Phase.HOLD
         for a, b in runs(inside & ~held):
             before, after = labels[first:first + a], labels[first + b:last]
-            if len(before) and len(after):
-                fill = _between(before[-1], after[0])
+            # Between two phases, the way into what follows; but nothing prepares a hold.
+            if len(before) == 0 or (len(after) and after[0] == Phase.STROKE):
+                fill = Phase.PREPARATION
             else:
-                fill = before[-1] if len(before) else Phase.PREPARATION
+                fill = before[-1] if len(after) == 0 or after[0] == Phase.HOLD else after[0]
             labels[first + a:first + b] = fill
-
-
-def _between(before: int, after: int) -> int:
-    """The phase of a moment between two phases: the way into what follows, but nothing prepares a hold."""
-    if after == Phase.STROKE:
-        return Phase.PREPARATION
-    return before if after == Phase.HOLD else after

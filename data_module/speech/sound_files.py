@@ -127,11 +127,6 @@ def container_of(head: bytes) -> str:
     return "mpegts" if head[:1] == b"G" and head[188:189] == b"G" and head[376:377] == b"G" else ""
 
 
-def is_mpeg(head: bytes) -> bool:
-    """Whether a file begins as MP3 does: with an ID3 tag, or with a frame."""
-    return head[:3] == b"ID3" or (len(head) > 1 and head[0] == 0xFF and head[1] & 0xE0 == 0xE0)
-
-
 # ---------------------------------------------------------------------------------------------------- libsndfile
 
 @contextlib.contextmanager
@@ -173,8 +168,9 @@ def _sndfile(raw: BinaryIO, head: bytes, encoding: str = "") -> Iterator[Sound]:
                                **({**_TELEPHONE, "subtype": encoding} if encoding else {}))
     except (soundfile.SoundFileError, TypeError, ValueError) as error:
         raise NoSoundError from error
-    # Of an MP3 without a count in its header the decoder guesses the length from the first frame.
-    frames = 0 if (is_mpeg(head) and not encoding) or file.frames > _OPEN_END else int(file.frames)
+    # Of an MP3 (an ID3 tag or a frame) without a count in its header the decoder guesses the length from that frame.
+    mpeg = head[:3] == b"ID3" or (len(head) > 1 and head[0] == 0xFF and head[1] & 0xE0 == 0xE0)
+    frames = 0 if (mpeg and not encoding) or file.frames > _OPEN_END else int(file.frames)
     with file:
         # Vorbis and Opus, but not FLAC, have the centre between left and right, and libsndfile leaves it there.
         centre = 1 if file.format == "OGG" and file.subtype != "FLAC" else 2
