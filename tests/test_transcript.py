@@ -162,7 +162,7 @@ def test_words_without_times_lie_between_their_neighbours(tmp_path: Path) -> Non
     ('{"words": [{"word": "a", "start": -3, "end": -2}]}', "has no words"),
     ('{"segments": [{"text": "a", "start": 0, "end": 1}, {"text": "b"}]}', "segments[1]: has no times"),
     ('{"segments": [{"start": 0, "end": 1, "text": "a b", "words": [{"word": 5}]}]}', "segments[0].words[0]: has no w"),
-    ('{"tiers": {"words": {"entries": [[0, 1]]}}}', "has no tier of words"),
+    ('{"tiers": {"words": {"entries": [[0, 1]]}}}', "entries[0]: is not an object with a word"),
     ("3", "neither words nor segments"), ("[" * 100000, "nested more than 100 deep"),
     ("9" * 5000, "a number of 5000 digits"),
 ])

@@ -19,7 +19,7 @@ from data_module.errors import InputError, shown
 from data_module.files import parse_json
 from data_module.text.alignment import written_words
 from data_module.text.marks import marked_text
-from data_module.text.transcript_formats import Content, Entry, filled, shared_in_cue, spoken_tier
+from data_module.text.transcript_formats import Content, Entry, filled, shared_in_cue
 
 __all__ = ["words_json"]
 
@@ -70,7 +70,8 @@ _TEXTS = ("punctuated_word", "word", "text", "Word", "display", "Display", "Disp
           "Content", "segment", "sentence", "pred_text", "Transcript")
 # Alternatives, of which the first is the best; lists of words; and what holds further parts, the better times first.
 _ALTERNATIVES = ("alternatives", "nBest", "NBest", "Alternatives")
-_WORDS = ("words", "Words", "result", "terms", "tokens", "items", "Items", "word", "timestamps_word", "results")
+_WORDS = ("words", "Words", "result", "terms", "tokens", "items", "Items", "word", "timestamps_word", "results",
+          "entries")
 _PARTS = ("segments", "chunks", "transcription", "phrases", "recognizedPhrases", "monologues", "response", "results",
           "inlineResult", "inline_result", "transcript", "Transcript", "Results", "channels", "utterances",
           "prediction", "word_segments", "timestamp", "timestep", "timestamps_segment", "segment", "sentences")
@@ -87,8 +88,6 @@ def words_json(source: str, text: str, speaker: str | None = None) -> Content:
              } if isinstance(content, list) else set[str]()
     if len(files) > 1:
         raise InputError(source, f"holds the words of {len(files)} recordings", "leave those of one in it")
-    if isinstance(content, Mapping) and isinstance(content.get("tiers"), Mapping):
-        return _tiers(source, content["tiers"], speaker)
     segments = _segments(source, content, "")
     if not segments:
         raise InputError(source, "holds neither words nor segments of a known recogniser",
@@ -182,6 +181,8 @@ def _below(where: str, key: str) -> str:
 def _entry(source: str, item: object, where: str) -> Entry:
     """A JSON object as a word or a segment; both times may be missing (for a word that was not aligned), or the start
     alone (of a result)."""
+    if isinstance(item, list) and len(item) == 3:  # the Montreal Forced Aligner's
+        item = dict(zip(("start", "end", "word"), item, strict=True))
     if not isinstance(item, Mapping):
         raise InputError(source, f"{where}: is not an object with a word and its times", "write it again")
     item, _ = _best(item, where)
@@ -297,14 +298,3 @@ def _joined_tokens(source: str, tokens: Sequence[Entry]) -> list[Entry]:
         # A script without spaces gives one token after the other and no word's end.
         out += shared_in_cue(_timed(source, word)) if _count(word.text) > 1 else [word]
     return [word for word in out if word.text]
-
-
-def _tiers(source: str, content: Mapping[str, Any], speaker: str | None) -> Content:
-    """The Montreal Forced Aligner's JSON: tiers of [start, end, word]."""
-    tiers = {}
-    for name, tier in content.items():
-        rows = tier.get("entries") if isinstance(tier, Mapping) else None
-        if isinstance(rows, list) and all(isinstance(row, list) and len(row) == 3 for row in rows):
-            tiers[name] = [_stripped(_entry(source, {"start": a, "end": b, "word": word}, f"tiers.{name}[{n}]"))
-                           for n, (a, b, word) in enumerate(rows)]
-    return Content(words=spoken_tier(source, tiers, speaker))

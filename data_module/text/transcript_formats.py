@@ -138,19 +138,15 @@ def tsv(source: str, text: str, speaker: str | None = None) -> Content:
     return Content(words=tuple(replace(entry, text=entry.text.replace("#", "").strip()) for entry in entries))
 
 
+_CTM = re.compile(rf"^(\S+) +\S+ +({NUMBER}) +({NUMBER}) +(\S+).*$|^;;.*$", re.M)
+
+
 def ctm(source: str, text: str, speaker: str | None = None) -> Content:
-    """CTM, as NeMo and Kaldi write it: rows of recording, channel, start, length and word, or with "<space>" a line."""
-    entries, recording = [], ""
-    for number, row in ((number, line.split()) for number, line in enumerate(text.split("\n"), 1)):
-        if row and not row[0].startswith(";;"):
-            recording = recording or row[0]
-            if len(row) < 5 or not _timed(row[2:4]) or row[0] != recording:
-                raise InputError(source, f"line {number}: is not a recording (one in all), a channel, a start, a "
-                                 "length and a word", "leave those of one recording in it")
-            entries.append(Entry("" if row[4].lower() in SILENCES else row[4].replace("<space>", " "), float(row[2]),
-                                 float(row[2]) + float(row[3]), f"line {number}"))
-    whole = any(" " in entry.text for entry in entries)
-    return Content(cues=tuple(entries)) if whole else Content(words=tuple(entries))
+    """CTM, as NeMo and Kaldi write it: rows of recording, channel, start, length and word."""
+    if len(recordings := {row[1] for row in _CTM.finditer(text) if row[1]}) > 1:
+        raise InputError(source, f"holds the words of {len(recordings)} recordings", "leave those of one in it")
+    return tsv(source, _CTM.sub(
+        lambda row: f"{row[2]}\t{float(row[2]) + float(row[3])}\t{row[4]}" if row[1] else "", text))
 
 
 def _timed(row: Sequence[str]) -> bool:
@@ -197,30 +193,14 @@ def filled(entries: Sequence[Entry], begin: float | None = None, end: float | No
 
 # ---------------------------------------------------------------------------------------------------- subtitles
 
-def subtitles(source: str, text: str, speaker: str | None = None) -> Content:
-    """SubRip or WebVTT: of each cue a line with two times, and the lines up to an empty one; the rest is not spoken."""
-    cues: list[Entry] = []
-    inside = False
-    for number, line in enumerate(text.split("\n"), 1):
-        if re.match(r"\s*\d+:[^>]*-->", line):
-            match = _CUE.fullmatch(line)
-            if match is None:
-                raise InputError(source, f"line {number}: {line.strip()[:60]!r} is not a pair of times",
-                                 "write 00:00:01,000 --> 00:00:02,500")
-            times = match.groups()
-            cues.append(Entry("", _clock(times[:4]), _clock(times[4:]), f"line {number}"))
-            inside = True
-        # In WebVTT a line of spaces is a line; rolling captions have one above the first.
-        elif inside and (line.strip() or (line and not cues[-1].text)):
-            cues[-1] = replace(cues[-1], text=f"{cues[-1].text}{line}\n")
-        else:
-            inside = False
-    return _of_cues(cues)
-
-
 def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
-    """SubStation, TTML, SBV and LRC, by the file's suffix; a line of LRC lasts until the next one."""
+    """SubRip, WebVTT, SubStation, TTML, SBV and LRC, by the file's suffix; a line of LRC lasts until the next one."""
+    for row in re.finditer(r"^\s*\d+:[^>\n]*-->.*$", text, re.M):
+        if _CUE.fullmatch(row[0]) is None:
+            raise InputError(source, f"line {text.count(chr(10), 0, row.end()) + 1}: {row[0].strip()[:60]!r} is not a "
+                             "pair of times", "write 00:00:01,000 --> 00:00:02,500")
     cues: list[Entry] = []
+    number, at = 1, 0
     for match in TIMED_LINES[source[source.rindex("."):].lower()].finditer(text):
         *clock, line = match.groups()
         start = _clock(clock[:4])
@@ -229,7 +209,8 @@ def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
         end = start + _UNTIMED * len(line.split())
         if len(clock) > 4:
             end = _clock(clock[5:]) + (start if clock[4] else 0.0)
-        cue = Entry(line.replace("\\N", " "), start, end, f"line {text.count(chr(10), 0, match.start()) + 1}")
+        number, at = number + text.count("\n", at, match.start(3)), match.start(3)
+        cue = Entry(line.replace("\\N", " "), start, end, f"line {number}")
         # NeMo's aligner shows a line anew for each word, in other colours.
         if cues and "\\c&" in line and _plain(cues[-1].text) == _plain(cue.text):
             cues[-1] = replace(cues[-1], end=end)
@@ -240,6 +221,9 @@ def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
 
 _ANY_TIME = r"""["'](?:(?:(\d{1,4}):)?(\d{1,4}):)?(\d{1,6})(?:[.,:](\d+))?s?["']"""
 TIMED_LINES = {
+    # In WebVTT a line of spaces is a line; rolling captions have one above the first.
+    **dict.fromkeys((".srt", ".vtt"), re.compile(
+        rf"^[ \t]*{_CLOCK}[ \t]*-->[ \t]*(){_CLOCK}(?:[ \t].*)?$((?:\n.+(?:\n.*\S.*)*)?)", re.M)),
     **dict.fromkeys((".ass", ".ssa"), re.compile(rf"^Dialogue:[^,\n]*,{_CLOCK},(){_CLOCK},(?:[^,\n]*,){{6}}(.*)$",
                                                  re.M)),
     ".lrc": re.compile(rf"^\[{_CLOCK}\](.*)$", re.M), ".sbv": re.compile(rf"^{_CLOCK},(){_CLOCK}\n((?:.+\n?)+)", re.M),
@@ -279,12 +263,8 @@ def _highlight(cue: Entry) -> tuple[int, int] | None:
     spans = list(_HIGHLIGHT.finditer(cue.text))
     if len(spans) != 1:
         return None
-    before, inside = (len(_tokens(part)) for part in (cue.text[:spans[0].start()], spans[0][2]))
+    before, inside = (len(_plain(part).split()) for part in (cue.text[:spans[0].start()], spans[0][2]))
     return (before, before + inside) if inside else None
-
-
-def _tokens(text: str) -> list[str]:
-    return _plain(text).split()
 
 
 def _highlighted_lines(cues: Sequence[Entry]) -> list[list[Entry]] | None:
@@ -310,7 +290,7 @@ def _highlighted_lines(cues: Sequence[Entry]) -> list[list[Entry]] | None:
 def _words_of_line(cues: Sequence[Entry]) -> list[Entry]:
     """The words of a line with the times at which each is highlighted; a line without highlights is spread over its
     time, and other words have no times."""
-    tokens = _tokens(cues[0].text)
+    tokens = _plain(cues[0].text).split()
     words: list[Entry] = []
     at = 0
     for cue in cues:
