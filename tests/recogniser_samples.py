@@ -256,14 +256,6 @@ def azure_fast(words: Words) -> Any:
          "words": [{"text": word, **times(start, end)} for word, start, end in part]} for part in _parts(words)]}
 
 
-def gentle(words: Words) -> Any:
-    """Offsets are of letters in the transcript."""
-    return {"transcript": _text(words), "words": [
-        {"alignedWord": word.lower(), "case": "success", "start": start, "end": end, "startOffset": 5 * n,
-         "endOffset": 5 * n + 4, "word": word, "phones": [{"duration": end - start, "phone": "oov_S"}]}
-        for n, (word, start, end) in enumerate(words)]}
-
-
 def mfa(words: Words) -> Any:
     return {"start": 0, "end": 4.0, "tiers": {
         "words": {"type": "interval", "entries": [[start, end, word] for word, start, end in words]},
@@ -276,7 +268,7 @@ JSON: dict[str, Callable[[Words], Any]] = {
     "vosk, alternatives": vosk_alternatives, "transformers": transformers, "deepgram": deepgram,
     "assemblyai": assemblyai, "assemblyai, words": assemblyai_words, "google": google, "google, version 2": google_2,
     "google, speakers": google_speakers, "google, protobuf": google_protobuf, "azure": azure,
-    "azure, batch": azure_batch, "azure, fast": azure_fast, "gentle": gentle, "mfa": mfa,
+    "azure, batch": azure_batch, "azure, fast": azure_fast, "mfa": mfa,
     "aws": aws, "speechmatics": speechmatics, "elevenlabs": elevenlabs, "gladia": gladia,
     "nemo": nemo, "nemo, manifest": nemo_manifest, "nemo, speakers": nemo_speakers,
     "list": lambda words: _plain(words, "text"), "text": lambda words: {"text": _text(words)},

@@ -15,16 +15,14 @@ from recogniser_samples import (
     JSON,
     WITHOUT_TIMES,
     Words,
-    assemblyai,
     faster_whisper,
-    srt_highlighted,
     whisper,
     whisperx,
 )
 
 from data_module.errors import InputError
-from data_module.text.transcript import Transcript, read_transcript, with_transcript
-from data_module.types import Speech, Word
+from data_module.text.transcript import Transcript, read_transcript
+from data_module.types import Speech
 
 RATE = 16000
 SPOKEN: Words = (("And", 0.0, 0.3), ("so,", 0.3, 0.55), ("my", 0.7, 0.9), ("fellow", 0.9, 1.4),
@@ -92,45 +90,12 @@ def test_a_file_without_word_times_gives_its_lines_or_its_text(name: str, tmp_pa
     assert found.text == "And so, my fellow Americans, ask not"
 
 
-def test_milliseconds_are_read_as_such(tmp_path: Path) -> None:
-    """79 words of a real length: 78 of them fell behind the end of the recording, as seconds."""
-    words = [(f"word{chr(97 + n % 26)}", 0.4 * n, 0.4 * n + 0.3) for n in range(79)]
-    for content in (assemblyai(words), {"words": assemblyai(words)["words"]}, assemblyai(words)["words"]):
-        found = _read(tmp_path, ".json", json.dumps(content), 35.0)
-        _same(found, words)
-        speech, timing = with_transcript(Speech(np.zeros(35 * RATE, np.float32), RATE), found)
-        assert timing.words == len(speech.words or ()) == 79 and timing.how == "given"
-
-
-def test_highlighted_words_come_once(tmp_path: Path) -> None:
-    """79 words were 889 where each cue of the line counted."""
-    words = [(f"word{n % 7}", 0.4 * n, 0.4 * n + 0.3) for n in range(79)]
-    parts = [words[n:n + 10] for n in range(0, 79, 10)]
-    cues = [cue for part in parts for cue in srt_highlighted(part).split("\n\n")]
-    text = "\n\n".join(cue.strip() for cue in cues)
-    assert sum(len(cue.split("\n")[-1].split()) for cue in text.split("\n\n")) > 700
-    _same(_read(tmp_path, ".srt", text, 35.0), words)
-
-
 def test_emphasis_in_a_line_is_no_time(tmp_path: Path) -> None:
     """Italics, and one underlined word in a line that is shown once."""
     text = ("1\n00:00:00,000 --> 00:00:02,000\nI <u>really</u> mean <i>it</i>\n\n"
             "2\n00:00:02,000 --> 00:00:04,000\n<b>you</b> do not\n")
     found = _read(tmp_path, ".srt", text)
     assert found.timing == "cues" and found.text == "I really mean it you do not"
-
-
-def test_words_that_were_not_aligned_lie_between(tmp_path: Path) -> None:
-    """whisperX leaves out the times of numbers, gentle those of words that it does not hear."""
-    for name in ("whisperx", "gentle"):
-        content = JSON[name](SPOKEN)
-        item = (content["segments"][0] if name == "whisperx" else content)["words"][2]
-        del item["start"], item["end"]
-        item["case"] = "not-found-in-audio"
-        found = _read(tmp_path, ".json", json.dumps(content))
-        assert found.words is not None and found.guessed == 1
-        assert [word.text for word in found.words] == [word for word, _, _ in SPOKEN]
-        assert found.words[2] == Word("my", 0.55, 0.9)
 
 
 def test_a_list_of_word_segments_is_read_with_what_it_lacks_and_in_order(tmp_path: Path) -> None:
@@ -182,19 +147,6 @@ def test_what_cannot_be_used_is_refused(content: Any, said: str, tmp_path: Path)
     with pytest.raises(InputError) as caught:
         _read(tmp_path, ".json", json.dumps(content))
     assert said in str(caught.value)
-
-
-@pytest.mark.parametrize("suffix", [".srt", ".vtt", ".ass", ".ssa", ".ttml"])
-def test_subtitles_by_pysubs2(suffix: str, tmp_path: Path) -> None:
-    """Files that another program wrote; it reads no times inside of lines, and drops lines that are broken."""
-    pysubs2 = pytest.importorskip("pysubs2")
-    lines = ["I said {\\i1}no{\\i0},\\Nthen & there", "left"]
-    events = [pysubs2.SSAEvent(start=500 + 2000 * n, end=2000 + 2000 * n, text=line) for n, line in enumerate(lines)]
-    file = pysubs2.SSAFile()
-    file.extend([*events, pysubs2.SSAEvent(start=0, end=9000, text="never said", type="Comment")])
-    found = _read(tmp_path, suffix, file.to_string(suffix[1:]))
-    assert [(cue.text, cue.start, cue.end) for cue in found.cues] == [
-        ("I said no, then & there", 0.5, 2.0), ("left", 2.5, 4.0)]
 
 
 @pytest.mark.parametrize(("times", "start", "end"), [

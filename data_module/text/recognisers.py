@@ -143,8 +143,9 @@ def _words(source: str, item: Mapping[str, Any], where: str) -> list[Entry]:
         if kind == _PUNCTUATION:
             mark = str(_of(_best(word, place)[0], *_TEXTS) or "").strip()
             entries[-1:] = [replace(last, text=last.text + mark) for last in entries[-1:]]
-        # whisper's tokens are numbers.
-        elif kind not in _UNSPOKEN and not _is_note(word) and not (key == "tokens" and isinstance(word, int)):
+        # whisper's tokens are numbers, or marks such as [_BEG_] and <|endoftext|>.
+        elif kind not in _UNSPOKEN and not (key == "tokens" and isinstance(word, int)) and not (
+                isinstance(word, Mapping) and str(word.get("text")).strip().startswith(("[_", "<|"))):
             entries.append(_entry(source, word, place))
     return _joined_tokens(source, entries) if key == "tokens" else entries
 
@@ -153,13 +154,6 @@ def _is_words(key: str, items: object) -> bool:
     """Whether the value of one of `_WORDS` is a list of words; results are words if they have a type."""
     return isinstance(items, list) and bool(items) and (
         key != "results" or (isinstance(items[0], Mapping) and "type" in items[0]))
-
-
-def _is_note(word: object) -> bool:
-    """Whether an entry in a list of words is a mark of whisper's such as [_BEG_] or <|endoftext|>, or a sound that
-    gentle's text lacks."""
-    return isinstance(word, Mapping) and (str(_of(word, "text")).strip().startswith(("[_", "<|"))
-                                          or (word.get("case") is not None and word.get("word") is None))
 
 
 def _of(item: Mapping[str, Any], *keys: str) -> Any:
