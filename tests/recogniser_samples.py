@@ -98,11 +98,6 @@ def vosk(words: Words) -> Any:
     return {"result": _plain(words, conf=1.0), "text": _text(words)}
 
 
-def vosk_results(words: Words) -> Any:
-    """The results of a long recording in a list."""
-    return [{"result": _plain(part, conf=1.0), "text": _text(part)} for part in _parts(words)] + [{"text": ""}]
-
-
 def vosk_alternatives(words: Words) -> Any:
     return {"alternatives": [{"confidence": 211.0, "result": _plain(words), "text": _text(words)},
                              {"confidence": 201.0, "result": _plain([("other", 0.0, 0.1)]), "text": "other"}]}
@@ -264,7 +259,7 @@ def mfa(words: Words) -> Any:
 
 JSON: dict[str, Callable[[Words], Any]] = {
     "openai": openai_words, "whisper": whisper, "faster-whisper": faster_whisper, "whisperx": whisperx,
-    "whisper.cpp": whisper_cpp, "whisper.cpp -ml 1": whisper_cpp_words, "vosk": vosk, "vosk, results": vosk_results,
+    "whisper.cpp": whisper_cpp, "whisper.cpp -ml 1": whisper_cpp_words, "vosk": vosk, 
     "vosk, alternatives": vosk_alternatives, "transformers": transformers, "deepgram": deepgram,
     "assemblyai": assemblyai, "assemblyai, words": assemblyai_words, "google": google, "google, version 2": google_2,
     "google, speakers": google_speakers, "google, protobuf": google_protobuf, "azure": azure,
@@ -348,25 +343,17 @@ def lrc(words: Words) -> str:
         f" <{_clock(start, '.')}>{word}" for word, start, _ in part) + "\n" for part in _parts(words))
 
 
-def ass_coloured(words: Words) -> str:
-    """As NeMo's aligner highlights words: the line anew for each."""
-    return "".join(
-        f"Dialogue: 0,{_clock(start, '.')},{_clock(end, '.')},Default,,0,0,0,," + " ".join(
-            f"{{\\c&H{'09ab39' if k == n else 'c7c1c2'}&}}{word}{{\\r}}" for k, (word, _, _) in enumerate(part)) + "\n"
-        for part in _parts(words) for n, (_, start, end) in enumerate(part))
-
-
 FILES: dict[str, tuple[str, Callable[[Words], str]]] = {
     **{name: (".json", lambda words, write=write: json.dumps(write(words))) for name, write in JSON.items()},
     "srt, highlighted": (".srt", srt_highlighted), "srt, coloured": (".srt", srt_coloured),
     "vtt, highlighted": (".vtt", vtt_highlighted), "vtt, rolling": (".vtt", vtt_rolling),
     "srt": (".srt", srt), "vtt": (".vtt", vtt), "tsv": (".tsv", tsv), "lrc": (".lrc", lrc),
     "ass": (".ass", lambda words: _lines(words, "Dialogue: 0,{},{},Default,,0,0,0,,{{\\i1}}{}\n", "\\N")),
-    "ass, coloured": (".ass", ass_coloured), "sbv": (".sbv", lambda words: _lines(words, "{},{}\n{}\n\n")),
+    "sbv": (".sbv", lambda words: _lines(words, "{},{}\n{}\n\n")),
     "ttml": (".ttml", lambda words: '<tt xmlns="http://www.w3.org/ns/ttml">' + _lines(
         words, '<p begin="{}" xml:id="c" end="{}"><span>{}</span></p>', "<br/>") + "</tt>"),
     "ctm": (".ctm", lambda words: "".join(f"a 1 {a:.3f} {b - a:.3f} {word} 0.9\n" for word, a, b in words)),
 }
 """Sample -> its suffix, and what writes it."""
-WITHOUT_TIMES = {"srt", "vtt", "tsv", "text", "ass", "ass, coloured", "sbv", "ttml"}
+WITHOUT_TIMES = {"srt", "vtt", "tsv", "text", "ass", "sbv", "ttml"}
 """Samples without the times of words."""

@@ -234,7 +234,6 @@ def _of_container(file: Any, stream: Any, rate: int, late: float) -> Iterator[ND
                 # Not one row per channel: PyAV 18 crashes with eight of them.
                 floats = av.AudioResampler(format="flt", layout=frame.layout, rate=rate)
             for part in floats.resample(frame) if floats is not None else ():
-                yield part.to_ndarray().reshape(-1, part.layout.nb_channels)
+                yield np.asarray(part.to_ndarray(), np.float32).reshape(-1, part.layout.nb_channels)
     except (av.error.FFmpegError, ValueError) as error:
-        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        raise BrokenSoundError(f"{stream.codec_context.name}: {reason}") from None
+        raise BrokenSoundError(str(error).splitlines()[0][:120] if str(error) else type(error).__name__) from None

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from statistics import median
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -34,11 +34,8 @@ _TIME = re.compile(r"\d{1,9}(?:\.\d{1,9})?s?")
 _NEXT_OBJECT = re.compile(r"\}[ \t\r]*\n\s*\{")
 
 
-class _Segment(NamedTuple):
-    """A stretch of speech: its text with its time, and its words, if the file has them."""
-
-    cue: Entry
-    words: list[Entry]
+_Segment: TypeAlias = tuple[Entry, list[Entry]]
+"""A stretch of speech: its text with its time, and its words, if the file has them."""
 
 
 class _Clock(NamedTuple):
@@ -75,8 +72,6 @@ _WORDS = ("words", "Words", "result", "terms", "tokens", "items", "Items", "word
 _PARTS = ("segments", "chunks", "transcription", "phrases", "recognizedPhrases", "monologues", "response", "results",
           "inlineResult", "inline_result", "transcript", "Transcript", "Results", "channels", "utterances",
           "prediction", "word_segments", "timestamp", "timestep", "timestamps_segment", "segment", "sentences")
-# Types of what is no word: what belongs to the word before, and what is not spoken.
-_PUNCTUATION, _UNSPOKEN = "punctuation", ("spacing", "audio_event")
 
 
 
@@ -84,10 +79,6 @@ def words_json(source: str, text: str, speaker: str | None = None) -> Content:
     """Words or segments with times, or a text, of any recogniser. `InputError` for any other JSON."""
     joined = _NEXT_OBJECT.sub("},\n{", text)
     content = parse_json(text if joined == text else f"[{joined}]", source, "write it again")
-    files = {str(item["audio_filepath"]) for item in content if isinstance(item, Mapping) and "audio_filepath" in item
-             } if isinstance(content, list) else set[str]()
-    if len(files) > 1:
-        raise InputError(source, f"holds the words of {len(files)} recordings", "leave those of one in it")
     segments = _segments(source, content, "")
     if not segments:
         raise InputError(source, "holds neither words nor segments of a known recogniser",
@@ -110,7 +101,7 @@ def _segments(source: str, item: object, where: str) -> list[_Segment]:
         # The time of a segment bounds those of its words that were not aligned.
         lacking = any(word.start is None for word in words)
         times = {**item, **dict.fromkeys(_TEXTS)} if lacking else {}
-        return [_Segment(_entry(source, {**times, "text": ""}, where), words)]
+        return [(_entry(source, {**times, "text": ""}, where), words)]
     text = _of(item, *_TEXTS)
     text = text.strip() if isinstance(text, str) else ""
     # Google's results of several files lie below the names of the files.
@@ -120,10 +111,10 @@ def _segments(source: str, item: object, where: str) -> list[_Segment]:
         segments = _segments(source, item.get(key), _below(where, key))
         if key == "channels" and len(segments) > 1:
             raise InputError(source, f"holds the words of {len(segments)} channels", "leave one channel in it")
-        if any(segment.words or segment.cue.end is not None for segment in segments):
+        if any(inner or cue.end is not None for cue, inner in segments):
             return segments
         without_times = without_times or segments
-    return without_times or ([_Segment(_entry(source, item, where), [])] if text else [])
+    return without_times or ([(_entry(source, item, where), [])] if text else [])
 
 
 def _best(item: Mapping[str, Any], where: str) -> tuple[Mapping[str, Any], str]:
@@ -140,11 +131,11 @@ def _words(source: str, item: Mapping[str, Any], where: str) -> list[Entry]:
     entries: list[Entry] = []
     for place, word in _numbered(item.get(key) or (), _below(where, key)):
         kind = str(word.get("type") or "").lower() if isinstance(word, Mapping) else ""
-        if kind == _PUNCTUATION:
+        if kind == "punctuation":
             mark = str(_of(_best(word, place)[0], *_TEXTS) or "").strip()
             entries[-1:] = [replace(last, text=last.text + mark) for last in entries[-1:]]
         # whisper's tokens are numbers, or marks such as [_BEG_] and <|endoftext|>.
-        elif kind not in _UNSPOKEN and not (key == "tokens" and isinstance(word, int)) and not (
+        elif kind not in ("spacing", "audio_event") and not (key == "tokens" and isinstance(word, int)) and not (
                 isinstance(word, Mapping) and str(word.get("text")).strip().startswith(("[_", "<|"))):
             entries.append(_entry(source, word, place))
     return _joined_tokens(source, entries) if key == "tokens" else entries
