@@ -221,12 +221,13 @@ def nemo_speakers(words: Words) -> Any:
 
 
 def azure(words: Words) -> Any:
-    """The SDK's detailed result."""
-    return {"Id": "a", "RecognitionStatus": "Success", "Offset": _ticks(words[0][1]),
-            "Duration": _ticks(words[-1][2] - words[0][1]), "Channel": 0, "DisplayText": _text(words),
-            "NBest": [{"Confidence": 0.9, "Lexical": _text(words), "Display": _text(words), "Words": [
-                {"Word": word, "Offset": _ticks(start), "Duration": _ticks(end) - _ticks(start)}
-                for word, start, end in words]}]}
+    """The SDK's detailed results."""
+    silence = {"RecognitionStatus": "InitialSilenceTimeout", "Offset": 0, "Duration": 10**7}
+    return [silence, {"Id": "a", "RecognitionStatus": "Success", "Offset": _ticks(words[0][1]), "Channel": 0,
+                      "Duration": _ticks(words[-1][2] - words[0][1]), "DisplayText": _text(words), "NBest": [{
+                          "Confidence": 0.9, "Lexical": _text(words), "Display": _text(words), "Words": [
+                              {"Word": word, "Offset": _ticks(start), "Duration": _ticks(end) - _ticks(start)}
+                              for word, start, end in words]}]}]
 
 
 def azure_batch(words: Words) -> Any:
@@ -258,13 +259,12 @@ def mfa(words: Words) -> Any:
 
 
 JSON: dict[str, Callable[[Words], Any]] = {
-    "openai": openai_words, "whisper": whisper, "faster-whisper": faster_whisper, "whisperx": whisperx,
-    "whisper.cpp": whisper_cpp, "whisper.cpp -ml 1": whisper_cpp_words, "vosk": vosk, 
-    "vosk, alternatives": vosk_alternatives, "transformers": transformers, "deepgram": deepgram,
+    "openai": openai_words, "whisper": whisper, "faster-whisper": faster_whisper, "whisperx": whisperx, "vosk": vosk,
+    "whisper.cpp": whisper_cpp, "whisper.cpp -ml 1": whisper_cpp_words, "vosk, alternatives": vosk_alternatives,
     "assemblyai": assemblyai, "assemblyai, words": assemblyai_words, "google": google, "google, version 2": google_2,
     "google, speakers": google_speakers, "google, protobuf": google_protobuf, "azure": azure,
-    "azure, batch": azure_batch, "azure, fast": azure_fast, "mfa": mfa,
-    "aws": aws, "speechmatics": speechmatics, "elevenlabs": elevenlabs, "gladia": gladia,
+    "azure, batch": azure_batch, "azure, fast": azure_fast, "mfa": mfa, "transformers": transformers, "aws": aws,
+    "speechmatics": speechmatics, "elevenlabs": elevenlabs, "gladia": gladia, "deepgram": deepgram,
     "nemo": nemo, "nemo, manifest": nemo_manifest, "nemo, speakers": nemo_speakers,
     "list": lambda words: _plain(words, "text"), "text": lambda words: {"text": _text(words)},
 }

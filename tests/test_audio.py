@@ -266,14 +266,11 @@ def contained(samples: Samples, kind: str, codec: str, rate: int = 48000, pictur
 
 @pytest.mark.parametrize(("kind", "codec"), [("ac3", "ac3"), ("eac3", "eac3"), ("wav", "flac"), ("wav", "ac3"),
                                              ("mpegts", "aac"), ("vob", "ac3"), ("flv", "aac"), ("wav", "pcm_mulaw"),
-                                             ("wav", "libmp3lame"), ("wv", "wavpack"), ("ogg", "libspeex"),
-                                             ("tta", "tta"), ("voc", "pcm_s16le")])
+                                             ("wav", "libmp3lame"), ("wv", "wavpack"), ("tta", "tta"),
+                                             ("voc", "pcm_s16le")])
 def test_sound_is_found_by_content_whatever_holds_it_and_whenever_its_clock_starts(tmp_path: Path, kind: str,
                                                                                  codec: str) -> None:
-    av = pytest.importorskip("av", reason="PyAV is in the extra 'video'")
-    if codec not in av.codecs_available:
-        pytest.skip(f"FFmpeg without {codec}")
-    rate = {"libspeex": 32000, "pcm_mulaw": 8000}.get(codec, 48000)
+    rate = 8000 if codec == "pcm_mulaw" else 48000
     data = contained(tone(rate), kind, codec, rate=rate, picture=kind == "vob")
     speech = load_speech(put(tmp_path, "a.sound", data))
     assert abs(speech.duration - 2.0) < 0.09
@@ -284,7 +281,6 @@ def test_sound_is_found_by_content_whatever_holds_it_and_whenever_its_clock_star
 def test_what_telephones_record_has_no_header_and_is_told_by_its_name(tmp_path: Path, suffix: str) -> None:
     data = encoded(tone(8000), 8000, "RAW", "ALAW" if suffix == "alaw" else "ULAW")
     check_tone(load_speech(put(tmp_path, f"a.{suffix}", data)), 0.05)
-    refused(put(tmp_path, "a.raw", data), "not sound")
 
 
 @pytest.mark.parametrize(("kind", "codec", "centre"), [("ogg", "libopus", 1), ("ogg", "flac", 2), ("mp4", "aac", 2)])

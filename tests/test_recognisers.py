@@ -116,19 +116,6 @@ def test_words_without_times_stay_within_their_segment(tmp_path: Path) -> None:
     assert found[3].end == pytest.approx(1.4) and found[4].start == pytest.approx(1.4)
 
 
-def test_phrases_of_transformers_are_cues_and_the_last_may_be_open(tmp_path: Path) -> None:
-    chunks = [{"text": " Well then.", "timestamp": [0.0, 1.1]}, {"text": " So be it.", "timestamp": [2.0, None]}]
-    found = _read(tmp_path, ".json", json.dumps({"text": " Well then. So be it.", "chunks": chunks}))
-    assert found.timing == "cues" and [cue.start for cue in found.cues] == [0.0, 2.0]
-    assert found.cues[1].end == pytest.approx(2.9)
-
-
-def test_what_was_not_recognised_is_passed_over(tmp_path: Path) -> None:
-    content = [JSON["azure"](SPOKEN), {"RecognitionStatus": "InitialSilenceTimeout", "Offset": 4 * 10**7,
-                                          "Duration": 10**7}]
-    _same(_read(tmp_path, ".json", json.dumps(content)), SPOKEN)
-
-
 @pytest.mark.parametrize(("content", "said"), [
     # Hundredths of seconds, minutes, and a list whose words come many times.
     ([{"word": "a", "start": 40.5 * n, "end": 40.5 * n + 30.5} for n in range(20)], "half of its words last over 30 s"),
