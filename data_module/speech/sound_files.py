@@ -136,11 +136,11 @@ def decoder(raw: BinaryIO, name: object) -> Iterator[Sound]:
     raw.seek(0)
     head = raw.read(_HEAD)
     raw.seek(0)
-    told = "" if head.startswith(_HEADED) else _BY_NAME.get(PurePath(str(name)).suffix.lower(), "")
-    kind = container_of(head) if not told else told if told.islower() else ""
+    by_name = "" if head.startswith(_HEADED) else _BY_NAME.get(PurePath(str(name)).suffix.lower(), "")
+    kind = container_of(head) if not by_name else by_name if by_name.islower() else ""
     with contextlib.ExitStack() as files:
         try:
-            sound = files.enter_context(container(raw, kind, name) if kind else _sndfile(raw, head, told))
+            sound = files.enter_context(container(raw, kind, name) if kind else _sndfile(raw, head, by_name))
         except NoSoundError:
             second = next((kind for at, mark, kind in _SECOND_TRY if head[at:at + len(mark)] == mark), "")
             if kind or not second:
