@@ -98,11 +98,6 @@ def vosk(words: Words) -> Any:
     return {"result": _plain(words, conf=1.0), "text": _text(words)}
 
 
-def vosk_alternatives(words: Words) -> Any:
-    return {"alternatives": [{"confidence": 211.0, "result": _plain(words), "text": _text(words)},
-                             {"confidence": 201.0, "result": _plain([("other", 0.0, 0.1)]), "text": "other"}]}
-
-
 def transformers(words: Words) -> Any:
     return {"text": " " + _text(words),
             "chunks": [{"text": " " + word, "timestamp": [start, end]} for word, start, end in words]}
@@ -260,7 +255,7 @@ def mfa(words: Words) -> Any:
 
 JSON: dict[str, Callable[[Words], Any]] = {
     "openai": openai_words, "whisper": whisper, "faster-whisper": faster_whisper, "whisperx": whisperx, "vosk": vosk,
-    "whisper.cpp": whisper_cpp, "whisper.cpp -ml 1": whisper_cpp_words, "vosk, alternatives": vosk_alternatives,
+    "whisper.cpp": whisper_cpp, "whisper.cpp -ml 1": whisper_cpp_words,
     "assemblyai": assemblyai, "assemblyai, words": assemblyai_words, "google": google, "google, version 2": google_2,
     "google, speakers": google_speakers, "google, protobuf": google_protobuf, "azure": azure,
     "azure, batch": azure_batch, "azure, fast": azure_fast, "mfa": mfa, "transformers": transformers, "aws": aws,
