@@ -202,7 +202,8 @@ def test_shards_of_a_folder_make_the_same_bytes(
 @pytest.mark.parametrize("asked", [["--shard", "3/2"], ["--shard", "half"], ["--manifest", "m.csv"],
                                    ["--ray", "local:0"]])
 def test_wrong_batches_are_one_line(asked: list[str], talks: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
-    assert asked[0] in refused("infer", talks, "-o", f"{tmp_path}/out/", *asked) and not list(tmp_path.iterdir())
+    line = refused("infer", talks, "-o", f"{tmp_path}/out/", *asked)
+    assert any(word in line for word in asked) and not list(tmp_path.iterdir())
 
 
 # ---------------------------------------------------------------------------------------------------------- Ray
