@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import soundfile
 import torch
-from performances import babble
+from performances import RATE, babble
 from test_pipeline import same
 from untrained import untrained
 
@@ -23,8 +23,6 @@ from data_module.errors import InputError
 from data_module.speech.audio import amplified
 from data_module.types import Speech, Word
 from gesticulator.gesticulator import Gesticulator
-
-RATE = 16000
 
 
 @pytest.fixture(scope="module")

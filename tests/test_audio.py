@@ -173,7 +173,7 @@ HUM = (0.05 * np.sin(2 * np.pi * 50 * np.arange(96000) / 48000)).astype(np.float
 @pytest.mark.parametrize(("columns", "taken"), [
     ([voice(), -voice()], 0), ([0.9 * voice(), -voice()], 1), ([voice() + HUM, HUM - voice()], 0),
     ([0 * HUM, voice(), -voice(), 0 * HUM], 1),
-    ([voice(2, 1), voice(2, 2), 0.3 * voice(), HUM, 0 * HUM, 0 * HUM], 2),
+    ([voice(2, 1), voice(2, 2), 0.3 * voice(), HUM, 0 * HUM, 0 * HUM], 2), ([4 * HUM, voice()], 1),
     # What a mean does not harm stays one: the same in all, another one in each, one side alone, a quiet centre.
     ([voice(), voice()], None), ([voice(), voice(2, 1)], None), ([0 * HUM, voice()], None),
     ([voice(), voice(), 0.1 * voice(2, 1), HUM, voice(), voice()], None),
@@ -227,7 +227,7 @@ CONTAINERS = [("m4a", "mp4", "aac"), ("mp4", "mp4", "aac"), ("mov", "mov", "pcm_
 
 def contained(samples: Samples, kind: str, codec: str, rate: int = 48000, picture: bool = False, late: float = 0.0,
               **options: str) -> bytes:
-    """Mono sound in a container, with a video of black pictures when asked."""
+    """Sound, [n] or [n, channels], in a container, with a video of black pictures when asked."""
     av = pytest.importorskip("av", reason="PyAV is in the extra 'video'")
     memory = io.BytesIO()
     with av.open(memory, "w", format=kind, options=options) as file:
@@ -235,7 +235,7 @@ def contained(samples: Samples, kind: str, codec: str, rate: int = 48000, pictur
             video = file.add_stream("mpeg4", rate=25)
             video.width, video.height, video.pix_fmt = 64, 48, "yuv420p"
         stream = file.add_stream(codec, rate=rate)
-        stream.layout = "mono"
+        stream.layout = layout = {1: "mono", 6: "5.1", 8: "7.1"}[samples[:1].size or 1]
         if picture:
             for number in range(round(25 * (late + len(samples) / rate))):
                 frame = av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8))
@@ -245,8 +245,8 @@ def contained(samples: Samples, kind: str, codec: str, rate: int = 48000, pictur
             for packet in video.encode(None):
                 file.mux(packet)
         for start in range(0, len(samples), 4096):
-            part = (32767 * samples[None, start:start + 4096]).astype(np.int16)
-            frame = av.AudioFrame.from_ndarray(part, format="s16", layout="mono")
+            part = (32767 * samples[start:start + 4096]).astype(np.int16).reshape(1, -1)
+            frame = av.AudioFrame.from_ndarray(part, format="s16", layout=layout)
             frame.sample_rate, frame.pts = rate, start + round(late * rate)
             frame.time_base = Fraction(1, rate)
             for packet in stream.encode(frame):
@@ -258,17 +258,31 @@ def contained(samples: Samples, kind: str, codec: str, rate: int = 48000, pictur
 
 @pytest.mark.parametrize(("kind", "codec"), [("ac3", "ac3"), ("eac3", "eac3"), ("wav", "flac"), ("wav", "ac3"),
                                              ("mpegts", "aac"), ("vob", "ac3"), ("flv", "aac"), ("wav", "pcm_mulaw"),
-                                             ("wav", "libmp3lame"), ("wv", "wavpack"), ("ogg", "libspeex")])
+                                             ("wav", "libmp3lame"), ("wv", "wavpack"), ("tta", "tta"),
+                                             ("voc", "pcm_s16le")])
 def test_sound_is_found_by_content_whatever_holds_it_and_whenever_its_clock_starts(tmp_path: Path, kind: str,
                                                                                  codec: str) -> None:
-    av = pytest.importorskip("av", reason="PyAV is in the extra 'video'")
-    if codec not in av.codecs_available:
-        pytest.skip(f"FFmpeg without {codec}")
-    rate = {"libspeex": 32000, "pcm_mulaw": 8000}.get(codec, 48000)
+    rate = 8000 if codec == "pcm_mulaw" else 48000
     data = contained(tone(rate), kind, codec, rate=rate, picture=kind == "vob")
     speech = audio.load_speech(put(tmp_path, "a.sound", data))
     assert abs(speech.duration - 2.0) < 0.09
     check_tone(speech, 0.1)
+
+
+@pytest.mark.parametrize("suffix", ["ul", "mulaw", "alaw"])
+def test_what_telephones_record_has_no_header_and_is_told_by_its_name(tmp_path: Path, suffix: str) -> None:
+    data = encoded(tone(8000), 8000, "RAW", "ALAW" if suffix == "alaw" else "ULAW")
+    check_tone(audio.load_speech(put(tmp_path, f"a.{suffix}", data)), 0.05)
+
+
+@pytest.mark.parametrize(("kind", "codec", "centre"), [("ogg", "libopus", 1), ("ogg", "flac", 2), ("mp4", "aac", 2)])
+@pytest.mark.parametrize("channels", [6, 8])
+def test_the_centre_is_found_in_every_order_of_channels(tmp_path: Path, kind: str, codec: str, centre: int,
+                                                        channels: int) -> None:
+    data = contained(np.outer(tone(48000), np.arange(channels) == 2), kind, codec)
+    said = f"channel {centre + 1} is taken of {channels}, of which it is the centre"
+    with pytest.warns(audio.SoundWarning, match=said):
+        check_tone(audio.load_speech(put(tmp_path, "a.sound", data)), 0.1)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.7])

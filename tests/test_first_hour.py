@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from performances import babble
+from performances import RATE, babble
 from untrained import untrained
 
 from data_module.errors import InputError
@@ -19,7 +19,6 @@ from gesticulator.plan.plan import GestureCue
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLE = str(ROOT / "examples" / "speech.flac")
-RATE = 16000
 
 
 @pytest.fixture(scope="module")

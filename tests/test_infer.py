@@ -14,14 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from performances import babble, write_example
+from performances import RATE, babble, write_example
 
 from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import JOINTS
 from gesticulator import infer
 from gesticulator.gesticulator import Gesticulator
-
-RATE = 16000
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from performances import babble
+from performances import RATE, babble
 from untrained import PLAIN, untrained
 
 from data_module.layers import freeze
@@ -26,7 +26,6 @@ from interpreters.statistical import StatisticalInterpreter
 from lexicon.autoencoder import Lexicon, LexiconConfig
 from lexicon.inventory import count
 
-RATE = 16000
 FRAMES, WIDTH, AUDIO, CODE = 6, 5, 4, 12
 SMALL = GeneratorConfig(motion_features=8, audio_features=6, style_width=4, position_width=4, hidden=24, groups=4,
                         classes=8, lstm_width=24, lstm_layers=1)

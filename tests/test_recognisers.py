@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_module.errors import InputError
-from data_module.text.transcript import Transcript, read_transcript, with_transcript
-from data_module.types import Speech, Word
+from data_module.text.transcript import Transcript, read_transcript
+from data_module.types import Speech
 
 RATE = 16000
 SPOKEN: samples.Words = (("And", 0.0, 0.3), ("so,", 0.3, 0.55), ("my", 0.7, 0.9), ("fellow", 0.9, 1.4),
@@ -44,16 +44,16 @@ def _same(found: Transcript, words: samples.Words, ends: bool = True) -> None:
         np.testing.assert_allclose([word.end for word in found.words], [end for _, _, end in words], atol=1e-9)
 
 
-WORD = st.from_regex(r"[A-Za-z]{1,9}[a-z]", fullmatch=True)
+WORD = st.from_regex(r"[A-Za-z]{1,9}[a-z][,.]?", fullmatch=True)
 
 
 @settings(max_examples=8)
-@given(st.lists(st.tuples(WORD, st.integers(0, 900), st.integers(80, 900)), min_size=3, max_size=20))
+@given(st.lists(st.tuples(WORD, st.integers(0, 90), st.integers(8, 90)), min_size=3, max_size=20))
 def test_any_words_read_the_same_from_every_recogniser(tmp_path_factory: pytest.TempPathFactory,
                                                        drawn: list[tuple[str, int, int]]) -> None:
     words, at = [], 0
     for word, pause, length in drawn:
-        words.append((word, (at + pause) / 1000, (at + pause + length) / 1000))
+        words.append((word, (at + pause) / 100, (at + pause + length) / 100))
         at += pause + length
     folder = tmp_path_factory.mktemp("words")
     for name in TIMED:
@@ -82,46 +82,12 @@ def test_a_file_without_word_times_gives_its_lines_or_its_text(name: str, tmp_pa
     assert found.text == "And so, my fellow Americans, ask not"
 
 
-def test_milliseconds_are_read_as_such(tmp_path: Path) -> None:
-    """79 words of a real length: 78 of them fell behind the end of the recording, as seconds."""
-    words = [(f"word{chr(97 + n % 26)}", 0.4 * n, 0.4 * n + 0.3) for n in range(79)]
-    whole = samples.assemblyai(words)
-    for content in (whole, {"words": whole["words"]}, whole["words"]):
-        found = _read(tmp_path, ".json", json.dumps(content), 35.0)
-        _same(found, words)
-        speech, timing = with_transcript(Speech(np.zeros(35 * RATE, np.float32), RATE), found)
-        assert timing.words == len(speech.words or ()) == 79 and timing.how == "given"
-
-
-def test_highlighted_words_come_once(tmp_path: Path) -> None:
-    """79 words were 889 where each cue of the line counted."""
-    words = [(f"word{n % 7}", 0.4 * n, 0.4 * n + 0.3) for n in range(79)]
-    parts = [words[n:n + 10] for n in range(0, 79, 10)]
-    cues = [cue for part in parts for cue in samples.srt_highlighted(part).split("\n\n")]
-    text = "\n\n".join(cue.strip() for cue in cues)
-    assert sum(len(cue.split("\n")[-1].split()) for cue in text.split("\n\n")) > 700
-    _same(_read(tmp_path, ".srt", text, 35.0), words)
-
-
 def test_emphasis_in_a_line_is_no_time(tmp_path: Path) -> None:
     """Italics, and one underlined word in a line that is shown once."""
     text = ("1\n00:00:00,000 --> 00:00:02,000\nI <u>really</u> mean <i>it</i>\n\n"
             "2\n00:00:02,000 --> 00:00:04,000\n<b>you</b> do not\n")
     found = _read(tmp_path, ".srt", text)
     assert found.timing == "cues" and found.text == "I really mean it you do not"
-
-
-def test_words_that_were_not_aligned_lie_between(tmp_path: Path) -> None:
-    """whisperX leaves out the times of numbers, gentle those of words that it does not hear."""
-    for name in ("whisperx", "gentle"):
-        content = samples.JSON[name](SPOKEN)
-        item = (content["segments"][0] if name == "whisperx" else content)["words"][2]
-        del item["start"], item["end"]
-        item["case"] = "not-found-in-audio"
-        found = _read(tmp_path, ".json", json.dumps(content))
-        assert found.words is not None and found.guessed == 1
-        assert [word.text for word in found.words] == [word for word, _, _ in SPOKEN]
-        assert found.words[2] == Word("my", 0.55, 0.9)
 
 
 def test_a_list_of_word_segments_is_read_with_what_it_lacks_and_in_order(tmp_path: Path) -> None:
@@ -142,19 +108,6 @@ def test_words_without_times_stay_within_their_segment(tmp_path: Path) -> None:
     assert found[3].end == pytest.approx(1.4) and found[4].start == pytest.approx(1.4)
 
 
-def test_phrases_of_transformers_are_cues_and_the_last_may_be_open(tmp_path: Path) -> None:
-    chunks = [{"text": " Well then.", "timestamp": [0.0, 1.1]}, {"text": " So be it.", "timestamp": [2.0, None]}]
-    found = _read(tmp_path, ".json", json.dumps({"text": " Well then. So be it.", "chunks": chunks}))
-    assert found.timing == "cues" and [cue.start for cue in found.cues] == [0.0, 2.0]
-    assert found.cues[1].end == pytest.approx(2.9)
-
-
-def test_what_was_not_recognised_is_passed_over(tmp_path: Path) -> None:
-    content = [samples.JSON["azure"](SPOKEN), {"RecognitionStatus": "InitialSilenceTimeout", "Offset": 4 * 10**7,
-                                          "Duration": 10**7}]
-    _same(_read(tmp_path, ".json", json.dumps(content)), SPOKEN)
-
-
 @pytest.mark.parametrize(("content", "said"), [
     # Hundredths of seconds, minutes, and a list whose words come many times.
     ([{"word": "a", "start": 40.5 * n, "end": 40.5 * n + 30.5} for n in range(20)], "half of its words last over 30 s"),
@@ -166,13 +119,20 @@ def test_what_was_not_recognised_is_passed_over(tmp_path: Path) -> None:
     ({"transcription": [{"text": "a", "offsets": {"from": 0, "to": 9}}, {"text": " b c"}]},
      "transcription[1]: has no times"),
     ({"chunks": [{"text": "a", "timestamp": [0, 1]}, {"text": "b c", "timestamp": 3}]}, "chunks[1]: has no times"),
-    ({"results": [{"alternatives": [{"words": [{"word": "a", "endTime": "1.5"}]}]}]}, "'1.5' is not a time"),
+    ({"results": [{"alternatives": [{"words": [{"word": "a", "endTime": "1:5"}]}]}]}, "'1:5' is not a time"),
     ({"chapters": []}, "neither words nor segments"),
 ])
 def test_what_cannot_be_used_is_refused(content: Any, said: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         _read(tmp_path, ".json", json.dumps(content))
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(("times", "start", "end"), [
+    ("begin='00:01:01.5' xml:id='a' end='00:01:02'", 61.5, 62), ('dur="0.5s" begin="1.5s"', 1.5, 2)])
+def test_times_of_ttml(times: str, start: float, end: float, tmp_path: Path) -> None:
+    found = _read(tmp_path, ".dfxp", f"<tt:tt>\n<tt:p {times}>so<tt:br/>be\n it &amp; on</tt:p></tt:tt>")
+    assert [(cue.text, cue.start, cue.end) for cue in found.cues] == [("so be it & on", start, end)]
 
 
 @pytest.mark.parametrize(("content", "said"), [

@@ -413,6 +413,17 @@ async def test_no_more_streams_than_the_limit() -> None:
 
 
 @in_loop
+async def test_a_flood_of_short_messages_waits() -> None:
+    begin = time.monotonic()
+    async with running() as at, open_socket(at.url) as ws:
+        for text in (Hello(RATE).text(), *1600 * ['{"type": "speak"}'], '{"type": "finish"}'):
+            await ws.send(text)
+        while json.loads(await ws.recv())["type"] != "done":
+            pass
+    assert time.monotonic() - begin > 1600 / 500 - 2.0
+
+
+@in_loop
 async def test_a_stalled_client_costs_its_bound_and_other_clients_nothing() -> None:
     """A client that sends and never reads: its queue stays under the limit, others are served, and it is cut off."""
     limits = replace(LIMITS, unread_bytes=2**17, waiting_seconds=60.0, unread_seconds=1.5)

@@ -155,18 +155,15 @@ def _named(movements: list[Movement], height: Array, last: int, fps: float) -> l
         prepares = following.force > _HARDER * movement.force and (k == 0 or phases[k - 1] != Phase.PREPARATION)
         if at_once and prepares:
             phases[k] = Phase.PREPARATION
-    if len(movements) > 1 and _goes_home(movements[-1], height, last, fps):
+    final = movements[-1] if len(movements) > 1 else None
+    # Much of its way is downwards, and the hand stays there: the unit ends with it.
+    if final is not None and last - final.last < _HOLD * fps and \
+            height[final.first] - height[final.last - 1] > 0.4 * final.size:
         phases[-1] = Phase.RETRACTION
         # Nothing prepares a retraction.
         if phases[-2] == Phase.PREPARATION:
             phases[-2] = Phase.STROKE
     return [replace(movement, phase=phase) for movement, phase in zip(movements, phases, strict=True)]
-
-
-def _goes_home(movement: Movement, height: Array, last: int, fps: float) -> bool:
-    falls = height[movement.first] - height[movement.last - 1]
-    # Much of its way is downwards, and the hand stays there: the unit ends with it.
-    return last - movement.last < _HOLD * fps and falls > 0.4 * movement.size
 
 
 def _label_between(labels: NDArray[np.int8], height: Array, speed: Array, units: tuple[tuple[int, int], ...],

@@ -160,8 +160,8 @@ class Session:
             words = [Word(entry["text"], float(entry["start"]), float(entry["end"])) for entry in entries]
         except ValueError as error:
             raise RefusedError(CloseCode.BAD_MESSAGE, str(error)) from None
-        if len(self._words) + len(words) > _MOST_WORDS:
-            raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {_MOST_WORDS} words wait for their sound")
+        if len(self._words) + len(words) > MOST_WORDS:
+            raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {MOST_WORDS} words wait for their sound")
         adding = self._stream.adding(words, 1)
         self._words = sorted([*self._words, *next(adding)], key=lambda word: word.start)
         # Reading a text takes longer than a block, so other streams take turns between two.
@@ -196,7 +196,7 @@ class Session:
         return replace(frames, root_positions=frames.root_positions + np.array([0.0, self._lift, 0.0]))
 
 
-_MOST_WORDS = 20_000
+MOST_WORDS = 20_000
 """Most pending words: two hours of speech."""
 
 
