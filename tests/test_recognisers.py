@@ -8,26 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+import recogniser_samples as samples
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recogniser_samples import (
-    FILES,
-    JSON,
-    WITHOUT_TIMES,
-    Words,
-    faster_whisper,
-    whisper,
-    whisperx,
-)
 
 from data_module.errors import InputError
 from data_module.text.transcript import Transcript, read_transcript
 from data_module.types import Speech
 
 RATE = 16000
-SPOKEN: Words = (("And", 0.0, 0.3), ("so,", 0.3, 0.55), ("my", 0.7, 0.9), ("fellow", 0.9, 1.4),
+SPOKEN: samples.Words = (("And", 0.0, 0.3), ("so,", 0.3, 0.55), ("my", 0.7, 0.9), ("fellow", 0.9, 1.4),
                  ("Americans,", 1.4, 2.1), ("ask", 2.6, 2.9), ("not", 3.0, 3.4))
-TIMED = sorted(set(FILES) - WITHOUT_TIMES)
+TIMED = sorted(set(samples.FILES) - samples.WITHOUT_TIMES)
 UNENDING = {"vtt, rolling", "lrc"}
 """Samples that tell when words begin only: each lasts until the next."""
 
@@ -39,12 +31,12 @@ def _read(folder: Path, suffix: str, content: str, seconds: float | None = None)
     return read_transcript(path, speech)
 
 
-def _sample(folder: Path, name: str, words: Words) -> Transcript:
-    suffix, write = FILES[name]
+def _sample(folder: Path, name: str, words: samples.Words) -> Transcript:
+    suffix, write = samples.FILES[name]
     return _read(folder, suffix, write(words))
 
 
-def _same(found: Transcript, words: Words, ends: bool = True) -> None:
+def _same(found: Transcript, words: samples.Words, ends: bool = True) -> None:
     assert found.timing == "words" and found.words is not None and found.guessed == 0
     assert [word.text for word in found.words] == [word for word, _, _ in words]
     np.testing.assert_allclose([word.start for word in found.words], [start for _, start, _ in words], atol=1e-9)
@@ -68,7 +60,7 @@ def test_any_words_read_the_same_from_every_recogniser(tmp_path_factory: pytest.
         _same(_sample(folder, name, words), words, name not in UNENDING)
 
 
-@pytest.mark.parametrize("name", sorted(WITHOUT_TIMES - {"text"}))
+@pytest.mark.parametrize("name", sorted(samples.WITHOUT_TIMES - {"text"}))
 def test_lines_are_cues_and_their_words_are_spread(name: str, tmp_path: Path) -> None:
     found = _sample(tmp_path, name, SPOKEN)
     assert found.timing == "cues" and [cue.text for cue in found.cues] == ["And so, my fellow", "Americans, ask not"]
@@ -84,7 +76,7 @@ def _without_words(content: Any) -> Any:
 @pytest.mark.parametrize("name", ["whisper", "whisperx", "faster-whisper", "google", "azure", "azure, batch",
                                   "azure, fast", "deepgram"])
 def test_a_file_without_word_times_gives_its_lines_or_its_text(name: str, tmp_path: Path) -> None:
-    content = _without_words(JSON[name](SPOKEN))
+    content = _without_words(samples.JSON[name](SPOKEN))
     found = _read(tmp_path, ".json", json.dumps(content))
     assert found.timing == ("none" if name == "deepgram" else "cues")
     assert found.text == "And so, my fellow Americans, ask not"
@@ -99,7 +91,7 @@ def test_emphasis_in_a_line_is_no_time(tmp_path: Path) -> None:
 
 
 def test_a_list_of_word_segments_is_read_with_what_it_lacks_and_in_order(tmp_path: Path) -> None:
-    words: list[dict[str, Any]] = whisperx(SPOKEN)["word_segments"]
+    words: list[dict[str, Any]] = samples.whisperx(SPOKEN)["word_segments"]
     words[1:5] = [{"word": "2266"}, words[1], words[2], {"word": "?"}, words[4], words[3]]
     found = _read(tmp_path, ".json", json.dumps({"word_segments": words, "language": "en"}))
     assert "the times were not in order and were sorted" in found.notes
@@ -109,7 +101,7 @@ def test_a_list_of_word_segments_is_read_with_what_it_lacks_and_in_order(tmp_pat
 
 
 def test_words_without_times_stay_within_their_segment(tmp_path: Path) -> None:
-    content = faster_whisper(SPOKEN)
+    content = samples.faster_whisper(SPOKEN)
     content[0]["words"][2:] = [{"word": word["word"]} for word in content[0]["words"][2:]]
     found = _read(tmp_path, ".json", json.dumps(content)).words or ()
     assert [word.text for word in found] == [word for word, *_ in SPOKEN]
@@ -155,8 +147,8 @@ def test_broken_tables_are_named_by_line(content: str, said: str, tmp_path: Path
 
 
 def test_texts_in_a_script_without_spaces_are_spread_over_their_tokens(tmp_path: Path) -> None:
-    part = whisper([("今天天气很好", 0.0, 1.2)])
+    part = samples.whisper([("今天天气很好", 0.0, 1.2)])
     found = _read(tmp_path, ".json", json.dumps(part))
     assert found.words is not None and found.words[0].start == 0.0 and found.words[-1].end == 1.2
     assert "".join(word.text for word in found.words) == "今天天气很好"
-    assert _read(tmp_path, ".json", json.dumps(whisperx(SPOKEN))).timing == "words"
+    assert _read(tmp_path, ".json", json.dumps(samples.whisperx(SPOKEN))).timing == "words"
