@@ -210,11 +210,6 @@ def nemo_manifest(words: Words) -> Any:
             _steps(words), "timestamps_segment": nemo(words)["timestamp"]["segment"]}
 
 
-def nemo_speakers(words: Words) -> Any:
-    return {"status": "Success", "session_id": "a", "transcription": _text(words), "words": [
-        {"word": word, "start_time": start, "end_time": end, "speaker": "speaker_0"} for word, start, end in words]}
-
-
 def azure(words: Words) -> Any:
     """The SDK's detailed results."""
     silence = {"RecognitionStatus": "InitialSilenceTimeout", "Offset": 0, "Duration": 10**7}
@@ -260,7 +255,7 @@ JSON: dict[str, Callable[[Words], Any]] = {
     "google, speakers": google_speakers, "google, protobuf": google_protobuf, "azure": azure,
     "azure, batch": azure_batch, "azure, fast": azure_fast, "mfa": mfa, "transformers": transformers, "aws": aws,
     "speechmatics": speechmatics, "elevenlabs": elevenlabs, "gladia": gladia, "deepgram": deepgram,
-    "nemo": nemo, "nemo, manifest": nemo_manifest, "nemo, speakers": nemo_speakers,
+    "nemo": nemo, "nemo, manifest": nemo_manifest,
     "list": lambda words: _plain(words, "text"), "text": lambda words: {"text": _text(words)},
 }
 """Sample -> what writes it; all but "text" have the times of words."""
