@@ -358,7 +358,7 @@ def test_music_is_told_and_speech_is_not() -> None:
     chord = sum(np.sin(2 * np.pi * note * part * time) / part for note in (220, 277, 330) for part in range(1, 9))
     music = (0.05 * chord * np.exp(-2.0 * (time % 0.5))).astype(np.float32)
     assert "steady tones" in str(music_note(Speech(music, 16000)))
-    assert music_note(load_speech(SPEECH)) is None and music_note(Speech(voice(), 48000)) is None
+    assert music_note(audio.load_speech(SPEECH)) is None and music_note(Speech(voice(), 48000)) is None
 
 
 def _warned(folder: Path, samples: Samples, rate: int = 16000) -> list[str]:
