@@ -16,8 +16,6 @@ Computing is counted in processor time, so that other programs on the machine do
   chance PMB is in the low mode, recording by recording and seed by seed, with the 95 % interval over both.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import platform

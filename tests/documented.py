@@ -6,8 +6,6 @@ a scratch folder with the files that they name, and runs each line in it with th
 imported; only pages and recordings are read.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

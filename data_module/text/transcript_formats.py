@@ -8,8 +8,6 @@ word in <u>, <b>, <font> or <c> (whisper and whisperX with highlighted words, st
 before each word (WebVTT; rolling captions repeat the line above).
 """
 
-from __future__ import annotations
-
 import html
 import itertools
 import re
@@ -206,7 +204,12 @@ def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
         if len(clock) > 4:
             end = _clock(clock[5:]) + (start if clock[4] else 0.0)
         number, at = number + text.count("\n", at, match.start(3)), match.start(3)
-        cues.append(Entry(line.replace("\\N", " "), start, end, f"line {number}"))
+        cue = Entry(line.replace("\\N", " "), start, end, f"line {number}")
+        # NeMo's aligner shows a line anew for each word, in other colours.
+        if cues and "\\c&" in line and _plain(cues[-1].text) == _plain(cue.text):
+            cues[-1] = replace(cues[-1], end=end)
+        else:
+            cues.append(cue)
     return _of_cues(cues)
 
 
