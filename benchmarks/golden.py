@@ -7,7 +7,7 @@ machine only, so the file is recorded from one commit, compared at another, and 
 Only the command line and the public names of `gesticulator` are used, so modules may move between the two commits.
 
     example     the example in every format that can be written here, and looped to over five minutes (done in pieces)
-    variation   nine seconds of it with each option of the command, on two characters, and from standard input
+    variation   nine seconds of it with each option of the command, and on two characters
     recording   ten pieces of real speech from $GESTICULATOR_DATA/speech, or of the example where that is absent
     stream      the example in pieces of odd sizes, with pauses, thinking, listening and an interruption
     edit        gesture plans that were edited as JSON and rendered again
@@ -18,8 +18,6 @@ A name is KIND:GROUP/CASE, such as bvh:edit/swap. `plan:` and `html:` hold what 
 `--motion` compares the motion alone, for a change that adds fields to the plan. `--only GROUP` runs one group.
 """
 
-from __future__ import annotations
-
 import argparse
 import copy
 import functools
@@ -28,7 +26,6 @@ import io
 import json
 import os
 import platform
-import runpy
 import subprocess
 import sys
 import tempfile
@@ -43,7 +40,7 @@ import soundfile
 from threadpoolctl import threadpool_limits
 
 import gesticulator
-from gesticulator import Gesticulator, InputError
+from gesticulator import Gesticulator, InputError, infer
 
 ROOT = Path(__file__).resolve().parents[1]
 SPEECH, TEXT = ROOT / "examples" / "speech.flac", ROOT / "examples" / "speech.txt"
@@ -57,6 +54,9 @@ PIECE = 9.2
 """Seconds of the example in which its first two lines are said."""
 PIECES = (1, 777, 4800, 0, 12345, 160, 31999)
 """Samples that are fed to a stream at a time, over and over."""
+MACHINE = {"processor": platform.processor() or platform.machine(), "python": platform.python_version(),
+           "numpy": np.__version__}
+"""What bits depend on beside the code."""
 Plan = dict[str, Any]
 
 OPTIONS: dict[str, tuple[str, ...]] = {
@@ -86,7 +86,6 @@ class Golden:
         self.folder = folder
         self.digests: dict[str, str] = {}
         self.failures: dict[str, str] = {}
-        self._speech: dict[float, Path] = {}
 
     @contextmanager
     def case(self, name: str) -> Iterator[None]:
@@ -103,26 +102,21 @@ class Golden:
             raise ValueError(f"{name} is written twice")
         self.digests[name] = hashlib.sha256(data).hexdigest()
 
-    def infer(self, case: str, *arguments: str | Path, suffixes: Iterable[str] = (".bvh",)) -> Path:
+    def infer(self, case: str, *arguments: str | Path, suffixes: Sequence[str] = (".bvh",)) -> Path:
         """Run the command, note the digests of what it writes; the path of its output without the suffix."""
-        with self.case(case):
-            self._infer(case, arguments, tuple(suffixes))
-        return self.folder / case / "out"
-
-    def _infer(self, case: str, arguments: Sequence[str | Path], suffixes: Sequence[str]) -> None:
         out = self.folder / case / "out"
         asked = [part for suffix in suffixes for part in ("-o", f"{out}{suffix}")]
-        run_command([*map(str, arguments), *asked, "--quiet"])
-        for suffix in suffixes:
-            last = suffix.rpartition(".")[2]
-            name = f"{case}{suffix}" if last == "csv" else case
-            self.add(KINDS.get(last, last), name, Path(f"{out}{suffix}").read_bytes())
+        with self.case(case):
+            run_command([*map(str, arguments), *asked, "--quiet"])
+            for suffix in suffixes:
+                last = suffix.rpartition(".")[2]
+                name = f"{case}{suffix}" if last == "csv" else case
+                self.add(KINDS.get(last, last), name, Path(f"{out}{suffix}").read_bytes())
+        return out
 
     def sound(self, seconds: float) -> Path:
         """The begin of the example as a file."""
-        if seconds not in self._speech:
-            self._speech[seconds] = cut(SPEECH, self.folder / f"begin_{seconds:g}.wav", 0.0, seconds)
-        return self._speech[seconds]
+        return cut(SPEECH, self.folder / f"begin_{seconds:g}.wav", 0.0, seconds)
 
     def text(self) -> Path:
         """What is said in the first `PIECE` seconds of the example, with times.
@@ -140,16 +134,12 @@ class Golden:
 
 def run_command(arguments: Sequence[str]) -> None:
     """`python -m gesticulator.infer` in this process, which loads the models once; RuntimeError where it fails."""
-    before, said = sys.argv, io.StringIO()
-    sys.argv = ["infer", *arguments]
+    said = io.StringIO()
     try:
         with redirect_stdout(said), redirect_stderr(said):
-            runpy.run_module("gesticulator.infer", run_name="__main__", alter_sys=False)
+            infer.main(arguments)
     except SystemExit as end:
-        if end.code not in (0, None):
-            raise RuntimeError(f"exit code {end.code}: {said.getvalue().strip()}") from None
-    finally:
-        sys.argv = before
+        raise RuntimeError(f"exit code {end.code}: {said.getvalue().strip()}") from None
 
 
 def cut(source: Path, target: Path, start: float, seconds: float) -> Path:
@@ -186,7 +176,7 @@ def example(golden: Golden) -> None:
 
 
 def variation(golden: Golden) -> None:
-    """Each option of the command, characters, and standard input."""
+    """Each option of the command, and characters."""
     sound, text = golden.sound(PIECE), golden.text()
     for name, options in OPTIONS.items():
         golden.infer(f"variation/{name}", sound, *options, suffixes=(".bvh", ".json"))
@@ -198,12 +188,6 @@ def variation(golden: Golden) -> None:
         for name, options in {"moved": (), "seated": ("--seated",), "touching": ("--no-contacts", "--mirror")}.items():
             golden.infer(f"variation/character{suffix}_{name}", sound, "--character", character, *options,
                          suffixes=(suffix, ".csv"))
-    before = sys.stdin
-    sys.stdin = io.TextIOWrapper(io.BytesIO(golden.sound(3.0).read_bytes()))
-    try:
-        golden.infer("variation/stdin", "-")
-    finally:
-        sys.stdin = before
 
 
 def recording(golden: Golden) -> None:
@@ -463,18 +447,12 @@ def run_groups(names: Iterable[str]) -> Golden:
     return golden
 
 
-def machine() -> dict[str, str]:
-    """What bits depend on beside the code."""
-    return {"processor": platform.processor() or platform.machine(), "python": platform.python_version(),
-            "numpy": np.__version__}
-
-
 def record(path: Path, groups: Sequence[str]) -> int:
     """Write the digests; the exit code."""
     golden = run_groups(groups)
     if golden.failures:
         return 1
-    path.write_text(json.dumps({"machine": machine(), "digests": golden.digests}, indent=1) + "\n", encoding="utf-8")
+    path.write_text(json.dumps({"machine": MACHINE, "digests": golden.digests}, indent=1) + "\n", encoding="utf-8")
     print(f"{len(golden.digests)} digests recorded in {path}")
     return 0
 
@@ -482,8 +460,8 @@ def record(path: Path, groups: Sequence[str]) -> int:
 def compare(path: Path, groups: Sequence[str], motion: bool) -> int:
     """Print what differs from the recorded digests; the exit code."""
     recorded = json.loads(path.read_text(encoding="utf-8"))
-    if recorded["machine"] != machine():
-        print(f"recorded with {recorded['machine']}, compared with {machine()}: bits may differ")
+    if recorded["machine"] != MACHINE:
+        print(f"recorded with {recorded['machine']}, compared with {MACHINE}: bits may differ")
 
     def counts(name: str) -> bool:
         kind, _, case = name.partition(":")

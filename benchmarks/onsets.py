@@ -6,8 +6,6 @@ F-measure, precision and recall at 50 ms (mir_eval) on the readings in speech/, 
 reference, onsets closer than 50 ms merged on both sides.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -42,17 +40,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs" / "results" / "onsets.json")
     arguments = parser.parse_args()
-    folder = os.environ.get("GESTICULATOR_DATA")
-    if not folder:
-        parser.error("GESTICULATOR_DATA is not set: it names the folder that holds speech/")
-    rows = {path.stem: measure(path) for path in sorted((Path(folder) / "speech").glob("*.flac"))}
-    if not rows:
-        parser.error("there is no recording in GESTICULATOR_DATA/speech")
+    readings = sorted((Path(os.environ.get("GESTICULATOR_DATA", "")) / "speech").glob("*.flac"))
+    if not readings:
+        parser.error("GESTICULATOR_DATA names no folder that holds speech/ with recordings")
+    rows = {path.stem: measure(path) for path in readings}
     rows["mean"] = {key: float(np.mean([row[key] for row in rows.values()])) for key in next(iter(rows.values()))}
-    print(f"{'':16}" + "".join(f"{key:>20}" for key in rows["mean"]))
-    for name, row in rows.items():
-        print(f"{name:16}" + "".join(f"{value:20.3f}" for value in row.values()))
     rounded = {name: {key: round(value, 4) for key, value in row.items()} for name, row in rows.items()}
+    print(json.dumps(rounded, indent=1))
     write_text(arguments.out, json.dumps({"tolerance": TOLERANCE, "rows": rounded}, indent=1) + "\n")
 
 

@@ -27,22 +27,17 @@ from gesticulator.gesticulator import Gesticulator
 
 def processor() -> str:
     """The processor's name, as the system tells it."""
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        for line in info.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
+    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
+    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(named, platform.processor() or platform.machine())
 
 
 def warm(system: Gesticulator, source: Path, target: Path, interpreter: str, text: Path | None = None) -> float:
     """Seconds from a sound file to a BVH file, the second time."""
-    spent = 0.0
     for _ in range(2):
         begin = time.perf_counter()
         write(target, system(load_speech(source), interpreter=interpreter, text=text).scene())
-        spent = time.perf_counter() - begin
-    return spent
+    return time.perf_counter() - begin
 
 
 def cold(arguments: list[str]) -> float:

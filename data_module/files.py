@@ -1,7 +1,5 @@
 """Atomic writing of files, reading of text and JSON files within limits, and locks on folders."""
 
-from __future__ import annotations
-
 import codecs
 import contextlib
 import csv
@@ -62,16 +60,20 @@ def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
 @contextlib.contextmanager
 def new_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """A file that appears whole at the end, or not at all if an exception is raised: a temporary file beside it is
-    synced, then renamed. OSError names `path`."""
+    synced, then renamed. On Linux it has no name until then, so that a killed process leaves nothing. OSError names
+    `path`."""
     target = Path(path)
     temporary = target.parent / f".{target.name[:_PREFIX]}.{secrets.token_hex(_TOKEN // 2)}"
     try:
         try:
-            with temporary.open("xb") as stream:
+            with _without_name(target.parent) or temporary.open("xb") as stream:
                 yield stream
                 stream.flush()
                 # Without it the name may reach the disk before the content, and a power failure leaves an empty file.
                 os.fsync(stream.fileno())
+                if isinstance(stream.name, int):
+                    # With a folder's number, which an absolute path ignores, Python follows the link to the file.
+                    os.link(f"/proc/self/fd/{stream.name}", temporary, src_dir_fd=stream.name)
             rename(temporary, target)
         except BaseException:
             temporary.unlink(missing_ok=True)
@@ -79,6 +81,14 @@ def new_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     except OSError as error:
         # Name the file of the user, not the temporary one.
         raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(target)) from error
+
+
+def _without_name(folder: Path) -> BinaryIO | None:
+    """A new file in a folder that has no name yet; None where the system or the file system has no such files."""
+    with contextlib.suppress(OSError, AttributeError):
+        if Path("/proc/self/fd").is_dir():
+            return open(os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666), "wb")
+    return None
 
 
 def remove_unfinished_of(targets: Iterable[Path]) -> None:

@@ -10,19 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.layers_run import (
-    BlockDense,
-    Convolutions,
-    Dense,
-    Floats,
-    Lstm,
-    Tensors,
-    gelu,
-    leaky_relu,
-    normed,
-    side_by_side,
-    softmax,
-)
+from data_module import layers_run as layers
+from data_module.layers_run import Floats
 from data_module.motion.movement_run import PAST, BasisRunner, state_before
 from generator.settings import BLEND, GROUP_WIDTH, GeneratorConfig, GeneratorWidths, positional_block
 
@@ -82,7 +71,7 @@ class FlowRunner:
     """`FlowGenerator` in evaluation: `contexts` of a block, and samples of it (`sample`)."""
 
     def __init__(self, config: GeneratorConfig, widths: GeneratorWidths, present: Floats, basis: BasisRunner,
-                 tensors: Tensors) -> None:
+                 tensors: layers.Tensors) -> None:
         """present: [D_m] 1 for the dimensions in the data."""
         c, frames = config, widths.frames
         self.config, self.frames, self.lexemes, self.present = config, frames, widths.lexemes, present
@@ -92,9 +81,9 @@ class FlowRunner:
         self._centres = tensors.take("centres", widths.lexemes + 1, n)
         self._control_width = widths.control if c.use_control else 0
         self.unit_width, self._style_width = widths.units if c.units else 0, c.style_width
-        self._encode_motion = Convolutions(tensors.within("encode_motion"),
+        self._encode_motion = layers.Convolutions(tensors.within("encode_motion"),
                                            (widths.motion, *[c.motion_features] * 3), norm=False)
-        self._encode_audio = BlockDense(tensors.within("encode_audio"), frames, widths.audio, c.audio_features,
+        self._encode_audio = layers.BlockDense(tensors.within("encode_audio"), frames, widths.audio, c.audio_features,
                                         bottleneck=c.audio_bottleneck)
         self._bypassed = c.hears_through == "both"
         self._hear = tensors.dense("hear.0", frames * c.audio_features, c.lexeme_width) if self._bypassed else None
@@ -108,7 +97,7 @@ class FlowRunner:
         known = 2 * beside + c.groups * GROUP_WIDTH + 3 * widths.motion + n + CIRCUMSTANCES + widths.speakers
         self._gather = tensors.dense("gather.0", known + self._control_width + self.unit_width
                                 + self._style_width, c.context)
-        self._lstm = Lstm(tensors.within("lstm"), c.context, c.context, c.lstm_layers)
+        self._lstm = layers.Lstm(tensors.within("lstm"), c.context, c.context, c.lstm_layers)
         self._to_context = tensors.dense("to_context.0", 2 * c.context + beside, c.context)
         self._head = _Head(tensors.within("head"), n, c.context + (n if self._bypassed else 0), c.flow_width)
 
@@ -130,7 +119,7 @@ class FlowRunner:
         name = self._name[given.lexeme]
         rows = [self._encode_motion(given.before), audio, name[:, None], self._position]
         pose, velocity, acceleration = state_before(given.before[-PAST:], given.ratio)
-        beside = [] if self._hear is None else [gelu(self._hear(audio.reshape(count, -1))), name]
+        beside = [] if self._hear is None else [layers.gelu(self._hear(audio.reshape(count, -1))), name]
         known = [*beside, pose, 4.0 * velocity, 6.0 * acceleration, given.added, given.place, given.speaker]
         if self._control_width:
             rows.append(np.zeros((self.frames, self._control_width), np.float32) if given.control is None
@@ -138,17 +127,17 @@ class FlowRunner:
             known.append(rows[-1].mean(-2))
         for width, row in ((self.unit_width, given.unit), (self._style_width, given.style)):
             known.append(np.zeros(width, np.float32) if row is None else row)
-        gathered = gelu(self._gather(side_by_side([*known, self._code(side_by_side(rows))])))
+        gathered = layers.gelu(self._gather(layers.side_by_side([*known, self._code(layers.side_by_side(rows))])))
         out, state = self._lstm(gathered[:, None], state)
-        context = gelu(self._to_context(side_by_side([out[:, 0], gathered, *beside[1:]])))
-        return (side_by_side([context, self._centres[given.lexeme]]) if self._bypassed else context), state
+        context = layers.gelu(self._to_context(layers.side_by_side([out[:, 0], gathered, *beside[1:]])))
+        return (layers.side_by_side([context, self._centres[given.lexeme]]) if self._bypassed else context), state
 
     def _code(self, rows: Floats) -> Floats:
         """[B, H * 8] the vectors of the blended classes (`GumbelCodes.best`), mean over the frames of rows [B, K, W].
         """
         groups, classes, width = self._vectors.shape
-        logits = self._classes(leaky_relu(self._mlp(rows))).reshape(*rows.shape[:2], groups, classes)
-        shares = softmax(logits / BLEND).mean(1)
+        logits = self._classes(layers.leaky_relu(self._mlp(rows))).reshape(*rows.shape[:2], groups, classes)
+        shares = layers.softmax(logits / BLEND).mean(1)
         return (shares.swapaxes(0, 1) @ self._vectors).swapaxes(0, 1).reshape(len(rows), groups * width)
 
     def sample(self, contexts: Floats, gains: Floats, noise: Floats, steps: int, shared: bool = False) -> Floats:
@@ -179,9 +168,9 @@ class _Head:
     """v of a `FlowHead` with guidance. Work shared by the contexts is done once, and the part that depends on time
     alone is a cached bias."""
 
-    def __init__(self, tensors: Tensors, width: int, context: int, hidden: int) -> None:
+    def __init__(self, tensors: layers.Tensors, width: int, context: int, hidden: int) -> None:
         weight = tensors.take("enter.weight", hidden, width + 2 * FREQUENCIES)
-        self._enter, self._waves = Dense(weight[:, :width]), weight[:, width:]
+        self._enter, self._waves = layers.Dense(weight[:, :width]), weight[:, width:]
         self._bias = tensors.take("enter.bias", hidden)
         self._condition, self._inner, self._outer = (
             [tensors.dense(f"{name}.{layer}", width_in, out) for layer in range(LAYERS)]
@@ -207,7 +196,7 @@ class _Head:
         if count:
             x = np.concatenate([x, *[x[:guided]] * count])
         for (scale, shift), inner, outer in zip(conditions, self._inner, self._outer, strict=True):
-            x = x + outer(gelu(inner(normed(x) * scale + shift)))
+            x = x + outer(layers.gelu(inner(layers.normed(x) * scale + shift)))
         end = self._leave(x)
         v = end[:rows]
         if count:

@@ -26,23 +26,8 @@ from gesticulator.bundle.files import lexicon_hash
 from gesticulator.cli import __version__
 from gesticulator.export.writers import Scene, check_output, write
 from gesticulator.options import InferenceOptions, interpreter_name
-from gesticulator.plan.plan import (
-    FORMAT,
-    VERSION,
-    DrawnBlocks,
-    GesturePhase,
-    GesturePlan,
-    GestureUnit,
-    Hand,
-    LexemeName,
-    PhaseKind,
-    PlanMeaning,
-    PlanSound,
-    fingerprinted,
-    named,
-    sound_hash,
-    words_of,
-)
+from gesticulator.plan import plan as plans
+from gesticulator.plan.plan import GesturePlan, PlanMeaning
 from gesticulator.sampling.loop import BlockMotion, GeneratedMotion, Generation, Setup
 
 if TYPE_CHECKING:
@@ -80,7 +65,7 @@ class Performance:
     decided: GesturePlan
     options: InferenceOptions | None = None
     """The options of the performance, with the bundle's defaults filled in."""
-    names: Callable[[], tuple[LexemeName, ...]] | None = None
+    names: Callable[[], tuple[plans.LexemeName, ...]] | None = None
     """Returns the names of the lexemes."""
     retiming: str | None = None
     """What became of a plan that was moved onto this sound (`InferenceOptions.retime`)."""
@@ -210,7 +195,7 @@ class Performance:
 
     def plan(self) -> GesturePlan:
         """The plan with the names of lexemes. It can be edited and rendered again (`InferenceOptions.plan`)."""
-        return named(fingerprinted(self.decided, self.speech), () if self.names is None else self.names())
+        return plans.named(plans.fingerprinted(self.decided, self.speech), () if self.names is None else self.names())
 
     def explain(self) -> dict[str, Any]:
         """Why each block got its gesture: `plan` in plain values, ready for JSON (docs/plan.md)."""
@@ -227,7 +212,7 @@ class Assembler:
     options: InferenceOptions
     setup: Setup
 
-    def performance(self, generated: GeneratedMotion, names: Callable[[], tuple[LexemeName, ...]]) -> Performance:
+    def performance(self, generated: GeneratedMotion, names: Callable[[], tuple[plans.LexemeName, ...]]) -> Performance:
         """The performance. names: returns the names of the lexemes."""
         blocks = generated.blocks
         motion, plan = self.motion(generated), self.plan(generated)
@@ -377,41 +362,42 @@ def _settings(used: InferenceOptions, setup: Setup) -> dict[str, Any]:
 def plan_of(speech: Speech, cut: Blocks, blocks: Sequence[BlockMotion], origin: Origin) -> GesturePlan:
     """The plan of a first generation, still without names of lexemes (`named`). cut: the N blocks of the speech."""
     settings, decisions = origin.settings, tuple(block.block for block in blocks)
-    drawn = DrawnBlocks(tuple(cut.edges.tolist()), tuple(block.flag for block in decisions),
+    drawn = plans.DrawnBlocks(tuple(cut.edges.tolist()), tuple(block.flag for block in decisions),
                         tuple(block.silent for block in decisions), tuple(block.lexeme for block in blocks),
                         origin.options.knobs)
     # What the plan states in fields of its own is not repeated in the settings, where an edit would contradict it.
     made_by = {**origin.program, "settings": {key: value for key, value in settings.items() if key not in _ABOVE}}
+    sound = plans.PlanSound("", speech.duration, speech.sample_rate, plans.sound_hash(speech))
     return GesturePlan(
-        FORMAT, VERSION, made_by, PlanSound("", speech.duration, speech.sample_rate, sound_hash(speech)),
+        plans.FORMAT, plans.VERSION, made_by, sound,
         int(settings["seed"]), int(settings["variation"]), str(settings["speaker"]), str(settings["interpreter"]),
-        drawn, decisions, drawn.knobs, tuple(origin.options.cues), words_of(speech), score_is=origin.score_is,
+        drawn, decisions, drawn.knobs, tuple(origin.options.cues), plans.words_of(speech), score_is=origin.score_is,
         units=units_of_blocks(blocks), meanings=origin.meanings)
 
 
 def rendered_plan(plan: GesturePlan, speech: Speech, blocks: Sequence[BlockMotion], origin: Origin) -> GesturePlan:
     """A plan after rendering, with the models' choices in its edited blocks."""
     # The hash of the sound was compared with the plan's before rendering (`directions.check_plan_of`).
-    sound = PlanSound("", speech.duration, speech.sample_rate, plan.sound.sha256)
+    sound = plans.PlanSound("", speech.duration, speech.sample_rate, plan.sound.sha256)
     decided = tuple(replace(
         block, lexeme=made.lexeme if block.lexeme is None else block.lexeme, gate=made.block.gate,
         alternatives=made.block.alternatives, score=made.block.score, rank=made.block.rank)
         for block, made in zip(plan.blocks, blocks, strict=True))
     return replace(plan, sound=sound, blocks=decided, units=units_of_blocks(blocks) or plan.units,
-                   words=words_of(speech), score_is=origin.score_is, source="plan")
+                   words=plans.words_of(speech), score_is=origin.score_is, source="plan")
 
 
-def units_of_blocks(blocks: Sequence[BlockMotion]) -> tuple[GestureUnit, ...]:
+def units_of_blocks(blocks: Sequence[BlockMotion]) -> tuple[plans.GestureUnit, ...]:
     """The units of a performance, in order: from one rest to the next. () without a planner."""
     groups = groupby(blocks, lambda block: block.unit is not None and bool(block.unit.phase))
     return tuple(_unit(list(group)) for moves, group in groups if moves)
 
 
-def _unit(blocks: Sequence[BlockMotion]) -> GestureUnit:
+def _unit(blocks: Sequence[BlockMotion]) -> plans.GestureUnit:
     from interpreters.planner_run import HANDS, PHASES
 
     decisions = [block.unit for block in blocks if block.unit is not None]
-    phases: list[GesturePhase] = []
+    phases: list[plans.GesturePhase] = []
     struck = False
     for block, decision in zip(blocks, decisions, strict=True):
         # Equal phases of neighbouring blocks are one phase; a hold is named by the stroke that it precedes or follows.
@@ -420,10 +406,10 @@ def _unit(blocks: Sequence[BlockMotion]) -> GestureUnit:
         if kind == "hold":
             kind = "post-stroke hold" if struck else "pre-stroke hold"
         start = phases.pop().start if phases and phases[-1].kind == kind else block.block.start
-        phases.append(GesturePhase(cast(PhaseKind, kind), start, block.block.end))
+        phases.append(plans.GesturePhase(cast(plans.PhaseKind, kind), start, block.block.end))
     # A unit may change hands: the one that makes most of its blocks names it.
     hands = [decision.hand for decision in decisions if decision.hand]
-    hand = cast(Hand, HANDS[max(set(hands), key=hands.count)]) if hands else None
+    hand = cast(plans.Hand, HANDS[max(set(hands), key=hands.count)]) if hands else None
     sizes = [_SIZES[decision.size] for decision in decisions if decision.size]
     size = round(sum(sizes) / len(sizes), 2) if sizes else 1.0
-    return GestureUnit(blocks[0].block.start, blocks[-1].block.end, tuple(phases), hand, size)
+    return plans.GestureUnit(blocks[0].block.start, blocks[-1].block.end, tuple(phases), hand, size)

@@ -9,16 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.layers_run import Norm, Tensors, softmax
-from interpreters.base import (
-    BlockFeatures,
-    InterpreterDefaults,
-    InterpreterParts,
-    InterpreterSizes,
-    LexemeInterpreter,
-    Need,
-    Scores,
-    as_interpreter,
-)
+from interpreters import base
 from interpreters.cql_run import QRunState, QTrunk
 from interpreters.settings import CRITICS, GAMMA, CriticConfig
 
@@ -36,7 +27,7 @@ def advantages(q: NDArray[np.floating], prior: NDArray[np.floating]) -> NDArray[
 class CriticsRunner:
     """J critics on one transformer over audio and lexemes, which value every lexeme of a block."""
 
-    def __init__(self, config: CriticConfig, sizes: InterpreterSizes, tensors: Tensors) -> None:
+    def __init__(self, config: CriticConfig, sizes: base.InterpreterSizes, tensors: Tensors) -> None:
         trunk, lexemes = tensors.within("trunk"), len(sizes.lexemes)
         self._trunk = QTrunk(config.network, sizes, trunk)
         self._norm = Norm(trunk.within("head"), config.width)
@@ -49,8 +40,8 @@ class CriticsRunner:
     def start(self, speaker: int) -> QRunState:
         return self._trunk.start(speaker)
 
-    def step(self, state: QRunState, features: BlockFeatures, previous_lexeme: int, log_prior: Scores
-             ) -> tuple[Scores, QRunState]:
+    def step(self, state: QRunState, features: base.BlockFeatures, previous_lexeme: int, log_prior: base.Scores
+             ) -> tuple[base.Scores, QRunState]:
         """[S] the advantage of each lexeme of this block in standard deviations, given log pi_b [S], and the state
         after it."""
         row, after = self._trunk.step(state, features, previous_lexeme)
@@ -69,23 +60,23 @@ class AdvantageState:
 
 
 @dataclass(frozen=True)
-class AdvantageInterpreter(InterpreterDefaults):
+class AdvantageInterpreter(base.InterpreterDefaults):
     """The behaviour policy, biased by beta times the advantage. temperature: T, which `select` divides by."""
 
-    prior: LexemeInterpreter
+    prior: base.LexemeInterpreter
     critics: CriticsRunner
     beta: float = 1.0
     temperature: float = 1.0
     name = "advantage"
 
     @classmethod
-    def open(cls, parts: InterpreterParts) -> AdvantageInterpreter:
+    def open(cls, parts: base.InterpreterParts) -> AdvantageInterpreter:
         assert parts.prior is not None and parts.model is not None
         return cls(parts.prior, parts.model, parts.beta)
 
     @property
-    def needs(self) -> frozenset[Need]:
-        return as_interpreter(self.prior).needs
+    def needs(self) -> frozenset[base.Need]:
+        return base.as_interpreter(self.prior).needs
 
     def steered(self, beta: float | None, temperature: float) -> AdvantageInterpreter:
         return replace(self, beta=self.beta if beta is None else beta, temperature=temperature)
@@ -93,8 +84,8 @@ class AdvantageInterpreter(InterpreterDefaults):
     def start(self, speaker: int, first_lexeme: int) -> AdvantageState:
         return AdvantageState(self.prior.start(speaker, first_lexeme), self.critics.start(speaker))
 
-    def step(self, state: AdvantageState, features: BlockFeatures, previous_lexeme: int
-             ) -> tuple[Scores, AdvantageState]:
+    def step(self, state: AdvantageState, features: base.BlockFeatures, previous_lexeme: int
+             ) -> tuple[base.Scores, AdvantageState]:
         """Scores [S] such that softmax(scores / T) is the policy (for T = 0 those of T = 1); with beta 0 exactly those
         of the behaviour policy."""
         log_prior, prior = self.prior.step(state.prior, features, previous_lexeme)

@@ -226,6 +226,7 @@ def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
     def line(*arguments: str | Path) -> str:
         from gesticulator.cli import main
 
+        capfd.readouterr()  # of commands that the test ran before
         with pytest.raises(SystemExit) as left:
             main([*map(str, arguments)])
         out, error = capfd.readouterr()

@@ -6,8 +6,6 @@ a scratch folder with the files that they name, and runs each line in it with th
 imported; only pages and recordings are read.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex
@@ -135,7 +133,7 @@ def run(example: Example, folder: Path) -> str:
     if serves:
         assert process.stdout is not None
         for line in process.stdout:
-            if "is ready" in line or "Ctrl C" in line:
+            if "ready" in line or "Ctrl C" in line:
                 break
         time.sleep(1.0)
         process.send_signal(signal.SIGINT)

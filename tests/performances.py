@@ -1,7 +1,5 @@
 """A small performance made by rule, for the tests of what is written and shown; and the example recording."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +7,7 @@ import soundfile
 
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTER
-from data_module.types import Array, BeatFlag, Blocks, Motion, Skeleton, Speech, Word
+from data_module.types import Array, BeatFlag, Blocks, Motion, Samples, Skeleton, Speech, Word
 from gesticulator.export import writers
 from gesticulator.export.clip import ClipLayout
 from gesticulator.options import InferenceOptions
@@ -26,6 +24,14 @@ def example(seconds: float | None = None) -> Speech:
     """The beginning of the example recording, or all of it."""
     samples, rate = soundfile.read(EXAMPLE, frames=-1 if seconds is None else round(seconds * RATE), dtype="float32")
     return Speech(samples, rate)
+
+
+def babble(seconds: float, seed: int = 0) -> Samples:
+    """Syllables of a buzz over faint noise at `RATE`, with a pause in every four seconds."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(seconds * RATE)) / RATE
+    buzz = np.sign(np.sin(2 * np.pi * 130 * time)) * np.clip(np.sin(2 * np.pi * 3.1 * time), 0, 1) ** 2
+    return (0.2 * buzz * (time % 4.0 <= 3.0) + 0.001 * rng.normal(size=len(time))).astype(np.float32)
 
 
 def turned(skeleton: Skeleton, frames: int, fps: float = 60.0, **joints: Array) -> Motion:

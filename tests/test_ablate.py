@@ -1,7 +1,5 @@
 """The ablation runner on networks of no size: what a row trains and plays, what stands beside it, how a run goes on."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path
@@ -118,7 +116,7 @@ def test_the_command_goes_on_where_it_was_stopped(ablation: Ablation, work: Path
 
     files = {file: file.stat().st_mtime_ns for file in here.cells.out.glob("cells/*")}
     with monkeypatch.context() as patched:
-        patched.setattr(run, "assemble", nothing)
+        patched.setattr(run.stages, "assemble", nothing)
         ablate(here, "ours")
     assert {file: file.stat().st_mtime_ns for file in files} == files, "finished cells stand"
     here.cells.file("ours", 1).unlink()

@@ -1,7 +1,5 @@
 """The product as a programmer calls it: what may be given, what comes back, and what is refused."""
 
-from __future__ import annotations
-
 import io
 import json
 import subprocess
@@ -13,6 +11,7 @@ import numpy as np
 import pytest
 import soundfile
 import torch
+from performances import RATE, babble
 from test_pipeline import same
 from untrained import untrained
 
@@ -23,20 +22,11 @@ from data_module.speech.audio import amplified
 from data_module.types import Speech, Word
 from gesticulator.gesticulator import Gesticulator
 
-RATE = 16000
-
 
 @pytest.fixture(scope="module")
 def g() -> Gesticulator:
     """A bundle that was never trained, with every part."""
     return Gesticulator(untrained())
-
-
-def voice(seconds: float = 2.0, rate: int = RATE) -> np.ndarray:
-    """Bursts of a voice at 130 Hz, three a second."""
-    t = np.arange(round(seconds * rate)) / rate
-    return (0.2 * np.sign(np.sin(2 * np.pi * 130 * t)) * np.clip(np.sin(2 * np.pi * 3.1 * t), 0, 1) ** 2
-            ).astype(np.float32)
 
 
 # -------------------------------------------------------------------------------------------------- the names
@@ -56,12 +46,12 @@ def test_the_top_has_every_name_and_imports_nothing_for_it() -> None:
 # ------------------------------------------------------------------------------------------- what may be given
 
 def test_a_path_samples_and_a_speech_are_one(g: Gesticulator, tmp_path: Path) -> None:
-    soundfile.write(tmp_path / "speech.wav", voice(), RATE, subtype="FLOAT")
-    base = g(Speech(voice(), RATE))
-    for made in (g(tmp_path / "speech.wav"), g(str(tmp_path / "speech.wav")), g(voice(), RATE),
+    soundfile.write(tmp_path / "speech.wav", babble(2.0), RATE, subtype="FLOAT")
+    base = g(Speech(babble(2.0), RATE))
+    for made in (g(tmp_path / "speech.wav"), g(str(tmp_path / "speech.wav")), g(babble(2.0), RATE),
                  g(io.BytesIO((tmp_path / "speech.wav").read_bytes())),
-                 g(voice().astype(np.float64), float(RATE)), g(np.stack([voice(), voice()], axis=1), RATE),
-                 g(torch.as_tensor(voice()), RATE)):
+                 g(babble(2.0).astype(np.float64), float(RATE)), g(np.stack([babble(2.0), babble(2.0)], axis=1), RATE),
+                 g(torch.as_tensor(babble(2.0)), RATE)):
         assert same(made, base)
 
 
@@ -82,16 +72,16 @@ def test_samples_that_cannot_be_used(samples: np.ndarray, rate: float | None, sa
 def test_a_str_is_what_is_said_and_a_path_is_a_file(g: Gesticulator, tmp_path: Path) -> None:
     spoken = "тяжёлый хлеб медленно поднимается"  # the aligner knows English alone, so the times are guessed
     (tmp_path / "words.txt").write_text(spoken, encoding="utf-8")
-    said, read = g(voice(), RATE, text=spoken), g(voice(), RATE, text=tmp_path / "words.txt")
+    said, read = g(babble(2.0), RATE, text=spoken), g(babble(2.0), RATE, text=tmp_path / "words.txt")
     assert same(said, read) and said.decided.notes == read.decided.notes and "4 words" in said.decided.notes[0]
     assert [word.text for word in said.speech.words or () if word.text] == spoken.split()
-    assert not same(said, g(voice(), RATE))
+    assert not same(said, g(babble(2.0), RATE))
     for name in (str(tmp_path / "words.txt"), "nowhere.srt"):
         with pytest.raises(InputError, match="is the name of a file"):
-            g(voice(), RATE, text=name)
+            g(babble(2.0), RATE, text=name)
     for empty in ("", "  \n", "..."):
         with pytest.raises(InputError, match="has no words"):
-            g(voice(), RATE, text=empty)
+            g(babble(2.0), RATE, text=empty)
 
 
 # ----------------------------------------------------------------------------------------------------- options
@@ -109,19 +99,19 @@ def test_a_str_is_what_is_said_and_a_path_is_a_file(g: Gesticulator, tmp_path: P
 ])
 def test_options_out_of_range_are_input_errors(options: dict[str, Any], said: str, g: Gesticulator) -> None:
     with pytest.raises(InputError, match=said):
-        g(voice(), RATE, **options)
+        g(babble(2.0), RATE, **options)
 
 
 def test_hands_are_arguments_in_every_form(g: Gesticulator) -> None:
     levels = g.bundle.levels
     assert levels is not None
     high = levels.value("height", "high")
-    base = g(voice(), RATE, controls=Controls(height=high))
+    base = g(babble(2.0), RATE, controls=Controls(height=high))
     for asked in ("high", high, repr(high), Curve((0.0, 1.0), (high, high)), np.float64(high)):
-        assert same(g(voice(), RATE, hand_height=asked), base), asked
-    assert not same(g(voice(), RATE), base)
-    two = g(voice(), RATE, hand_height="high", hand_speed=0.8)
-    assert not same(two, base) and same(two, g(voice(), RATE, controls=Controls(height=high, speed=0.8)))
+        assert same(g(babble(2.0), RATE, hand_height=asked), base), asked
+    assert not same(g(babble(2.0), RATE), base)
+    two = g(babble(2.0), RATE, hand_height="high", hand_speed=0.8)
+    assert not same(two, base) and same(two, g(babble(2.0), RATE, controls=Controls(height=high, speed=0.8)))
 
 
 def test_gain_is_decibels() -> None:
@@ -135,8 +125,8 @@ def test_gain_is_decibels() -> None:
 
 
 def test_the_explanation_says_what_was_done(g: Gesticulator) -> None:
-    made = g(voice(), RATE, seed=3, hand_height="low", hand_speed=Curve((0.0, 1.0), (0.2, 0.4)), activity=0.5, fps=25,
-             interpreter="cql", text="тяжёлый хлеб")
+    made = g(babble(2.0), RATE, seed=3, hand_height="low", hand_speed=Curve((0.0, 1.0), (0.2, 0.4)), activity=0.5,
+             fps=25, interpreter="cql", text="тяжёлый хлеб")
     told = json.loads(json.dumps(made.explain()))
     levels = g.bundle.levels
     assert levels is not None and told["score_is"] == "Q value" and told["notes"] == list(made.decided.notes)

@@ -1,7 +1,5 @@
 """Batches: what is noted, what is done again, who does what; the manifest survives being killed. Ray where it is."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal
@@ -202,7 +200,8 @@ def test_shards_of_a_folder_make_the_same_bytes(
 @pytest.mark.parametrize("asked", [["--shard", "3/2"], ["--shard", "half"], ["--manifest", "m.csv"],
                                    ["--ray", "local:0"]])
 def test_wrong_batches_are_one_line(asked: list[str], talks: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
-    assert asked[0] in refused("infer", talks, "-o", f"{tmp_path}/out/", *asked) and not list(tmp_path.iterdir())
+    line = refused("infer", talks, "-o", f"{tmp_path}/out/", *asked)
+    assert any(word in line for word in asked) and not list(tmp_path.iterdir())
 
 
 # ---------------------------------------------------------------------------------------------------------- Ray

@@ -1,7 +1,5 @@
 """The flow head: that it samples instead of averaging, obeys what it is given, and can be guided beyond it."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -100,6 +98,14 @@ def drawn(generator: FlowGenerator, lexeme: int, side: float, gains: tuple[float
 def test_a_shift_is_taken_back_along_a_quintic() -> None:
     """Of a block of four frames: 1 - (10 x^3 - 15 x^4 + 6 x^5) at its quarters."""
     torch.testing.assert_close(_fade(4, torch.zeros(1)), torch.tensor([0.896484375, 0.5, 0.103515625, 0.0]))
+
+
+def test_the_loss_before_training_is_that_of_unit_gaussian_data() -> None:
+    """Of u - noise, which has variance 2, (2 t - 1) / s u_t leaves 1 / s; its mean over t is pi / 2."""
+    batch = swings(300, False)
+    generator = made(batch["motion"].flatten(0, 1)).eval()
+    loss = generator.losses(batch, 0.0, lambda y: torch.zeros(len(y), dtype=torch.long))["flow"]
+    assert loss.item() == pytest.approx(np.pi / 2, rel=0.1)
 
 
 @pytest.mark.parametrize("shared", [False, True])

@@ -1,7 +1,5 @@
 """Characters in files as they are: compressed, quantised, several in one, nodes with matrices."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable
 from dataclasses import replace
@@ -210,11 +208,6 @@ def test_of_several_characters_the_named_one_moves(tmp_path: Path) -> None:
                    for channel in out.document["animations"][0]["channels"])
     with pytest.raises(InputError, match="choose among Ann, Bob"):
         read_character(f"{both}#Eve")
-
-
-def test_one_character_alone_needs_no_word(tmp_path: Path) -> None:
-    character, mapping = choose(write_character(tmp_path / "a#b.glb"))
-    assert note_of(character, mapping.joints["Hips"]) == ""
 
 
 def test_a_matrix_that_is_not_animated_stays_a_matrix(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """The main job, as a user calls it: files in, files out, the same bytes every time, and one line for bad input."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -14,23 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from performances import write_example
+from performances import RATE, babble, write_example
 
 from data_module.motion.bvh import read_bvh
 from data_module.motion.skeletons import JOINTS
 from gesticulator import infer
 from gesticulator.gesticulator import Gesticulator
-
-RATE = 16000
-
-
-def babble(seconds: float, rate: int = RATE, seed: int = 0) -> np.ndarray:
-    """Syllable-like bursts with a pause in the middle, over faint noise."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(round(seconds * rate)) / rate
-    voice = np.sign(np.sin(2 * np.pi * 130 * t)) * np.clip(np.sin(2 * np.pi * 3.1 * t), 0, 1) ** 2
-    voice[(t > 0.4 * seconds) & (t < 0.7 * seconds)] = 0
-    return (0.2 * voice + 0.001 * rng.normal(size=len(t))).astype(np.float32)
 
 
 @pytest.fixture(scope="module")

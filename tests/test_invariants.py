@@ -1,7 +1,5 @@
 """Invariants of the whole that no test of a single module would see fail."""
 
-from __future__ import annotations
-
 import copy
 from types import SimpleNamespace
 
@@ -10,6 +8,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from performances import RATE, babble
 from untrained import PLAIN, untrained
 
 from data_module.layers import freeze
@@ -25,19 +24,9 @@ from interpreters.statistical import StatisticalInterpreter
 from lexicon.autoencoder import Lexicon, LexiconConfig
 from lexicon.inventory import count
 
-RATE = 16000
 FRAMES, WIDTH, AUDIO, CODE = 6, 5, 4, 12
 SMALL = GeneratorConfig(motion_features=8, audio_features=6, style_width=4, position_width=4, hidden=24, groups=4,
                         classes=8, lstm_width=24, lstm_layers=1)
-
-
-def voice(seconds: float, seed: int = 0) -> np.ndarray:
-    """Syllables over faint noise, with a pause in every four seconds."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(round(seconds * RATE)) / RATE
-    sound = np.sign(np.sin(2 * np.pi * 130 * t)) * np.clip(np.sin(2 * np.pi * 3.1 * t), 0, 1) ** 2
-    sound[t % 4.0 > 3.0] = 0
-    return (0.2 * sound + 0.001 * rng.normal(size=len(t))).astype(np.float32)
 
 
 # ---- beats
@@ -168,7 +157,7 @@ def even() -> Gesticulator:
 
 @pytest.mark.parametrize("block", [1, 4, 7])
 def test_a_choice_hears_the_next_block_and_not_the_one_after(even: Gesticulator, block: int) -> None:
-    sound = voice(6.0)
+    sound = babble(6.0)
     whole = even(Speech(sound, RATE), fps=20)
     for first, heard in ((block + 1, True), (block + 2, False)):
         other = sound.copy()
@@ -188,7 +177,7 @@ def test_a_choice_hears_the_next_block_and_not_the_one_after(even: Gesticulator,
     indirect=["system"])
 def test_what_has_come_in_so_far_decides_what_is_played_so_far(system: Gesticulator, name: str) -> None:
     """The offline result of every beginning is the beginning of the offline result, past the Q-network's window too."""
-    sound, options = voice(7.3), {"interpreter": name, "seed": 3, "temperature": 1.0, "fps": 20}
+    sound, options = babble(7.3), {"interpreter": name, "seed": 3, "temperature": 1.0, "fps": 20}
     whole = system(Speech(sound, RATE), **options)  # type: ignore[arg-type]
     beats = system.bundle.config.rhythm.beats
     for seconds in (3.31, 5.9):

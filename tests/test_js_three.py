@@ -1,9 +1,14 @@
 """The browser client with three.js: clips, poses of a stream and faces on characters."""
 
-from __future__ import annotations
-
+import re
+import shutil
+import subprocess
+import sys
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +16,13 @@ import numpy as np
 import pytest
 from browser import package_page
 from face_samples import VisemeSpan, spoken
-from performances import perform, write
+from performances import perform, write, write_example
 from small_characters import write_character
 from test_face_files import add_shapes
 
-from data_module.motion.kinematics import global_rotations
+from data_module.motion.kinematics import global_rotations, positions_of
 from data_module.motion.skeletons import FINGERED, WHOLE_BODY, standing
-from data_module.types import Array, Skeleton
+from data_module.types import Array, Motion, Skeleton
 from gesticulator.export.clip import ClipLayout
 from gesticulator.export.vrma import BONES, humanoid
 from gesticulator.face.motion import FaceMotion
@@ -118,6 +123,49 @@ def test_an_additive_layer_over_an_idle_clip_is_the_gesture(page: Any, made: tup
             np.testing.assert_allclose(track, world[list(FRAMES), node, :3, 3], atol=2e-4, err_msg=name)
             checked += 1
     assert checked > 40
+
+
+def test_the_plain_receiver_shows_the_poses_of_a_real_server(browser: Any, tmp_path: Path) -> None:
+    """examples/three.html: each bone of three.js stands where our kinematics have it in the frame that is heard."""
+    if not (JS / "node_modules" / "three").is_dir():
+        pytest.skip("three.js is not installed: npm ci --prefix tests/js")
+    (tmp_path / "node_modules").mkdir()
+    for name, folder in (("three", JS / "node_modules" / "three"), ("gesticulator-client", FOLDER.parent)):
+        (tmp_path / "node_modules" / name).symlink_to(folder)
+    shutil.copy(FOLDER.parent / "examples" / "three.html", tmp_path / "index.html")
+    site = ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=str(tmp_path)))
+    threading.Thread(target=site.serve_forever, daemon=True).start()
+    page = f"http://127.0.0.1:{site.server_port}"
+    server = subprocess.Popen([sys.executable, "-m", "gesticulator", "serve", "--port", "0", "--origin", page],
+                              stderr=subprocess.PIPE, text=True, cwd=ROOT)
+    try:
+        assert server.stderr is not None
+        address = re.search(r"ws://\S+/stream", server.stderr.readline())
+        assert address is not None and any("ready" in line for line in server.stderr)
+        window = browser.new_page()
+        window.set_default_timeout(120_000)
+        window.goto(f"{page}/?server={address.group()}")
+        window.wait_for_function("window.ready === true")
+        empty = window.screenshot()
+        window.set_input_files("input", write_example(tmp_path / "voice.wav", 6.0))
+        window.wait_for_function("() => window.clock?.() > 2 && stream.frames.size && bones[1].quaternion.w !== 1")
+        names, turns, places, frame = window.evaluate("""() => [bones.map((bone) => bone.name),
+            bones.map((bone) => bone.quaternion.toArray()),
+            bones.map((bone) => bone.matrixWorld.elements.slice(12, 15)),
+            (({ turns, root }) => [...turns, ...root])(stream.frames.values().next().value)]""")
+        shown = window.screenshot()
+        window.close()
+    finally:
+        server.terminate()
+        server.wait(60)
+        site.shutdown()
+        site.server_close()
+    assert tuple(names) == WHOLE_BODY.names and shown != empty
+    sent = np.array(frame[:-3]).reshape(-1, 4)
+    np.testing.assert_allclose(np.array(turns)[:, [3, 0, 1, 2]], sent, atol=1e-6)
+    posed = Motion(WHOLE_BODY, sent[None], np.array([frame[-3:]]), 60.0)
+    np.testing.assert_allclose(places, positions_of(posed)[0], atol=1e-5)
+    assert np.abs(sent[:, 1:]).max() > 0.1, "it gestures"
 
 
 # ------------------------------------------------------------------------------------------------------------ the face

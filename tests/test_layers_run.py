@@ -1,7 +1,5 @@
 """The layers of the runners are those of torch in evaluation, for any sizes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -10,6 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from runners import tensors_of
 from torch import nn
 
 from data_module import layers_run as run
@@ -17,10 +16,6 @@ from data_module.errors import InputError
 from data_module.layers import BlockLinear, convolutions
 
 SIZE, COUNT, SEED = st.integers(1, 70), st.integers(1, 9), st.integers(0, 99)
-
-
-def tensors_of(module: nn.Module) -> run.Tensors:
-    return run.Tensors({key: value.numpy() for key, value in module.state_dict().items()})
 
 
 def same(module: nn.Module, build: Callable[[run.Tensors], Callable[[run.Floats], run.Floats]], *shape: int) -> None:

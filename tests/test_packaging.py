@@ -1,13 +1,10 @@
 """Installation: a tested version of every requirement, marked tests that exist, and the metadata of the build."""
 
-from __future__ import annotations
-
 import ast
 import importlib.metadata
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -15,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from javascript import printed_by
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -122,18 +118,3 @@ def test_an_extra_is_installed_from_where_the_program_came_from(note: dict[str, 
 
     monkeypatch.setattr(importlib.metadata, "distribution", lambda name: Installed())
     assert install_line("live") == line
-
-
-def test_the_documented_line_installs_the_npm_package_beside_three(tmp_path: Path) -> None:
-    """In an empty project, without a network: `three` is that of the tests."""
-    npm, three = shutil.which("npm"), ROOT / "tests" / "js" / "node_modules" / "three"
-    if npm is None or not three.is_dir():
-        pytest.skip("needs npm, and npm ci --prefix tests/js")
-    (line,) = re.findall(r"npm install three && (npm install .+)", (ROOT / "docs" / "tools.md").read_text())
-    (tmp_path / "package.json").write_text('{"private": true, "type": "module"}')
-    for command in (f"npm install --install-links {three}", line.replace("path/to/gesticulator", str(ROOT))):
-        subprocess.run([*command.split(), "--offline"], cwd=tmp_path, check=True, capture_output=True, timeout=120)
-    seen = printed_by('import { GesturePlayer } from "gesticulator-client/clips.js";'
-                      'import { GestureStream } from "gesticulator-client";'
-                      "console.log(JSON.stringify([typeof GesturePlayer, typeof GestureStream]))", tmp_path)
-    assert seen == ["function", "function"]

@@ -1,16 +1,14 @@
 """The runners of the paper's system give what its torch modules give, block by block, for any sizes and for the shipped
 bundles."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from runners import sizes_for
+from runners import sizes_for, tensors_of
 from torch import nn
 
-from data_module.layers_run import Floats, Tensors
+from data_module.layers_run import Floats
 from data_module.speech.speech_encoder import SpeechEncoder
 from data_module.speech.speech_encoder_run import SpeechEncoderRunner
 from generator.model import BlockInputs, Generator
@@ -45,10 +43,6 @@ def filled(module: nn.Module, seed: int) -> nn.Module:
             value.copy_(torch.rand(value.shape, generator=generator) + 0.5 if "var" in name else
                         torch.randn(value.shape, generator=generator) * 0.3)
     return module.eval()
-
-
-def tensors_of(module: nn.Module) -> Tensors:
-    return Tensors({key: value.numpy() for key, value in module.state_dict().items()})
 
 
 def floats(seed: int, *shape: int) -> Floats:

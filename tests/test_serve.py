@@ -3,8 +3,6 @@
 A server's whole life is in `test_deploy.py`.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging
@@ -410,6 +408,16 @@ async def test_no_more_streams_than_the_limit() -> None:
             while at.server.connections:
                 await asyncio.sleep(0.01)
         assert_whole((await talk(at.url, pcm(1.0)))[0], 1.0)
+
+
+@in_loop
+async def test_a_flood_of_short_messages_waits() -> None:
+    begin = time.monotonic()
+    async with running() as at, open_socket(at.url) as ws:
+        for text in (Hello(RATE).text(), *1600 * ['{"type": "speak"}'], '{"type": "finish"}'):
+            await ws.send(text)
+        assert json.loads([message async for message in ws][-1])["type"] == "done"
+    assert time.monotonic() - begin > 1600 / 500 - 2.0
 
 
 @in_loop

@@ -1,12 +1,11 @@
 """The page to try, `integrations/space`: a real voice in a real browser, its limits, and the memory that it takes."""
 
-from __future__ import annotations
-
 import os
 import re
 import socket
 import subprocess
 import sys
+import time
 import tomllib
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -76,6 +75,24 @@ def voice(tmp_path: Path) -> Path:
     return tmp_path / "voice.wav"
 
 
+def opened(browser: Any, url: str, voice: Path) -> Any:
+    """The page with a recording in it."""
+    page = browser.new_page(viewport={"width": 1300, "height": 900}, accept_downloads=True)
+    page.set_default_timeout(90_000)
+    page.goto(url)
+    page.locator("#recording input[type=file]").set_input_files(voice)
+    page.locator("#recording button[aria-label=Clear]").wait_for()
+    return page
+
+
+def check_memory(process: int) -> None:
+    """The most that the process has taken so far, where Linux tells it."""
+    status = Path(f"/proc/{process}/status").read_text() if Path("/proc").is_dir() else "VmHWM: 0 kB"
+    peak = int(status.split("VmHWM:")[1].split()[0]) / 1000
+    print(f"peak memory {peak:.0f} MB")
+    assert peak < MEGABYTES
+
+
 def saved(page: Any, suffix: str, folder: Path) -> Path:
     """What the button of a format downloads."""
     with page.expect_download() as got:
@@ -88,11 +105,7 @@ def test_a_voice_is_uploaded_watched_and_downloaded(address: tuple[str, int], vo
     url, process = address
     vrm = write_character(tmp_path / "her.vrm", vrm="1.0")
     with chromium() as browser:
-        page = browser.new_page(viewport={"width": 1300, "height": 900}, accept_downloads=True)
-        page.set_default_timeout(90_000)
-        page.goto(url)
-        page.locator("#recording input[type=file]").set_input_files(voice)
-        page.locator("#recording button[aria-label=Clear]").wait_for()
+        page = opened(browser, url, voice)
         seconds = soundfile.info(voice).duration
         for character in (None, vrm):
             if character is not None:
@@ -116,7 +129,22 @@ def test_a_voice_is_uploaded_watched_and_downloaded(address: tuple[str, int], vo
         page.wait_for_timeout(1500)
         page.locator("#start").click()
         page.get_by_text("The recording has 61 s; at most 60 s are taken.").wait_for()
-    status = Path(f"/proc/{process}/status").read_text() if Path("/proc").is_dir() else "VmHWM: 0 kB"
-    peak = int(status.split("VmHWM:")[1].split()[0]) / 1000
-    print(f"peak memory {peak:.0f} MB")
-    assert peak < MEGABYTES
+    check_memory(process)
+
+
+def test_of_two_visitors_at_once_the_second_waits_and_is_served(address: tuple[str, int], voice: Path) -> None:
+    url, process = address
+    with chromium() as browser:
+        pages = [opened(browser, url, voice) for _ in range(2)]
+        for page in pages:
+            page.locator("#start").click()
+        pages[1].get_by_text(re.compile(r"queue: \d/\d")).first.wait_for()
+        ends, work = [], []
+        for page in pages:
+            page.wait_for_function("() => /of speech in/.test(document.querySelector('#line')?.innerText ?? '')")
+            ends.append(time.monotonic())
+            work += map(float, re.findall(r"of speech in ([\d.]+) s", page.locator("#line").inner_text()))
+            page.frame_locator("#page iframe").locator("body[data-ready=true]").wait_for(state="attached")
+    # The work on the second begins when that on the first has ended, and both are in the same hurry.
+    assert ends[1] - ends[0] > 0.7 * work[1], (ends, work)
+    check_memory(process)

@@ -1,12 +1,11 @@
 """What the models hear: sound and words on the right blocks, the same in training and in use."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from performances import babble
 
 from data_module.speech.audio import SAMPLE_RATE
 from data_module.store import Store
@@ -30,13 +29,6 @@ class Numbers:
     def encode_into(self, out: np.ndarray, words: tuple[Word, ...], so_far: bool) -> Iterator[None]:
         out[:] = [[number + 1.0, 10.0] if word.text else [0.0, 0.0] for number, word in enumerate(words)]
         yield
-
-
-def babble(seconds: float, seed: int = 0) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    t = np.arange(round(seconds * SAMPLE_RATE)) / SAMPLE_RATE
-    voice = np.sign(np.sin(2 * np.pi * 130 * t)) * np.clip(np.sin(2 * np.pi * 3.1 * t), 0, 1) ** 2
-    return (0.2 * voice + 0.001 * rng.normal(size=len(t))).astype(np.float32)
 
 
 @pytest.fixture(scope="module")

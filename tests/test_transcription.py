@@ -1,7 +1,5 @@
 """Words by a speech recogniser: what is heard in the example, and one line for what is missing."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from difflib import SequenceMatcher
@@ -63,7 +61,7 @@ def test_silence_has_no_words(model: str) -> None:
 def test_a_missing_recogniser_and_model_are_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, refused: Any
                                                      ) -> None:
     monkeypatch.setattr(registry, "find_spec", lambda name: None)
-    line = refused("infer", SPEECH, "-o", tmp_path / "a.bvh", "--transcribe", "tiny.en")
+    line = refused("infer", SPEECH, "-o", tmp_path / "a.bvh", "--transcribe", "tiny.en", "--quiet")
     assert "needs faster-whisper" in line and INSTALL in line
     assert not list(tmp_path.iterdir())
     transcription._packaged.cache_clear()

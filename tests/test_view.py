@@ -6,6 +6,7 @@ import json
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -136,10 +137,10 @@ def test_a_browser_is_led_in_by_a_private_file(tmp_path: Path) -> None:
 
 
 @contextmanager
-def viewing(sound: Path, *words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def viewing(sound: Path, *words: str, stderr: int | None = None) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """`gesticulator view` as a program, and its address."""
     process = subprocess.Popen([sys.executable, "-c", CODE, str(sound), "--no-browser", *words], stdout=subprocess.PIPE,
-                               text=True)
+                               stderr=stderr, text=True)
     assert process.stdout is not None
     try:
         yield process, next(line for line in process.stdout if line.startswith("http://")).split()[0]
@@ -148,10 +149,25 @@ def viewing(sound: Path, *words: str) -> Iterator[tuple[subprocess.Popen[str], s
         process.wait(30)
 
 
+def test_page_and_terminal_say_the_same_of_what_cannot_be_shown(tmp_path: Path) -> None:
+    (sound := tmp_path / "talk.wav").write_text("no sound at all")
+    with viewing(sound, stderr=subprocess.PIPE) as (process, url):
+        while "failed" not in (told := json.load(urlopen(url + "progress"))):
+            time.sleep(0.02)
+        said = process.communicate(timeout=60)[1]
+        assert process.returncode == 2 and said == f"gesticulator: {told['failed']}\n" and "talk.wav" in said
+
+
 def test_the_command_shows_a_character(recording: Path, tmp_path: Path) -> None:
     rig = write_character(tmp_path / "rig.glb")
-    with viewing(recording, "--character", str(rig), "--fps", "25") as (process, url), urlopen(url) as answer:
-        page = answer.read().decode()
+    with viewing(recording, "--character", str(rig), "--fps", "25") as (process, url):
+        assert b'id="performance"' not in urlopen(url).read(), "the page opens before the talk is there"
+        shares = [0.0]
+        while not (told := json.load(urlopen(url + "progress")))["ready"]:
+            shares.append(told.get("share", 0.0))
+            time.sleep(0.02)
+        assert shares == sorted(shares) and shares[-1] > 0.5 and told["name"] == recording.name
+        page = urlopen(url).read().decode()
         assert "<img" not in page
         told = json.loads(page.partition('id="performance">')[2].partition("</script>")[0])
         assert told["title"] == recording.stem and set(told["character"]["joints"]) > {"Hips", "LeftForeArm"}

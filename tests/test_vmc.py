@@ -1,7 +1,5 @@
 """VMC: python-osc reads the pose back, and forward kinematics in Unity's axes put every bone where ours do."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 from contextlib import suppress
@@ -12,7 +10,7 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 from live_double import TURN, served
-from performances import perform
+from performances import RATE, example, turned
 from pipecat_gesticulator import Hello, connect
 from pythonosc.osc_bundle import OscBundle
 
@@ -20,6 +18,7 @@ from data_module.errors import InputError
 from data_module.motion import kinematics
 from data_module.motion.skeletons import FINGERED, standing
 from data_module.types import Motion
+from gesticulator import Gesticulator
 from gesticulator.export.vrma import BONES
 from gesticulator.live import vmc
 from gesticulator.live.limits import ServerLimits
@@ -91,8 +90,9 @@ def unity_places(bones: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def motion() -> Motion:
-    return standing(perform(seconds=2.0, skeleton=FINGERED).motion)
+def motion(system: Gesticulator) -> Motion:
+    """Two seconds of a stream of ours."""
+    return standing(system.stream(sample_rate=RATE, fps=25).feed(example(6.0).samples).motion()).crop(50, 100)
 
 
 def frames_of(motion: Motion, first: int = 0) -> StreamFrames:
@@ -116,8 +116,16 @@ def test_a_receiver_reads_the_pose_back(motion: Motion) -> None:
         loose = 0.06 if name in ("Chest", "Neck", "Head") else 1e-5
         assert np.linalg.norm((place - places[origin]) - (truth[name] - truth[origin])) < loose, name
         assert np.linalg.norm(place - truth[name]) < 0.1
-    resting = {name: np.array([*numbers[:3], 0, 0, 0, 1]) for name, numbers in got.bones.items()}
-    assert unity_places(resting)["LeftHand"][0] < -0.5, "her left is -X in Unity, while she faces +Z"
+
+
+def test_a_raised_left_hand_is_the_left_hand_of_the_receiver() -> None:
+    """Unity's Y is up, the character faces +Z, and its left is -X. The left arm is 0.53 m long."""
+    for axis, way in ((0, (-0.53, 0, 0)), (2, (0, 0.53, 0)), (1, (0, 0, 0.53))):  # at rest, raised, pointing ahead
+        turn = np.eye(3)[axis] * [0, -1, 1] * np.pi / 2
+        pose = vmc.VmcFrames(standing(turned(FINGERED, 1, LeftArm=turn)))
+        places = unity_places(receive_all(pose.bundles(0, 0.0)).bones)
+        np.testing.assert_allclose(places["LeftHand"] - places["LeftUpperArm"], way, atol=1e-6)
+        np.testing.assert_allclose(places["RightHand"] - places["RightUpperArm"], (0.53, 0, 0), atol=1e-6)
 
 
 def test_frames_are_sent_when_they_are_due(motion: Motion, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,5 @@
 """Word vectors: a direct computation as the oracle, frames found by hand, the flag of the empty word."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
@@ -170,6 +168,7 @@ def test_what_is_said_later_changes_no_word_read_so_far(encoder: WordEncoder) ->
     words, changed = (_words(f"we met at the {place} of the old city") for place in ("bank", "gate"))
     first, second = (encoder.encode(each, so_far=True) for each in (words, changed))
     np.testing.assert_allclose(first[:4], second[:4], atol=2e-5)
+    assert len(list(encoder.encode_into(first.copy(), words, True, 1))) == 6 * len(words), "a step is one of six layers"
     assert np.abs(first[4:] - second[4:]).max(axis=1).min() > 0.02, "and what follows is another sentence"
     whole = [encoder.encode(each) for each in (words, changed)]
     assert np.abs(whole[0][:4] - whole[1][:4]).max() > 0.02, "the whole sentence is read otherwise"

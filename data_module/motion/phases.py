@@ -7,8 +7,6 @@ and the last movement, if it leads down to the rest, is the retraction. The apex
 deceleration. A hold is a raised hand under 0.15 m/s for 0.25 s between two movements.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -155,18 +153,15 @@ def _named(movements: list[Movement], height: Array, last: int, fps: float) -> l
         prepares = following.force > _HARDER * movement.force and (k == 0 or phases[k - 1] != Phase.PREPARATION)
         if at_once and prepares:
             phases[k] = Phase.PREPARATION
-    if len(movements) > 1 and _goes_home(movements[-1], height, last, fps):
+    final = movements[-1] if len(movements) > 1 else None
+    # Much of its way is downwards, and the hand stays there: the unit ends with it.
+    if final is not None and last - final.last < _HOLD * fps and \
+            height[final.first] - height[final.last - 1] > 0.4 * final.size:
         phases[-1] = Phase.RETRACTION
         # Nothing prepares a retraction.
         if phases[-2] == Phase.PREPARATION:
             phases[-2] = Phase.STROKE
     return [replace(movement, phase=phase) for movement, phase in zip(movements, phases, strict=True)]
-
-
-def _goes_home(movement: Movement, height: Array, last: int, fps: float) -> bool:
-    falls = height[movement.first] - height[movement.last - 1]
-    # Much of its way is downwards, and the hand stays there: the unit ends with it.
-    return last - movement.last < _HOLD * fps and falls > 0.4 * movement.size
 
 
 def _label_between(labels: NDArray[np.int8], height: Array, speed: Array, units: tuple[tuple[int, int], ...],
@@ -178,15 +173,9 @@ def _label_between(labels: NDArray[np.int8], height: Array, speed: Array, units:
         labels[first:last][held] = Phase.HOLD
         for a, b in runs(inside & ~held):
             before, after = labels[first:first + a], labels[first + b:last]
-            if len(before) and len(after):
-                fill = _between(before[-1], after[0])
+            # Between two phases, the way into what follows; but nothing prepares a hold.
+            if len(before) == 0 or (len(after) and after[0] == Phase.STROKE):
+                fill = Phase.PREPARATION
             else:
-                fill = before[-1] if len(before) else Phase.PREPARATION
+                fill = before[-1] if len(after) == 0 or after[0] == Phase.HOLD else after[0]
             labels[first + a:first + b] = fill
-
-
-def _between(before: int, after: int) -> int:
-    """The phase of a moment between two phases: the way into what follows, but nothing prepares a hold."""
-    if after == Phase.STROKE:
-        return Phase.PREPARATION
-    return before if after == Phase.HOLD else after

@@ -5,8 +5,6 @@ cosines gives the bend of the knee from the positions of hip and ankle, and the 
 toes.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -38,8 +36,10 @@ def with_standing_legs(motion: Motion) -> Motion:
     motion: on `WHOLE_BODY`; the rotations of the hips are used, their path and the legs are not. Y = 0 is the floor,
     the mean position of the hips is over the origin, and the feet point in the mean direction of the hips."""
     motion = skeletons.resized(motion, WHOLE_BODY)
-    heading = _mean_yaw(motion.rotations[:, 0])
     hips = motion.rotations[:, 0]
+    yaws = rotation.yaw_of(hips)
+    # The mean of quaternions on one half sphere, since q and -q are one rotation.
+    heading = rotation.normalise(np.where(yaws @ yaws[0] < 0.0, -1.0, 1.0) @ yaws)
     root = np.zeros((len(motion), 3))
     root[:, [0, 2]] = _travel(motion)
     ankles = {side: rotation.rotate(heading, _FEET * [sign, 1.0, 1.0]) for side, sign in _SIDES}
@@ -49,7 +49,8 @@ def with_standing_legs(motion: Motion) -> Motion:
     root[:, 1] = _under(np.minimum(reach, HIP_HEIGHT), motion.fps)
     rotations = motion.rotations.copy()
     for side, sign in _SIDES:
-        toes = rotation.multiply(heading, _about_up(sign * _TOES_OUT))
+        half = sign * _TOES_OUT / 2.0
+        toes = rotation.multiply(heading, np.array([np.cos(half), 0.0, np.sin(half), 0.0]))
         thigh, shin = bent_leg(ankles[side] - root - sockets[side], rotation.rotate(toes, np.array([0.0, 0.0, 1.0])),
                                leg_lengths(WHOLE_BODY, side))
         foot = np.broadcast_to(toes, thigh.shape)
@@ -61,16 +62,6 @@ def with_standing_legs(motion: Motion) -> Motion:
     return replace(motion, rotations=rotations, root_positions=root,
                    absent=tuple(name for name in motion.absent if name not in LEG_JOINTS),
                    filled=tuple(name for name in WHOLE_BODY.names if name in every))
-
-
-def _mean_yaw(hips: Array) -> Array:
-    yaws = rotation.yaw_of(hips)
-    # The mean of quaternions on one half sphere, since q and -q are one rotation.
-    return rotation.normalise(np.where(yaws @ yaws[0] < 0.0, -1.0, 1.0) @ yaws)
-
-
-def _about_up(angle: float) -> Array:
-    return np.array([np.cos(angle / 2.0), 0.0, np.sin(angle / 2.0), 0.0])
 
 
 def _travel(motion: Motion) -> Array:

@@ -4,8 +4,6 @@ Two stages train it on speech: `PredictiveCoding` predicts the next rows, and `T
 towards the words and pushes the others away (Eq. 1).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import torch
@@ -14,15 +12,7 @@ from torch import Tensor, nn
 
 from data_module.layers import masked_mean
 from data_module.layers_run import Tensors
-from data_module.speech.speech_encoder_run import (
-    HIGH,
-    LEVELS,
-    LOW,
-    SHAPES,
-    SpeechEncoderRunner,
-    hop_and_reach,
-    pooling,
-)
+from data_module.speech import speech_encoder_run as run
 
 PROJECTION = 128
 """Width of the space in which Eq. 1 compares text with audio."""
@@ -42,15 +32,15 @@ class SpeechEncoder(nn.Module):
     def __init__(self, width: int) -> None:
         """width: channels of every convolution."""
         super().__init__()
-        self.width, widths = width, (1, *[width] * LEVELS)
+        self.width, widths = width, (1, *[width] * run.LEVELS)
         self.convolutions = nn.ModuleList(nn.Conv1d(widths[layer], width, kernel, stride, bias=False)
-                                          for layer, (kernel, stride) in enumerate(SHAPES))
-        self.norms = nn.ModuleList(nn.GroupNorm(1, width) for _ in SHAPES)
+                                          for layer, (kernel, stride) in enumerate(run.SHAPES))
+        self.norms = nn.ModuleList(nn.GroupNorm(1, width) for _ in run.SHAPES)
 
     def forward(self, samples: Tensor) -> list[Tensor]:
         """Samples [B, T] at 16 kHz to the eight levels, each [B, C, T_l]; the last as log(1 + |x|). ValueError when a
         window is too short for a row of the last level (465 samples)."""
-        shortest = hop_and_reach(LEVELS)[1]
+        shortest = run.hop_and_reach(run.LEVELS)[1]
         if samples.ndim != 2 or samples.shape[1] < shortest:
             raise ValueError(f"samples {tuple(samples.shape)} are not [B, T] with {shortest} or more")
         x = samples.unsqueeze(1)
@@ -61,12 +51,12 @@ class SpeechEncoder(nn.Module):
         out[-1] = torch.log1p(out[-1].abs())
         return out
 
-    def levels(self, samples: Tensor, frames: int, which: Sequence[int] = (LOW, HIGH)) -> tuple[Tensor, ...]:
+    def levels(self, samples: Tensor, frames: int, which: Sequence[int] = (run.LOW, run.HIGH)) -> tuple[Tensor, ...]:
         """The levels `which` (1 to 8) of windows [B, T], averaged over each motion frame: [B, frames, C] each."""
         out = self(samples)
         pooled = []
         for level in which:
-            matrix = torch.from_numpy(pooling(level, samples.shape[1], frames)).to(samples.device)
+            matrix = torch.from_numpy(run.pooling(level, samples.shape[1], frames)).to(samples.device)
             pooled.append((out[level - 1] @ matrix).transpose(1, 2))
         return tuple(pooled)
 
@@ -126,7 +116,7 @@ class TextContrast(nn.Module):
         super().__init__()
         self.encoder, self.frames = encoder, frames
         self.text = nn.Linear(text_width, PROJECTION, bias=False)
-        self.audio = nn.ModuleList(nn.Linear(encoder.width, PROJECTION, bias=False) for _ in range(LEVELS))
+        self.audio = nn.ModuleList(nn.Linear(encoder.width, PROJECTION, bias=False) for _ in range(run.LEVELS))
 
     @property
     def weights(self) -> dict[str, float]:
@@ -135,7 +125,7 @@ class TextContrast(nn.Module):
     def similarities(self, batch: Mapping[str, Tensor]) -> Tensor:
         """Eq. 2 for each anchor frame, level and frame of the middle block: [B, K, 8, K] cosines."""
         middle = slice(self.frames, 2 * self.frames)
-        levels = self.encoder.levels(batch["samples"], 3 * self.frames, range(1, LEVELS + 1))
+        levels = self.encoder.levels(batch["samples"], 3 * self.frames, range(1, run.LEVELS + 1))
         audio = torch.stack([project(level[:, middle]) for project, level in zip(self.audio, levels, strict=True)], 1)
         text = F.normalize(self.text(batch["text"]), dim=-1)
         return torch.einsum("bkp,blip->bkli", text, F.normalize(audio, dim=-1))
@@ -159,11 +149,11 @@ class TextContrast(nn.Module):
         best = self.similarities(batch).argmax(dim=-1)
         word = batch["word"]
         anchors = (word >= 0) & (word[:, :, None] != word[:, None]).any(dim=-1)
-        retrieved = torch.gather(word[:, :, None].expand(-1, -1, LEVELS), 1, best)
+        retrieved = torch.gather(word[:, :, None].expand(-1, -1, run.LEVELS), 1, best)
         return (retrieved == word[..., None])[anchors].float().mean(dim=0)
 
 
-def runner_of(encoder: SpeechEncoder) -> SpeechEncoderRunner:
+def runner_of(encoder: SpeechEncoder) -> run.SpeechEncoderRunner:
     """The encoder as it is played, on arrays."""
     tensors = Tensors({key: value.detach().cpu().numpy() for key, value in encoder.state_dict().items()})
-    return SpeechEncoderRunner(encoder.width, tensors)
+    return run.SpeechEncoderRunner(encoder.width, tensors)

@@ -91,17 +91,18 @@ class WordEncoder:
         return out
 
     def encode_into(self, out: Vectors, words: Sequence[Word], so_far: bool, batch: int = _BATCH) -> Iterator[None]:
-        """`encode` in steps of a `batch` of texts, which fill `out` [W, width]."""
+        """`encode` in steps of a layer for a `batch` of texts; the last ones fill `out` [W, width]."""
         parts = [part for sentence in sentences(words) for part in self._fitting(words, sentence)]
         if so_far:
             # A BERT attends in both directions, so a causal vector takes a pass over each beginning of the sentence.
             parts = [beginning for part in parts for beginning in part.beginnings()]
         for start in range(0, len(parts), batch):
             read = parts[start:start + batch]
-            for part, states in zip(read, self._model([part.pieces for part in read]), strict=True):
+            for vectors in self._model.layers([part.pieces for part in read]):  # noqa: B007 - the last are read below
+                yield
+            for part, states in zip(read, vectors, strict=True):
                 for number in set(part.owners) - {-1}:
                     out[number] = states[np.array(part.owners) == number].mean(axis=0)
-            yield
 
     def _fitting(self, words: Sequence[Word], sentence: Sequence[int]) -> list[_Pieces]:
         """The sentence in word pieces; halved if it is too long for the model, down to a truncated word."""

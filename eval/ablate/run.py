@@ -16,8 +16,6 @@ the work folder under the hash of its settings, so a row trains what its setting
 folder of the training command serves its finished stages.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -52,18 +50,7 @@ from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import Config
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.options import FPS
-from gesticulator.training.stages import (
-    BLOCKS,
-    CORPUS,
-    ENCODER,
-    LABELS,
-    LEXICON,
-    Labelled,
-    Node,
-    Run,
-    assemble,
-    wanted,
-)
+from gesticulator.training import stages
 from gesticulator.training.stages.q_network import takes_of
 
 VERSION = 4
@@ -88,16 +75,16 @@ def configured(base: Config, row: str) -> Config:
 
 
 @dataclass
-class RowRun(Run):
+class RowRun(stages.Run):
     """The run of a row. taken: nodes that another run makes, by name, whose keys then shape this run's stages."""
 
-    taken: Mapping[str, Run] = field(default_factory=dict)
+    taken: Mapping[str, stages.Run] = field(default_factory=dict)
 
-    def get(self, node: Node[T]) -> T:
+    def get(self, node: stages.Node[T]) -> T:
         """See `Run.get`."""
         return self.taken[node.name].get(node) if node.name in self.taken else super().get(node)
 
-    def key(self, node: Node[Any]) -> str:
+    def key(self, node: stages.Node[Any]) -> str:
         """See `Run.key`."""
         return self.taken[node.name].key(node) if node.name in self.taken else super().key(node)
 
@@ -121,11 +108,11 @@ class RgRows:
     """The rows over the preset whose run the context holds; what they share is made at its first use."""
 
     context: EvalContext
-    _corpora: dict[str, Run] = field(default_factory=dict, init=False)
+    _corpora: dict[str, stages.Run] = field(default_factory=dict, init=False)
     _scored: dict[tuple[Any, ...], ScoredClips] = field(default_factory=dict, init=False)
 
     @property
-    def first(self) -> Run:
+    def first(self) -> stages.Run:
         """The run of the preset as it is."""
         return self.context.run
 
@@ -133,21 +120,21 @@ class RgRows:
     def shared(self) -> str:
         """Hash of what the rows share; figures that are compared must agree in it."""
         networks = [[network.sha256, network.name, network.frames] for network in self.context.networks.values()]
-        return configs.digest(VERSION, self.first.store.fingerprint, self.first.config, self.first.key(LEXICON),
-                              self.first.key(CORPUS), networks, self.context.limit)
+        return configs.digest(VERSION, self.first.store.fingerprint, self.first.config, self.first.key(stages.LEXICON),
+                              self.first.key(stages.CORPUS), networks, self.context.limit)
 
     def run(self, name: str, seed: int) -> RowRun:
         """The run of a row at a seed, which trains all but the speech encoder."""
         config = configured(self.first.config, name)
         corpora = self._corpus_run(config)
         return self._row_run(replace(config, seed=seed), {
-            ENCODER.name: self.first, BLOCKS.name: corpora, CORPUS.name: corpora})
+            stages.ENCODER.name: self.first, stages.BLOCKS.name: corpora, stages.CORPUS.name: corpora})
 
-    def _row_run(self, config: Config, taken: Mapping[str, Run]) -> RowRun:
+    def _row_run(self, config: Config, taken: Mapping[str, stages.Run]) -> RowRun:
         first = self.first
         return RowRun(config, first.store, first.work, first.device, first.progress, first.workers, taken=taken)
 
-    def _corpus_run(self, config: Config) -> Run:
+    def _corpus_run(self, config: Config) -> stages.Run:
         """The run that cuts the store by these settings; that of the preset and the last other one stay in memory."""
         first = self.first
         key, preset = (configs.digest(settings.rhythm, settings.motion, settings.control, settings.text,
@@ -156,22 +143,22 @@ class RgRows:
             return first
         if key not in self._corpora:
             # One at a time: the blocks of five hours fill the memory.
-            self._corpora = {key: self._row_run(config, {ENCODER.name: first})}
+            self._corpora = {key: self._row_run(config, {stages.ENCODER.name: first})}
         return self._corpora[key]
 
     def trained(self, name: str, seed: int) -> tuple[Bundle, RowRun]:
         """The bundle of a row, and its run; what is not in the work folder is trained."""
         run = self.run(name, seed)
-        return assemble(run), run
+        return stages.assemble(run), run
 
     def cell_key(self, name: str, seed: int) -> str:
         """Hash of everything that shapes a row's cell."""
         row, run = ROWS[name], self.run(name, seed)
         config = run.config
         # Beside the stages everything that is applied when they play: it changes the motion and no weights.
-        return configs.digest(self.shared, run.key(LEXICON), [run.key(stage) for stage in wanted(config)], row.play,
-                              row.style, config.selection, config.silence, config.motion,
-                              self.names(row.split))
+        trained = [run.key(stage) for stage in stages.wanted(config)]
+        return configs.digest(self.shared, run.key(stages.LEXICON), trained, row.play, row.style, config.selection,
+                              config.silence, config.motion, self.names(row.split))
 
     # ------------------------------------------------------------------------------------------------------ recordings
 
@@ -253,22 +240,23 @@ class RgRows:
             clip["own_code"] = self.own_code(system, run, recording)
         # Accuracy compares lexemes by number, which means the same in one lexicon only.
         standard = self.run(OURS, seed)
-        if run.key(LEXICON) == standard.key(LEXICON):
+        if run.key(stages.LEXICON) == standard.key(stages.LEXICON):
             for clip in summary["clips"]:
-                clip |= self.accuracies(system, standard.get(LABELS), row.play, clip["name"])
+                clip |= self.accuracies(system, standard.get(stages.LABELS), row.play, clip["name"])
         return summary
 
-    def own_code(self, system: Gesticulator, run: Run, recording: Recording) -> float:
+    def own_code(self, system: Gesticulator, run: stages.Run, recording: Recording) -> float:
         """The row's positive control: by how many mm the mean joint error falls when each block of a recording is
         played with its own lexeme instead of that of a block half the recording away. 0 says that lexemes do nothing.
         """
-        corpus = run.get(CORPUS)
-        lexemes = run.get(LABELS).hinted[corpus.blocks_of(corpus.names.index(recording.info.name))]
+        corpus = run.get(stages.CORPUS)
+        lexemes = run.get(stages.LABELS).hinted[corpus.blocks_of(corpus.names.index(recording.info.name))]
         another, true = (motion_error(fitted(played(system, recording, codes), recording.motion), recording.motion).maje
                         for codes in (np.roll(lexemes, len(lexemes) // 2), lexemes))
         return another - true
 
-    def accuracies(self, system: Gesticulator, labelled: Labelled, interpreter: str, name: str) -> dict[str, float]:
+    def accuracies(self, system: Gesticulator, labelled: stages.Labelled, interpreter: str, name: str
+                   ) -> dict[str, float]:
         """Free-running and teacher-forced (RG Table 6), of a recording and a row over the lexicon of `ours`."""
         corpus = self.context.corpus
         number = corpus.names.index(name)

@@ -13,8 +13,6 @@ What fools them: a speaking rate alone makes strokes faster, so that amplitude i
 fast hand; a system that ignores the sound is perfectly stable.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -27,19 +25,8 @@ from data_module.errors import InputError, install_line
 from data_module.motion.phases import gesture_units, runs
 from data_module.types import Array, Speech
 from eval import stats
+from eval.acceptance import stimuli
 from eval.acceptance.bounds import Measured, Results
-from eval.acceptance.stimuli import (
-    EXPORTS,
-    LIVELY,
-    READINGS,
-    SUBDUED,
-    derived,
-    middle_of,
-    other_words,
-    readings,
-    said_with,
-    word_changed,
-)
 from eval.clip.excerpts import spread_out
 from eval.metrics import eye
 from eval.metrics.eye import common_body, hear, stability
@@ -84,9 +71,9 @@ def effort(system: BundleSystem, renderings: int) -> Results:
     except ImportError:
         return {("effort_ratio", ""): Measured(
             missing=f"praat-parselmouth is not installed ({install_line('effort')})")}
-    sounds = readings()
+    sounds = stimuli.readings()
     if not sounds:
-        return {("effort_ratio", ""): Measured(missing=f"GESTICULATOR_DATA has no folder {READINGS}")}
+        return {("effort_ratio", ""): Measured(missing=f"GESTICULATOR_DATA has no folder {stimuli.READINGS}")}
     seeds = range(min(2, renderings))
 
     def voice(name: str, speech: Speech) -> AcceptanceVoice:
@@ -97,12 +84,12 @@ def effort(system: BundleSystem, renderings: int) -> Results:
         return [float(np.mean([row[figure] for row in rows])) for figure in (SIZE, SPEED)]
 
     # The same seed for both readings: only the sound differs.
-    values = np.array([[size_and_speed(name, said_with(speech, manner)) for name, speech in sounds]
-                       for manner in (LIVELY, SUBDUED)]).transpose(2, 0, 1)
+    values = np.array([[size_and_speed(name, stimuli.said_with(speech, manner)) for name, speech in sounds]
+                       for manner in (stimuli.LIVELY, stimuli.SUBDUED)]).transpose(2, 0, 1)
     apart = []
     for name, speech in sounds:
         first, quieter = (common_body(system.render(voice(name, sound), 0).motion)
-                          for sound in (speech, EXPORTS["6 dB quieter"](speech)))
+                          for sound in (speech, stimuli.EXPORTS["6 dB quieter"](speech)))
         apart.append(stability.difference(first, quieter).hands)
     return effort_figures(values, apart)
 
@@ -124,7 +111,7 @@ def order_figures(values: Mapping[tuple[str, str], Array]) -> Results:
 
 def controls(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Results:
     """The group `controls`: style controls, words, interpreters, size."""
-    short = [derived(voice, "short", middle_of(voice, SECONDS)) for voice in spread_out(voices, CLIPS)]
+    short = [stimuli.derived(voice, "short", stimuli.middle_of(voice, SECONDS)) for voice in spread_out(voices, CLIPS)]
     results = _style_controls(system, short) | _words(system, voices)
     for name in sorted({*NEEDED, *system.gesticulator.bundle.interpreters}):
         results["interpreter", name] = _interpreter(system, short[0], name)
@@ -153,7 +140,7 @@ def _words(system: BundleSystem, voices: Sequence[AcceptanceVoice]) -> Results:
     spoken = spread_out(spoken, CLIPS)
     changed, fainter = [], []
     for voice, other in zip(spoken, [*spoken[1:], spoken[0]], strict=True):
-        swapped = replace(voice, speech=other_words(voice.speech, other.speech.words or ()))
+        swapped = replace(voice, speech=stimuli.other_words(voice.speech, other.speech.words or ()))
         quiet = replace(voice, speech=replace(
             voice.speech, samples=np.float32(10.0 ** (-FAINTER / 20.0)) * voice.speech.samples))
         right, wrong, again = (system.render(sound, 0).lexemes for sound in (voice, swapped, quiet))
@@ -188,14 +175,14 @@ def moved(first: Rendering, again: Rendering) -> list[float]:
 def same_take(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings: int) -> Results:
     """The group `stability`, on the readings of GESTICULATOR_DATA or, without them, on some of the voices."""
     seeds = range(min(2, renderings))
-    sounds = [AcceptanceVoice(name, speech) for name, speech in readings()] or [
-        derived(voice, "exported", middle_of(voice, LONGEST)) for voice in spread_out(voices, CLIPS)]
-    values: dict[str, list[list[float]]] = {name: [] for name in (*EXPORTS, "another seed")}
+    sounds = [AcceptanceVoice(name, speech) for name, speech in stimuli.readings()] or [
+        stimuli.derived(voice, "exported", stimuli.middle_of(voice, LONGEST)) for voice in spread_out(voices, CLIPS)]
+    values: dict[str, list[list[float]]] = {name: [] for name in (*stimuli.EXPORTS, "another seed")}
     for voice, seed in itertools.product(sounds, seeds):
         first = system.render(voice, seed)
         # How far apart two takes of one sound are: without it "2 cm apart" says nothing.
         values["another seed"].append(moved(first, system.render(voice, seed + len(seeds))))
-        for name, change in EXPORTS.items():
+        for name, change in stimuli.EXPORTS.items():
             values[name].append(moved(first, system.render(replace(voice, speech=change(voice.speech)), seed)))
     results: Results = {(figure, name): Measured(stats.mean_interval(column)) for name, rows in values.items()
                         for figure, column in zip(("hands_apart", "lexemes_apart", "healed"), zip(*rows, strict=True),
@@ -240,7 +227,7 @@ def _word_changed(system: BundleSystem, voices: Sequence[AcceptanceVoice], seeds
     pairs = []
     for voice in spread_out([voice for voice in voices if len(voice.speech.words or ()) > 1], CLIPS):
         try:
-            speech, time = word_changed(voice.speech)
+            speech, time = stimuli.word_changed(voice.speech)
         except ValueError:
             continue
         swapped = replace(voice, speech=speech)

@@ -41,19 +41,9 @@ from eval.baselines import controls as baselines
 from eval.clip.clip_set import TRUTH, ClipSet, common_clips, listed, shared_names
 from eval.clip.foreign import Clip, named, names_in, read_folder
 from eval.context import EvalContext, provenance
-from eval.metrics import CLIP_METRICS, EYE_METRICS, METRICS, SET_METRICS, Metric, eye, fgd
+from eval.metrics import CLIP_METRICS, EYE_METRICS, METRICS, SET_METRICS, Metric, evaluate, eye, fgd
 from eval.metrics.diversity import diversity, motion_variance
 from eval.metrics.encode import EncodedMotion, encode_motion
-from eval.metrics.evaluate import (
-    ACCURACY,
-    MOTION_METRICS,
-    MotionBeats,
-    OnsetTrack,
-    Values,
-    clip_values,
-    eye_values,
-    lexeme_values,
-)
 from eval.metrics.gesture_features import pooled, spaces
 from eval.metrics.smoothness import hand_speeds, hellinger, speed_histogram
 from eval.score.played_rows import PlayedBundle
@@ -79,7 +69,7 @@ class ScoredClips:
 
     context: EvalContext
     clips: ClipSet
-    tracks: list[OnsetTrack | None]
+    tracks: list[evaluate.OnsetTrack | None]
     voices: list[eye.VoiceActivity | None]
     blocks: list[Blocks | None]
 
@@ -89,7 +79,7 @@ class ScoredClips:
         bundle = context.models
         # A clip without speech keeps its place: all lists go by the same numbers.
         return cls(context, clips, *(list(each) for each in zip(*((
-            None if speech is None else OnsetTrack.of(speech), None if speech is None else eye.hear(speech),
+            None if speech is None else evaluate.OnsetTrack.of(speech), None if speech is None else eye.hear(speech),
             None if speech is None or bundle is None else cut(speech, bundle.config.rhythm))
             for speech in clips.speeches), strict=True)))
 
@@ -111,15 +101,15 @@ class ScoredClips:
 
     def row(self, name: str, kind: str, motions: list[Motion]) -> ScoreRow:
         """Everything about one set of motions."""
-        row = ScoreRow(name, kind, motions, [MotionBeats.of(motion) for motion in motions])
+        row = ScoreRow(name, kind, motions, [evaluate.MotionBeats.of(motion) for motion in motions])
         speakers = self.clips.motions[TRUTH]
         truth = [speaker.crop(0, len(motion)) for motion, speaker in zip(motions, speakers, strict=True)]
         # Each clip with a seed of its own: equal draws of chance would tie the clips to each other.
-        _put(row, MOTION_METRICS, [
-            clip_values(motion, second, beats, track, self.context.seed + k) for k, (motion, second, beats, track)
-            in enumerate(zip(motions, truth, row.beats, self.tracks, strict=True))])
+        seeds = range(self.context.seed, self.context.seed + len(motions))
+        _put(row, evaluate.MOTION_METRICS, list(map(
+            evaluate.clip_values, motions, truth, row.beats, self.tracks, seeds)))
         _put(row, tuple(EYE_METRICS), [
-            eye_values(motion, voice, None if blocks is None else blocks.edges)
+            evaluate.eye_values(motion, voice, None if blocks is None else blocks.edges)
             for motion, voice, blocks in zip(motions, self.voices, self.blocks, strict=True)])
         row.features = {key: pooled(motions, network) for key, network in self.context.networks.items()}
         row.sets |= {key: fgd.of_chosen(row.features[key], real) for key, real in self.features.items()}
@@ -135,11 +125,11 @@ class ScoredClips:
         of_sets = ("diversity", "motion_variance")
         bundle = self.context.models
         if bundle is None:
-            row.values[ACCURACY] = np.full(len(row.motions), np.nan)
-            row.reasons |= dict.fromkeys((*of_sets, ACCURACY), "no lexicon was given (--bundle)")
+            row.values[evaluate.ACCURACY] = np.full(len(row.motions), np.nan)
+            row.reasons |= dict.fromkeys((*of_sets, evaluate.ACCURACY), "no lexicon was given (--bundle)")
             return
         encoded = self.encoded(row.motions)
-        _put(row, (ACCURACY,), [lexeme_values(*pair) for pair in zip(encoded, self.truth, strict=True)])
+        _put(row, (evaluate.ACCURACY,), list(map(evaluate.lexeme_values, encoded, self.truth)))
         if not any(encoded):
             row.reasons |= dict.fromkeys(of_sets, "no speech is known")
             return
@@ -156,7 +146,7 @@ class ScoredClips:
             of_clips(latents, chosen), np.concatenate([labels[k] for k in chosen]), vectors)
 
 
-def _put(row: ScoreRow, metrics: Sequence[str], every: Sequence[Values]) -> None:
+def _put(row: ScoreRow, metrics: Sequence[str], every: Sequence[evaluate.Values]) -> None:
     """The values of all clips into a row, and why some have none."""
     for metric in metrics:
         row.values[metric] = np.array([values.numbers[metric] for values in every])

@@ -29,24 +29,8 @@ from data_module.motion import rotation
 from data_module.motion.representation import Representation
 from data_module.motion.skeletons import SIDES
 from data_module.types import Array, Motion, Skeleton
-from gesticulator.contacts.limbs import (
-    FINGERTIPS,
-    LEAST,
-    OURS,
-    POLE_OF_ELBOW,
-    SOFT,
-    Pose,
-    bent,
-    combined,
-    length,
-    pose_of,
-    receding,
-    soft,
-    swing,
-    swivelled,
-    trunk_axes,
-    write_turns,
-)
+from gesticulator.contacts import limbs
+from gesticulator.contacts.limbs import length
 
 if TYPE_CHECKING:
     from gesticulator.contacts.lap import Thigh
@@ -77,7 +61,7 @@ HEAD_RADIUS = 0.13
 """Metres from there within which a hand hides the face: the face is 0.09 deep, and a hand 0.04."""
 _HAND = "Hand", "HandMiddle1"
 """The points of a hand that are kept out: wrist and knuckles."""
-_SEATED = tuple(side + part for side in SIDES for part in ("UpLeg", "Leg", *FINGERTIPS))
+_SEATED = tuple(side + part for side in SIDES for part in ("UpLeg", "Leg", *limbs.FINGERTIPS))
 """Further joints of a body that sits."""
 _JOINTS = ("Neck", "Spine3", "Head", *(side + part for side in SIDES for part in ("Arm", "ForeArm", *_HAND)))
 _SIGNS = np.array([1.0, -1.0])[:, None, None]
@@ -93,13 +77,14 @@ def cleared(motion: Motion, sits: bool = False) -> Motion:
     """A motion on the default skeleton with the hands outside trunk and face. sits: and above its thighs, those of a
     body that sits; the motion may still lack them."""
     names = [name for name in (*_JOINTS, *(_SEATED if sits else ())) if name in motion.skeleton.names]
-    pose = pose_of(replace(motion, root_positions=np.zeros((len(motion), 3))), names)
+    pose = limbs.pose_of(replace(motion, root_positions=np.zeros((len(motion), 3))), names)
     body, rotations = _Body(pose, sits), None
-    points = [[pose.places[side + part] for part in (*_HAND, *FINGERTIPS) if side + part in names] for side in SIDES]
+    parts = (*_HAND, *limbs.FINGERTIPS)
+    points = [[pose.places[side + part] for part in parts if side + part in names] for side in SIDES]
     push = body.push(np.array(points), _SIGNS)
     # Both sides at once: this runs for every block of a stream, and few large arrays are faster.
     hidden = body.hidden(np.array([pose.places[side + "ForeArm"] for side in SIDES]), _SIGNS[..., 0])
-    moved = (length(push) > LEAST) | (length(hidden) > LEAST)
+    moved = (length(push) > limbs.LEAST) | (length(hidden) > limbs.LEAST)
     for side, sign, frames in zip(SIDES, (1.0, -1.0), moved[..., 0], strict=True):
         if frames.any():
             # Most motions are clear, and are returned as they came.
@@ -108,7 +93,7 @@ def cleared(motion: Motion, sits: bool = False) -> Motion:
     return motion if rotations is None else replace(motion, rotations=rotations)
 
 
-def _bend_arm(rotations: Array, skeleton: Skeleton, body_of: tuple[Pose, bool], side: tuple[str, float],
+def _bend_arm(rotations: Array, skeleton: Skeleton, body_of: tuple[limbs.Pose, bool], side: tuple[str, float],
               at: NDArray[np.int64]) -> None:
     """Bend an arm in `rotations` [T, J, 4] at the frames `at`, where it is in the body; body_of: the pose in these
     frames, and whether it sits."""
@@ -117,31 +102,31 @@ def _bend_arm(rotations: Array, skeleton: Skeleton, body_of: tuple[Pose, bool], 
     shoulder, wrist = places[name + "Arm"], places[name + "Hand"]
     bones = upper, lower = places[name + "ForeArm"] - shoulder, wrist - places[name + "ForeArm"]
     # The hand does not turn with the arm.
-    palm = np.array([places[name + part] - wrist for part in (*_HAND, *FINGERTIPS) if name + part in places])
+    palm = np.array([places[name + part] - wrist for part in (*_HAND, *limbs.FINGERTIPS) if name + part in places])
     share = 1.0 - body.at_shoulder(wrist, shoulder, sign)
     for _ in range(_STEPS_SEATED if sits else _STEPS):
         push = body.push(shoulder + upper + lower + palm, sign) * share
-        inside = length(push) > LEAST
+        inside = length(push) > limbs.LEAST
         if not inside.any():
             break
         # The elbow stays in the plane of its arm, so that a push of the hand does not swing it.
-        reaching = bent(upper, lower, upper + lower + push, POLE_OF_ELBOW)
+        reaching = limbs.bent(upper, lower, upper + lower + push, limbs.POLE_OF_ELBOW)
         upper, lower = np.where(inside, reaching[0], upper), np.where(inside, reaching[1], lower)
     for _ in range(_SWINGS):
         hidden = body.hidden(shoulder + upper, sign)
-        behind = length(hidden) > LEAST
+        behind = length(hidden) > limbs.LEAST
         if not behind.any():
             break
         # A frame does not depend on which others are cleared with it.
-        swung = swivelled(upper, lower, hidden)
+        swung = limbs.swivelled(upper, lower, hidden)
         upper, lower = np.where(behind, swung, upper), np.where(behind, upper + lower - swung, lower)
     turns = {skeleton.index(joint): turn for joint, turn in pose.turns.items()}
     chain = [skeleton.index(name + part) for part in ("Arm", "ForeArm", "Hand")]
     for node, before, after in zip(chain, bones, (upper, lower), strict=False):
-        turns[node] = swing(before, after) @ turns[node]
+        turns[node] = limbs.swing(before, after) @ turns[node]
     if len(palm) > 1:
         turns[chain[2]] = _tipped(turns[chain[2]], (shoulder + upper + lower, palm[1]), body, sign)
-    write_turns(rotations, skeleton, turns, chain, at)
+    limbs.write_turns(rotations, skeleton, turns, chain, at)
 
 
 def _tipped(turn: Array, hand: tuple[Array, Array], body: _Body, sign: float) -> Array:
@@ -149,7 +134,7 @@ def _tipped(turn: Array, hand: tuple[Array, Array], body: _Body, sign: float) ->
     its shoulder. hand: [T, 3] the wrist, and the knuckles from there; sign: 1 for the left hand, -1 for the right."""
     wrist, palm = hand
     push = body.out_of_trunk(wrist + palm, sign, TIP_SOFT)
-    at = length(push)[:, 0] > LEAST
+    at = length(push)[:, 0] > limbs.LEAST
     if not at.any():
         return turn
     before, after = palm[at], (palm + push)[at]
@@ -180,8 +165,8 @@ def cleared_poses(poses: Array, representation: Representation, sits: bool = Fal
 class _Body:
     """Trunk and head over T frames, relative to the hips."""
 
-    def __init__(self, pose: Pose, sits: bool) -> None:
-        trunk = trunk_axes(pose.places["Neck"], pose.turns["Spine3"])
+    def __init__(self, pose: limbs.Pose, sits: bool) -> None:
+        trunk = limbs.trunk_axes(pose.places["Neck"], pose.turns["Spine3"])
         self._axes, self._length = trunk.axes, trunk.length
         self._head = pose.turns["Head"]
         self._face = pose.places["Head"] + self._head @ HEAD_MIDDLE
@@ -195,14 +180,14 @@ class _Body:
         """[..., T, 3] the displacement of a hand whose P points [..., P, T, 3] are in the body, fingertips only in the
         thighs; sign: 1 for the left hand, -1 for the right, or an array of them."""
         hand = points[..., :len(_HAND), :, :]
-        moves = [self.out_of_trunk(hand, sign, SOFT), self._off_face(hand)]
-        return combined(np.concatenate([*moves, *(thigh.push(points) for thigh in self._thighs)], axis=-3))
+        moves = [self.out_of_trunk(hand, sign, limbs.SOFT), self._off_face(hand)]
+        return limbs.combined(np.concatenate([*moves, *(thigh.push(points) for thigh in self._thighs)], axis=-3))
 
     def hidden(self, elbow: Array, sign: Sign) -> Array:
         """[..., T, 3] the displacement of an elbow [..., T, 3] behind the trunk; sign: see `push`."""
         across, along, ahead = self._from_hips(elbow)
         # Behind the plane only: an elbow beside or ahead of the trunk is in view.
-        depth = soft(back_at(across * sign, along, self._length) - ahead, ELBOW_SOFT)[..., None]
+        depth = limbs.soft(back_at(across * sign, along, self._length) - ahead, ELBOW_SOFT)[..., None]
         out = OUTWARD[0] * self._axes[:, 0]
         return depth * (np.asarray(sign)[..., None] * out + OUTWARD[1] * self._axes[:, 2])
 
@@ -214,7 +199,7 @@ class _Body:
     def out_of_trunk(self, point: Array, sign: Sign, over: float) -> Array:
         """[..., T, 3] the displacement of a point of a hand in the trunk; over: metres in which it is rounded."""
         across, along, ahead = self._from_hips(point)
-        return self._axes[:, 2] * soft(shirt_at(across * sign, along, self._length) - ahead, over)[..., None]
+        return self._axes[:, 2] * limbs.soft(shirt_at(across * sign, along, self._length) - ahead, over)[..., None]
 
     def _from_hips(self, point: Array) -> Array:
         """[3, ..., T] metres across, along and ahead of a point [..., T, 3]."""
@@ -222,12 +207,12 @@ class _Body:
 
     def _off_face(self, point: Array) -> Array:
         x, y, z = np.moveaxis(np.matmul((point - self._face)[..., None, :], self._head)[..., 0, :], -1, 0)
-        return self._head[..., 2] * soft(face_front(np.sqrt(x * x + y * y)) - z)[..., None]
+        return self._head[..., 2] * limbs.soft(face_front(np.sqrt(x * x + y * y)) - z)[..., None]
 
 
 def trunk_front(across: Array) -> Array:
     """Metres by which the front of the trunk is ahead of its middle, at metres across it (the hand's side: > 0)."""
-    width, depth = OURS
+    width, depth = limbs.OURS
     # The ellipse up to where its slope is the steepest, then its tangent.
     edge = STEEPEST * width / depth
     edge = width * edge / np.hypot(1.0, edge)
@@ -240,7 +225,7 @@ def trunk_front(across: Array) -> Array:
 
 def front_at(across: Array, along: Array, length: Array) -> Array:
     """`trunk_front` at metres across the trunk and `along` it; it recedes beyond the ends of its `length`."""
-    return np.asarray(trunk_front(across) - receding(along, 0.0, length))
+    return np.asarray(trunk_front(across) - limbs.receding(along, 0.0, length))
 
 
 def shirt_at(across: Array, along: Array, length: Array) -> Array:
@@ -248,12 +233,12 @@ def shirt_at(across: Array, along: Array, length: Array) -> Array:
     wide = 1.0 + HIPS * (1.0 - _ramp(along, (0.0, HIPS_UNDER)))
     # Down to the hem the shirt is as wide as at the hips; it begins to recede there.
     hem = np.maximum(along, np.minimum(along + HEM, 0.0))
-    return np.asarray(wide * trunk_front(across / wide) - receding(hem, 0.0, length))
+    return np.asarray(wide * trunk_front(across / wide) - limbs.receding(hem, 0.0, length))
 
 
 def back_at(across: Array, along: Array, length: Array) -> Array:
     """Metres by which the plane that hides an elbow is ahead of the middle of the trunk; see `front_at`."""
-    return np.asarray(-BACK - BACK_FALLS * np.maximum(across - BACK_ENDS, 0.0) - receding(along, 0.0, length))
+    return np.asarray(-BACK - BACK_FALLS * np.maximum(across - BACK_ENDS, 0.0) - limbs.receding(along, 0.0, length))
 
 
 def face_front(radius: Array) -> Array:

@@ -12,8 +12,6 @@ stroke. `^` and `$` stand for a boundary: the end of a sentence or a clause, or 
 themselves. A number in front of a pattern is its weight.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import re
@@ -25,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from data_module.files import read_object
-from data_module.text.language import LANGUAGES
+from gesticulator.language import LANGUAGES
 
 _BOUNDARY = "[,.?] "
 _ENDS = (", ", ". ", "? ")

@@ -6,8 +6,6 @@ was. Between the blocks that are kept, the new sound is cut at its own beats, an
 edits are moved together: what was edited stays edited, what was not is replayed.
 """
 
-from __future__ import annotations
-
 import itertools
 from bisect import bisect_left
 from collections.abc import Sequence
@@ -23,21 +21,9 @@ from data_module.speech.sound_map import aligned
 from data_module.types import BeatFlag, Blocks, Speech
 from gesticulator.bundle.features import SpeechFeatures
 from gesticulator.editing.moved_beats import BeatMap, fits
+from gesticulator.plan import plan as plans
 from gesticulator.plan.checks import LONGEST, SHORTEST, plain_word
-from gesticulator.plan.plan import (
-    Block,
-    BlockDraw,
-    DrawnBlocks,
-    Flag,
-    GestureCue,
-    GesturePlan,
-    KnobCurve,
-    PlanKnobs,
-    PlanSound,
-    PlanWord,
-    edited_blocks,
-    sound_hash,
-)
+from gesticulator.plan.plan import GesturePlan, PlanWord
 from gesticulator.sampling.loop import BlockMotion
 
 LEAST_SPEECH = 0.2
@@ -72,7 +58,7 @@ class _Piece:
 
     start: float
     end: float
-    flag: Flag
+    flag: plans.Flag
     source: int | None = None
     silent: bool = False
 
@@ -129,7 +115,7 @@ class _Cutter:
             pieces += [replace(new[0], start=self._cursor), *new[1:]]
         self._cursor = drawn[-1].end
 
-    def _moved(self, blocks: Sequence[tuple[int, float, float]], flags: Sequence[Flag]) -> list[_Piece] | None:
+    def _moved(self, blocks: Sequence[tuple[int, float, float]], flags: Sequence[plans.Flag]) -> list[_Piece] | None:
         """Blocks (index, start, end) in the new sound; None if one of them does not fit."""
         pieces: list[_Piece] = []
         for at, start, end in blocks:
@@ -145,10 +131,10 @@ class _Cutter:
     def _fill(self, end: float) -> None:
         """Add blocks to be decided, from the last block on, cut at the beats of the sound."""
         detected, start = self._detected, self._cursor
-        inner = [(float(edge), cast(Flag, BeatFlag(int(flag)).name.lower()))
+        inner = [(float(edge), cast(plans.Flag, BeatFlag(int(flag)).name.lower()))
                  for edge, flag in zip(detected.edges[1:-1], detected.flags[:-1], strict=True)
                  if start + _CLOSEST <= edge <= end - _CLOSEST]
-        last_flag: Flag = "boundary" if end == float(detected.edges[-1]) else "even_pseudo"
+        last_flag: plans.Flag = "boundary" if end == float(detected.edges[-1]) else "even_pseudo"
         edges = [(start, last_flag), *inner, (end, last_flag)]
         for (first, _), (last, flag) in pairwise(edges):
             # Detected beats may lie farther apart than a block may last: pseudo-beats are put between them.
@@ -187,23 +173,23 @@ def drafted(plan: GesturePlan, speech: Speech, features: SpeechFeatures, words: 
     # A new block has the random numbers of the generation's block that begins with it, as any other.
     numbers = dict(zip(drawn.edges, _numbers(drawn), strict=False))
     blocks = tuple(
-        Block(piece.start, piece.end, None, piece.silent, BlockDraw(plan.seed, plan.variation, numbers[piece.start]),
-              piece.flag) if piece.source is None
+        plans.Block(piece.start, piece.end, None, piece.silent, plans.BlockDraw(
+            plan.seed, plan.variation, numbers[piece.start]), piece.flag) if piece.source is None
         else replace(plan.blocks[piece.source], start=piece.start, end=piece.end) for piece in cut.blocks)
     parts, losses = _sections(plan, beats, words, drawn.edges[-1])
     moved = replace(plan, **parts, drawn=drawn, blocks=blocks, source="plan",
-                    sound=PlanSound("", speech.duration, speech.sample_rate, sound_hash(speech)),
+                    sound=plans.PlanSound("", speech.duration, speech.sample_rate, plans.sound_hash(speech)),
                     fingerprint=fingerprint_text(sounds.new))
     gone = sorted(set(range(len(plan.blocks))) - {piece.source for piece in cut.blocks})
     anew = sum(piece.source is None for piece in cut.blocks)
     return Retimed(moved, len(blocks) - anew, anew, len(gone), (*losses, *_lost_edits(plan, gone)))
 
 
-def _numbers(drawn: DrawnBlocks) -> Sequence[int]:
+def _numbers(drawn: plans.DrawnBlocks) -> Sequence[int]:
     return drawn.numbers or range(len(drawn.lexemes))
 
 
-def _drawn(plan: GesturePlan, pieces: Sequence[_Piece], beats: BeatMap) -> DrawnBlocks:
+def _drawn(plan: GesturePlan, pieces: Sequence[_Piece], beats: BeatMap) -> plans.DrawnBlocks:
     """The first generation on the new sound: kept blocks with their numbers, new ones with numbers that none has."""
     old, known = plan.drawn, _numbers(plan.drawn)
     # Beyond all numbers in use: an undone edit may name one that no block has now.
@@ -213,7 +199,7 @@ def _drawn(plan: GesturePlan, pieces: Sequence[_Piece], beats: BeatMap) -> Drawn
     keyed_at = tuple(piece.start if piece.source is None else times[piece.source] for piece in pieces)
     starts = tuple(piece.start for piece in pieces)
     lexemes: tuple[Any, ...] = tuple(None if piece.source is None else old.lexemes[piece.source] for piece in pieces)
-    return DrawnBlocks((0.0, *(piece.end for piece in pieces)), tuple(piece.flag for piece in pieces),
+    return plans.DrawnBlocks((0.0, *(piece.end for piece in pieces)), tuple(piece.flag for piece in pieces),
                        tuple(piece.silent if piece.source is None else old.silent[piece.source] for piece in pieces),
                        lexemes, _knobs(old.knobs, beats), () if numbers == tuple(range(len(numbers))) else numbers,
                        () if keyed_at == starts else keyed_at)
@@ -231,7 +217,7 @@ def decided(draft: GesturePlan, generated: Sequence[BlockMotion]) -> GesturePlan
 
 def _lost_edits(plan: GesturePlan, gone: Sequence[int]) -> list[str]:
     """A line for each edited block among those that are gone."""
-    edited = edited_blocks(plan)
+    edited = plans.edited_blocks(plan)
     return [_lost("edit of the block", block.start) for at, block in enumerate(plan.blocks) if at in gone
             and (edited[at] or block.locked or block.mirror or block.intensity != 1.0)]
 
@@ -244,7 +230,7 @@ def _sections(plan: GesturePlan, beats: BeatMap, words: Sequence[PlanWord] | Non
     words: those of a new transcript, or None to move the old ones; duration: seconds that the blocks will cover."""
     # Words come first: cues at words are looked for among those that are left, or among the new ones.
     now = tuple(words) if words is not None else _spans(plan.words, beats, duration)
-    cues, pins, losses = list[GestureCue](), [], []
+    cues, pins, losses = list[plans.GestureCue](), [], []
     for cue in plan.cues:
         before = _said(cue, plan.words)
         moved = _cue(cue, before, beats, now, duration)
@@ -267,7 +253,8 @@ def _sections(plan: GesturePlan, beats: BeatMap, words: Sequence[PlanWord] | Non
     return {
         "words": now, "cues": tuple(cues), "pins": tuple(pins), "knobs": _knobs(plan.knobs, beats),
         "units": _spans(plan.units, beats, duration), "meanings": _spans(plan.meanings, beats, duration),
-        "curves": tuple(KnobCurve(curve.knob, *_points(curve.times, curve.values, beats)) for curve in plan.curves),
+        "curves": tuple(plans.KnobCurve(curve.knob, *_points(curve.times, curve.values, beats))
+                        for curve in plan.curves),
         "made_by": {**plan.made_by, "settings": settings}}, losses
 
 
@@ -290,7 +277,7 @@ def _spans(records: Sequence[Any], beats: BeatMap, duration: float) -> tuple[Any
     return tuple(out)
 
 
-def _said(cue: GestureCue, words: Sequence[PlanWord]) -> float | None:
+def _said(cue: plans.GestureCue, words: Sequence[PlanWord]) -> float | None:
     """Seconds at which a cue stands in the old sound; None for one at a word that is not said."""
     if cue.time is not None:
         return cue.time
@@ -298,8 +285,8 @@ def _said(cue: GestureCue, words: Sequence[PlanWord]) -> float | None:
     return spoken[cue.occurrence - 1] if len(spoken) >= cue.occurrence else None
 
 
-def _cue(cue: GestureCue, before: float | None, beats: BeatMap, words: Sequence[PlanWord], duration: float
-         ) -> GestureCue | None:
+def _cue(cue: plans.GestureCue, before: float | None, beats: BeatMap, words: Sequence[PlanWord], duration: float
+         ) -> plans.GestureCue | None:
     """A cue in the new sound; None for a lost one."""
     if before is None:
         return cue  # reported when the plan is rendered, as before
@@ -312,7 +299,7 @@ def _cue(cue: GestureCue, before: float | None, beats: BeatMap, words: Sequence[
     return replace(cue, occurrence=occurrence) if distance < _NEAR else None
 
 
-def _knobs(knobs: PlanKnobs, beats: BeatMap) -> PlanKnobs:
+def _knobs(knobs: plans.PlanKnobs, beats: BeatMap) -> plans.PlanKnobs:
     """Knobs with their ranges of stillness moved."""
     ranges = ((beats.at(start), beats.at(end)) for start, end in knobs.hold_still)
     return replace(knobs, hold_still=tuple(range_ for range_ in ranges if range_[1] - range_[0] >= _LEAST))

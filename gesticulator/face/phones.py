@@ -5,8 +5,6 @@ best path through all chains (Viterbi) is found with the network's weights as pr
 times, give or take `SLACK`. A word that the sound contradicts is left to the sound.
 """
 
-from __future__ import annotations
-
 import itertools
 import warnings
 from collections.abc import Iterator, Sequence
@@ -18,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.text.alignment import aligner_installed, can_follow, dictionary_phones, spoken_words
-from data_module.text.language import language_of
 from data_module.types import Array, Word
 from gesticulator.face.visemes import CLOSED, RATE, SILENT, VISEMES, of_arpabet
+from gesticulator.language import language_of
 
 SLACK = 0.1
 """Seconds by which the times of a word may be wrong: recognisers round and miss by so much."""

@@ -25,7 +25,7 @@ from websockets.exceptions import ConnectionClosed
 from data_module.errors import InputError
 from gesticulator.live.pace import Effort, Pace
 from gesticulator.live.protocol import CloseCode, RefusedError, StreamRequest, read_hello, read_message
-from gesticulator.live.session import SessionAnswer
+from gesticulator.live.session import MOST_WORDS, SessionAnswer
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -48,8 +48,14 @@ CLOSE_SECONDS = 2.0
 """Time for a client to answer a close frame, seconds; then the connection is aborted."""
 _REASON_BYTES = 120
 """Bytes of the reason in a close frame; the limit is 123."""
+_COMMAND = 10
+"""Words for which a command counts: two thousand of them may wait, more than come at once."""
 _MOST_WAITING = 10_000
 """Most queued messages: a minute of 6 ms packets; bounds empty commands too."""
+_MESSAGES_PER_SECOND, _AT_ONCE = 500.0, 2.0
+"""Messages that are read from a client, and seconds of them that it may send at once: three times those of a microphone
+with 6 ms packets. A flood of short ones would take the event loop, which serves everybody; a text counts as one for
+each ten words."""
 _SHORT = 2000
 """Characters of a message that is checked at once, within half a millisecond."""
 _WAITS = ("idle", "think")
@@ -126,6 +132,8 @@ class Connection:
         self.waiting_seconds = 0.0
         self._waiting_idle = 0.0
         """Seconds of waits that are queued or being computed."""
+        self._waiting_words = 0
+        """Words that are queued; each command counts as `_COMMAND` of them."""
         self._unread: deque[bytes | str | None] = deque()
         self.unread_bytes = 0
         self._changed = asyncio.Condition()
@@ -202,13 +210,17 @@ class Connection:
 
     async def _read(self, request: StreamRequest) -> None:
         """Take messages until the client finishes; `RefusedError` for too much, too little or invalid data."""
-        limits, other_voice = self.server.limits, False
+        limits, other_voice, paid = self.server.limits, False, 0.0
         while True:
+            paid = max(paid, (now := time.monotonic()) - _AT_ONCE)
+            if paid > now:
+                await asyncio.sleep(paid - now)
             try:
                 async with asyncio.timeout(limits.quiet_seconds):
                     message = await self.socket.recv()
             except TimeoutError:
                 raise RefusedError(CloseCode.TOO_QUIET, f"nothing came for {limits.quiet_seconds:g} s") from None
+            paid += (1 if isinstance(message, bytes) else 1 + len(message) / 600) / _MESSAGES_PER_SECOND
             if isinstance(message, bytes):
                 samples = request.samples(message)
                 sound = _Sound(samples, other_voice, time.monotonic())
@@ -235,11 +247,12 @@ class Connection:
         if self.seconds > limits.stream_seconds:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"a stream takes {limits.stream_seconds:g} s of sound")
         waits = item.seconds if isinstance(item, _Command) else 0.0
+        self._waiting_words += _COMMAND + len(item.message.get("words", ())) if isinstance(item, _Command) else 0
         # Waits count like audio: each second of them costs as much to compute.
         waiting = self.waiting_seconds + self._waiting_idle + seconds + waits
-        if waiting > limits.waiting_seconds or len(self._waiting) >= _MOST_WAITING:
+        if waiting > limits.waiting_seconds or len(self._waiting) >= _MOST_WAITING or self._waiting_words > MOST_WORDS:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {limits.waiting_seconds:g} s of sound and waits, "
-                               f"or {_MOST_WAITING} messages, wait to be worked on")
+                               f"{MOST_WORDS} words, or {_MOST_WAITING} messages, wait to be worked on")
         self.server.metrics.sound_seconds.inc(seconds)
         self._pace.arrived(seconds)
         async with self._changed:
@@ -254,6 +267,8 @@ class Connection:
         # Read before `forget`: what was sent and not played can be taken back.
         self._taken_back = max(self._taken_back, self._pace.ahead)
         self._pace.forget()
+        if self.waiting_seconds < 1e-6:
+            return  # the queue is long where somebody only interrupts
         async with self._changed:
             # Commands and the other speaker's voice stay: they do not belong to the interrupted answer.
             self._waiting = deque(item for item in self._waiting if isinstance(item, _Command) or item.other_voice)
@@ -325,6 +340,7 @@ class Connection:
             item = self._waiting[0]
             if isinstance(item, _Command):
                 self._waiting.popleft()
+                self._waiting_words -= _COMMAND + len(item.message.get("words", ()))
                 return item
             self._idling = None
             return self._piece(sample_rate)

@@ -147,11 +147,10 @@ class Session:
         yield from (SessionAnswer() for _ in (self._stream.adding(later, 1) if later else ()))
 
     def _interrupt(self, at: float | None) -> list[StreamFrames]:
-        stream = self._stream
         try:
-            return list(stream.steps("interrupt", None if at is None else min(at, stream.time)))
+            return list(self._stream.steps("interrupt", None if at is None else min(at, self._stream.time)))
         except InputError:  # too long ago to take back: stop after what was sent
-            return list(stream.steps("interrupt", None))
+            return list(self._stream.steps("interrupt", None))
 
     def _add_words(self, entries: list[dict[str, Any]]) -> Work:
         if not self.request.options.get("text", False):
@@ -160,8 +159,8 @@ class Session:
             words = [Word(entry["text"], float(entry["start"]), float(entry["end"])) for entry in entries]
         except ValueError as error:
             raise RefusedError(CloseCode.BAD_MESSAGE, str(error)) from None
-        if len(self._words) + len(words) > _MOST_WORDS:
-            raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {_MOST_WORDS} words wait for their sound")
+        if len(self._words) + len(words) > MOST_WORDS:
+            raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {MOST_WORDS} words wait for their sound")
         adding = self._stream.adding(words, 1)
         self._words = sorted([*self._words, *next(adding)], key=lambda word: word.start)
         # Reading a text takes longer than a block, so other streams take turns between two.
@@ -196,7 +195,7 @@ class Session:
         return replace(frames, root_positions=frames.root_positions + np.array([0.0, self._lift, 0.0]))
 
 
-_MOST_WORDS = 20_000
+MOST_WORDS = 20_000
 """Most pending words: two hours of speech."""
 
 

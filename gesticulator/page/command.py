@@ -7,6 +7,7 @@ import gc
 import json
 import signal
 import tempfile
+import time
 import webbrowser
 from contextlib import suppress
 from dataclasses import replace
@@ -14,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data_module.errors import InputError
+from data_module.errors import InputError, one_line, status
 from data_module.files import opened
 from gesticulator.cli import Command, limited_threads, our_warnings
 from gesticulator.infer import Worker, load
@@ -42,19 +43,33 @@ def arguments(p: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve until interrupted."""
+    """Serve until interrupted. The page opens at once, and shows what is done until the performance is there."""
     from gesticulator.page.edits import held, place_of
     from gesticulator.page.server import PageServer
 
-    settings = run_settings_of(args)
-    job = _job(args)
-    # The port comes first: one that is taken is found before the models load.
-    with (PageServer(args.port) as server, held(place_of(args.speech)), our_warnings(),
-          limited_threads(settings.threads)):
-        _prepare(server, job, settings)
-        _serve(server, args.no_browser)
-        server.rendering.acquire()  # a rendering that is under way ends first
-        server.edits.save()
+    begin, settings, job = time.perf_counter(), run_settings_of(args), _job(args)
+    # As an interruption, so that the edits are saved.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with (PageServer(args.port) as server, held(place_of(args.speech)), our_warnings(), server.in_background(),
+          tempfile.TemporaryDirectory(prefix="gesticulator-") as folder):
+        # At once, though the output is a pipe: who starts the program reads the address from it.
+        print(f"{server.url}  (Ctrl C ends it)", flush=True)
+        started = not args.no_browser and webbrowser.open(_way_in(Path(folder), server.url))
+        with limited_threads(settings.threads):
+            try:
+                _prepare(server, job, settings)
+            except (InputError, OSError, MemoryError, ImportError) as error:
+                server.progress |= {"failed": one_line(error)}
+                # A page asks several times a second; a browser may still be starting.
+                server.told.wait(5.0 if started else 1.0)
+                raise
+            status("")
+            print(f"{job.name}: ready after {time.perf_counter() - begin:.1f} s", flush=True)
+            with suppress(KeyboardInterrupt):
+                while True:
+                    time.sleep(1.0)
+            server.rendering.acquire()  # a rendering that is under way ends first
+            server.edits.save()
     return 0
 
 
@@ -68,19 +83,33 @@ def _job(args: argparse.Namespace) -> Job:
 
 def _prepare(server: PageServer, job: Job, settings: RunSettings) -> None:
     """Generate the performance, and give the server its page and the renderer of edited plans."""
+    source = job.source
+    assert source is not None
+
+    def say(doing: str, share: float, logged: bool = True) -> None:
+        server.progress = {"name": source.name, "doing": doing, "share": share}
+        status(f"{source.name}: {doing}", logged=logged)
+
+    def on_block(done: int, total: int) -> None:
+        doing = f"generating gestures, block {done} of {total}" if done < total else "putting the motion together"
+        say(doing, 0.1 + 0.8 * done / total, logged=done in (1, total))
+
+    say("loading the models", 0.0)
     from gesticulator.export import html
     from gesticulator.gesticulator import Gesticulator
     from gesticulator.page.palette import moving_figures
     from gesticulator.page.session import EditSession, levels_of
 
-    source = job.source
-    assert source is not None
     # A character that stands on its legs in its file needs legs in the motion, too.
     chosen, stands = _character(job)
     gesticulator = Gesticulator.from_pretrained(settings.bundle)
     gesticulator.keeps_generations = True
     job = replace(job, options=replace(job.options, legs=job.options.legs or stands))
+    say("reading the recording", 0.05)
+    gesticulator.on_block = on_block
     performance, edits = _performed(gesticulator, job)
+    gesticulator.on_block = None
+    say("making the page", 0.9)
     session = EditSession(gesticulator, performance, edits)
     scene = performance.scene()
     live = {"token": server.token, "renderings": [session.opened(performance)],
@@ -97,10 +126,10 @@ def _prepare(server: PageServer, job: Job, settings: RunSettings) -> None:
     # second now and then.
     gc.collect()
     gc.freeze()
-    server.render = session.answer
     # Decoding all lexemes takes a second: only when the palette is opened, and once.
     speaker = gesticulator.resolver.speaker(performance.decided.speaker)
     server.figures = cache(lambda: json.dumps(moving_figures(gesticulator.bundle, speaker)).encode())
+    server.render = session.answer
 
 
 def _character(job: Job) -> tuple[tuple[Character, dict[str, int]] | None, bool]:
@@ -143,19 +172,6 @@ def _performed(gesticulator: Gesticulator, job: Job) -> tuple[Performance, Edits
             print(f"{saved}: the saved edits are {how}; without this file none are", flush=True)
             return performance, Edits(place, opened=saved == place and not moved)
     return worker.performed(job, speech), Edits(place, notice=notice)
-
-
-def _serve(server: PageServer, no_browser: bool) -> None:
-    """Serve until Ctrl C, or until the system ends the program."""
-    # As an interruption, so that the edits are saved.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    # At once, though the output is a pipe: who starts the program reads the address from it.
-    print(f"{server.url}  (Ctrl C ends it)", flush=True)
-    with tempfile.TemporaryDirectory(prefix="gesticulator-") as folder:
-        if not no_browser:
-            webbrowser.open(_way_in(Path(folder), server.url))
-        with suppress(KeyboardInterrupt):
-            server.serve_forever()
 
 
 def _way_in(folder: Path, url: str) -> str:

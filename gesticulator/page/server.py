@@ -1,14 +1,13 @@
 """A server for one page and one user: it listens on this machine only, and renders the plans sent by its page.
 
-`GET /SECRET/` is the page, `GET /SECRET/figures` the figures of its palette, and `GET /SECRET/plan/N` the state of the
-edits, with the plan if there is one after revision N. `POST /SECRET/render` takes the page's request and answers with
+`GET /SECRET/` is the page, or one that waits for it; that asks for `GET /SECRET/progress`. `GET /SECRET/figures` gives
+the figures of the palette, and `GET /SECRET/plan/N` the state of the edits, with the plan if there is one after
+revision N. `POST /SECRET/render` takes the page's request and answers with
 the messages of `gesticulator.page.session`, with `{"error": ...}`, or with the state where edits of another page came
 before. Other users of this machine can find the port, so the address holds a secret. Any page open in a browser can
 send requests to a local server; so a request must name this server as its host (which a foreign name resolved to this
 machine does not), and a rendering must come from its own page and carry the page's token.
 """
-
-from __future__ import annotations
 
 import hmac
 import json
@@ -16,9 +15,11 @@ import secrets
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import resources
 from typing import Any
 
 from data_module.errors import InputError, one_line
@@ -57,7 +58,8 @@ class AbandonedError(Exception):
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves a page until `shutdown`. The page and its renderer are set after the port has been opened."""
+    """Serves a page until `shutdown`. The page and then its renderer are set after the port has been opened; until then
+    a page shows `progress`."""
 
     daemon_threads = True
     block_on_close = False
@@ -70,7 +72,11 @@ class PageServer(ThreadingHTTPServer):
             reason = getattr(error, "strerror", None) or "no such port"
             raise InputError(f"--port {port}", f"cannot be used ({reason})",
                              "choose another, or leave it out") from None
-        self.page = b""
+        self.page = (resources.files("gesticulator") / "assets" / "waiting.html").read_bytes()
+        self.progress: dict[str, Any] = {}
+        """What is done until the page is there: `name` of the recording, what it is `doing`, the `share` that is done,
+        or the line with which it `failed`."""
+        self.told = threading.Event()  # a page has asked after it failed
         self.edits = Edits()
         self.figures: Callable[[], bytes] = lambda: b"{}"
         """Makes the figures of the palette as JSON."""
@@ -84,6 +90,15 @@ class PageServer(ThreadingHTTPServer):
     def url(self) -> str:
         """URL of the page, with the secret."""
         return f"http://{HOST}:{self.server_port}/{self.secret}/"
+
+    @contextmanager
+    def in_background(self) -> Iterator[None]:
+        """Serve in a thread of its own meanwhile."""
+        threading.Thread(target=self.serve_forever, daemon=True).start()
+        try:
+            yield
+        finally:
+            self.shutdown()
 
     def abandons(self, page: str, number: int) -> Callable[[], bool]:
         """Note the latest request of a page; returns whether a later one has come."""
@@ -117,6 +132,11 @@ class _PageHandler(BaseHTTPRequestHandler):
         # To read, the secret is enough: another origin cannot see the answer.
         if what == "plan" and since.isdecimal() and len(since) < 18:
             self._answer(HTTPStatus.OK, self.server.edits.state(int(since)), "application/json")
+        elif place == "progress":
+            progress = {**self.server.progress, "ready": self.server.render is not None}
+            self._answer(HTTPStatus.OK, json.dumps(progress).encode(), "application/json")
+            if "failed" in progress:
+                self.server.told.set()
         elif place == "figures":
             self._answer(HTTPStatus.OK, self.server.figures(), "application/json")
         elif place == "":

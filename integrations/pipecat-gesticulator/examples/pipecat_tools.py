@@ -69,7 +69,7 @@ class EspeakVoice(TTSService):
     """espeak-ng."""
 
     def __init__(self) -> None:
-        super().__init__(sample_rate=RATE, push_start_frame=True, push_stop_frames=True, stop_frame_timeout_s=0.3,
+        super().__init__(sample_rate=RATE, push_start_frame=True, push_stop_frames=True,
                          text_transforms=[("*", spoken_text)],
                          settings=TTSSettings(model=None, voice=None, language=None))
 
