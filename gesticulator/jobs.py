@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 STDIN = "-"
 """The name of standard input on the command line."""
-TRANSCRIPTS = (".TextGrid", ".json", ".srt", ".vtt", ".txt")
+TRANSCRIPTS = (".TextGrid", ".json", ".jsonl", ".ctm", ".ttml", ".ass", ".lrc", ".srt", ".vtt", ".sbv", ".tsv", ".txt")
 """File suffixes that a folder of transcripts is searched for, in this order."""
 FORMAT = "bvh"
 """The format written to a folder if --format is not given."""

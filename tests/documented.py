@@ -135,7 +135,7 @@ def run(example: Example, folder: Path) -> str:
     if serves:
         assert process.stdout is not None
         for line in process.stdout:
-            if "is ready" in line or "Ctrl C" in line:
+            if "ready" in line or "Ctrl C" in line:
                 break
         time.sleep(1.0)
         process.send_signal(signal.SIGINT)

@@ -206,7 +206,9 @@ TRANSCRIPTS = {
     ".tsv": "start\tend\ttext\n100\t500\thello [nod] there\n700\t950\tfriend\n",
     **dict.fromkeys((".ass", ".ssa"), "[Events]\nDialogue: 0,0:00:00.10,0:00:00.50,D,,0,0,0,,hello {\\i1}there\n"),
     ".sbv": "0:00:00.100,0:00:00.500\nhello there\n", ".lrc": "[00:00.10]hello there\n[00:00.70]friend\n",
-    ".ttml": '<tt><body><div><p begin="00:00:00.100" end="00:00:00.500">hello there</p></div></body></tt>',
+    ".ctm": "a 1 0.10 0.30 hello 0.9 lex\n", ".jsonl": '{"text": "hello"}\n{"text": "there"}\n',
+    **dict.fromkeys((".ttml", ".dfxp"),
+                    '<tt><body><p begin="00:00:00.100" end="00:00:00.500">hello there</p></body></tt>'),
 }
 MARKED = [("[shrug]hello", 0.1, 0.3), ("there", 0.3, 0.5), ("[count:3]", 0.5, 0.5), ("friend", 0.7, 0.95)]
 

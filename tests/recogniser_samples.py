@@ -98,16 +98,6 @@ def vosk(words: Words) -> Any:
     return {"result": _plain(words, conf=1.0), "text": _text(words)}
 
 
-def vosk_results(words: Words) -> Any:
-    """The results of a long recording in a list."""
-    return [{"result": _plain(part, conf=1.0), "text": _text(part)} for part in _parts(words)] + [{"text": ""}]
-
-
-def vosk_alternatives(words: Words) -> Any:
-    return {"alternatives": [{"confidence": 211.0, "result": _plain(words), "text": _text(words)},
-                             {"confidence": 201.0, "result": _plain([("other", 0.0, 0.1)]), "text": "other"}]}
-
-
 def transformers(words: Words) -> Any:
     return {"text": " " + _text(words),
             "chunks": [{"text": " " + word, "timestamp": [start, end]} for word, start, end in words]}
@@ -168,13 +158,66 @@ def google_protobuf(words: Words) -> Any:
         {"word": word, "start_time": time(start), "end_time": time(end)} for word, start, end in words]}]}]}
 
 
+def _items(words: Words, word: str, times: Callable[[float], Any]) -> list[dict[str, Any]]:
+    """Words and punctuation apart. word: the type of words; times: what a time in seconds is written as."""
+    out: list[dict[str, Any]] = []
+    for text, start, end in words:
+        out.append({"type": word, "start_time": times(start), "end_time": times(end),
+                    "alternatives": [{"confidence": 0.9, "content": text.rstrip(",.")}]})
+        if text[-1] in ",.":
+            out.append({"type": "punctuation", "attaches_to": "previous", "alternatives": [{"content": text[-1]}]})
+    return out
+
+
+def aws(words: Words) -> Any:
+    return {"jobName": "a", "status": "COMPLETED", "results": {
+        "transcripts": [{"transcript": _text(words)}], "items": _items(words, "pronunciation", str),
+        "audio_segments": [{"id": 0, "transcript": _text(words), "start_time": str(words[0][1]),
+                            "end_time": str(words[-1][2]), "items": [0, 1]}]}}
+
+
+def speechmatics(words: Words) -> Any:
+    return {"format": "2.9", "job": {"duration": 4}, "metadata": {"type": "transcription"},
+            "results": _items(words, "word", float)}
+
+
+def elevenlabs(words: Words) -> Any:
+    spoken = [part for word in _plain(words, "text", type="word", speaker_id="speaker_0")
+              for part in (word, {"text": " ", "start": word["end"], "end": word["end"], "type": "spacing"})]
+    return {"language_code": "eng", "text": _text(words), "words": [
+        *spoken, {"text": "(laughter)", "start": words[-1][2], "end": words[-1][2] + 1, "type": "audio_event"}]}
+
+
+def gladia(words: Words) -> Any:
+    utterances = [{"start": part[0][1], "end": part[-1][2], "channel": 0, "text": _text(part),
+                   "words": [{**word, "word": " " + word["word"]} for word in _plain(part)]} for part in _parts(words)]
+    return {"id": "a", "status": "done", "result": {"metadata": {"audio_duration": 4}, "transcription": {
+        "full_transcript": _text(words), "utterances": utterances}}}
+
+
+def _steps(words: Words) -> list[dict[str, Any]]:
+    return [{**word, "start_offset": n, "end_offset": n + 1} for n, word in enumerate(_plain(words))]
+
+
+def nemo(words: Words) -> Any:
+    """A hypothesis; offsets are in steps of the model."""
+    segments = [{"segment": _text(part), "start": part[0][1], "end": part[-1][2]} for part in _parts(words)]
+    return {"text": _text(words), "timestamp": {"timestep": [0], "word": _steps(words), "segment": segments}}
+
+
+def nemo_manifest(words: Words) -> Any:
+    return {"audio_filepath": "a.wav", "pred_text": _text(words), "timestamps_char": [], "timestamps_word":
+            _steps(words), "timestamps_segment": nemo(words)["timestamp"]["segment"]}
+
+
 def azure(words: Words) -> Any:
-    """The SDK's detailed result."""
-    return {"Id": "a", "RecognitionStatus": "Success", "Offset": _ticks(words[0][1]),
-            "Duration": _ticks(words[-1][2] - words[0][1]), "Channel": 0, "DisplayText": _text(words),
-            "NBest": [{"Confidence": 0.9, "Lexical": _text(words), "Display": _text(words), "Words": [
-                {"Word": word, "Offset": _ticks(start), "Duration": _ticks(end) - _ticks(start)}
-                for word, start, end in words]}]}
+    """The SDK's detailed results."""
+    silence = {"RecognitionStatus": "InitialSilenceTimeout", "Offset": 0, "Duration": 10**7}
+    return [silence, {"Id": "a", "RecognitionStatus": "Success", "Offset": _ticks(words[0][1]), "Channel": 0,
+                      "Duration": _ticks(words[-1][2] - words[0][1]), "DisplayText": _text(words), "NBest": [{
+                          "Confidence": 0.9, "Lexical": _text(words), "Display": _text(words), "Words": [
+                              {"Word": word, "Offset": _ticks(start), "Duration": _ticks(end) - _ticks(start)}
+                              for word, start, end in words]}]}]
 
 
 def azure_batch(words: Words) -> Any:
@@ -199,14 +242,6 @@ def azure_fast(words: Words) -> Any:
          "words": [{"text": word, **times(start, end)} for word, start, end in part]} for part in _parts(words)]}
 
 
-def gentle(words: Words) -> Any:
-    """Offsets are of letters in the transcript."""
-    return {"transcript": _text(words), "words": [
-        {"alignedWord": word.lower(), "case": "success", "start": start, "end": end, "startOffset": 5 * n,
-         "endOffset": 5 * n + 4, "word": word, "phones": [{"duration": end - start, "phone": "oov_S"}]}
-        for n, (word, start, end) in enumerate(words)]}
-
-
 def mfa(words: Words) -> Any:
     return {"start": 0, "end": 4.0, "tiers": {
         "words": {"type": "interval", "entries": [[start, end, word] for word, start, end in words]},
@@ -214,12 +249,13 @@ def mfa(words: Words) -> Any:
 
 
 JSON: dict[str, Callable[[Words], Any]] = {
-    "openai": openai_words, "whisper": whisper, "faster-whisper": faster_whisper, "whisperx": whisperx,
-    "whisper.cpp": whisper_cpp, "whisper.cpp -ml 1": whisper_cpp_words, "vosk": vosk, "vosk, results": vosk_results,
-    "vosk, alternatives": vosk_alternatives, "transformers": transformers, "deepgram": deepgram,
+    "openai": openai_words, "whisper": whisper, "faster-whisper": faster_whisper, "whisperx": whisperx, "vosk": vosk,
+    "whisper.cpp": whisper_cpp, "whisper.cpp -ml 1": whisper_cpp_words,
     "assemblyai": assemblyai, "assemblyai, words": assemblyai_words, "google": google, "google, version 2": google_2,
     "google, speakers": google_speakers, "google, protobuf": google_protobuf, "azure": azure,
-    "azure, batch": azure_batch, "azure, fast": azure_fast, "gentle": gentle, "mfa": mfa,
+    "azure, batch": azure_batch, "azure, fast": azure_fast, "mfa": mfa, "transformers": transformers, "aws": aws,
+    "speechmatics": speechmatics, "elevenlabs": elevenlabs, "gladia": gladia, "deepgram": deepgram,
+    "nemo": nemo, "nemo, manifest": nemo_manifest,
     "list": lambda words: _plain(words, "text"), "text": lambda words: {"text": _text(words)},
 }
 """Sample -> what writes it; all but "text" have the times of words."""
@@ -304,7 +340,9 @@ FILES: dict[str, tuple[str, Callable[[Words], str]]] = {
     "srt": (".srt", srt), "vtt": (".vtt", vtt), "tsv": (".tsv", tsv), "lrc": (".lrc", lrc),
     "ass": (".ass", lambda words: _lines(words, "Dialogue: 0,{},{},Default,,0,0,0,,{{\\i1}}{}\n", "\\N")),
     "sbv": (".sbv", lambda words: _lines(words, "{},{}\n{}\n\n")),
-    "ttml": (".ttml", lambda words: _lines(words, '<p begin="{}" xml:id="c" end="{}"><span>{}</span></p>\n', "<br/>")),
+    "ttml": (".ttml", lambda words: '<tt xmlns="http://www.w3.org/ns/ttml">' + _lines(
+        words, '<p begin="{}" xml:id="c" end="{}"><span>{}</span></p>', "<br/>") + "</tt>"),
+    "ctm": (".ctm", lambda words: "".join(f"a 1 {a:.3f} {b - a:.3f} {word} 0.9\n" for word, a, b in words)),
 }
 """Sample -> its suffix, and what writes it."""
 WITHOUT_TIMES = {"srt", "vtt", "tsv", "text", "ass", "sbv", "ttml"}

@@ -13,7 +13,7 @@ from runners import played_critics
 from torch import Tensor
 
 from gesticulator.training.stages.advantage import CounterfactualRewards, discounted, gains
-from interpreters.advantage import Critics, advantages
+from interpreters.advantage import Critics, CriticValues, advantages
 from interpreters.advantage_run import AdvantageInterpreter
 from interpreters.base import BlockFeatures, Scores, select
 from interpreters.reward import RewardConfig, RewardModel
@@ -61,6 +61,11 @@ def test_the_advantage_of_one_critic_is_q_less_its_mean_under_the_behaviour() ->
     q = torch.tensor([[1.0, 3.0, -2.0]])
     log_prior = torch.log(torch.tensor([0.5, 0.25, 0.25]))
     torch.testing.assert_close(advantages(q, log_prior), torch.tensor([1.0, 3.0, -2.0]) - 0.75)
+
+
+def test_q_is_the_reward_and_the_discounted_future() -> None:
+    q = CriticValues(torch.tensor([[1.0, 2.0]]), torch.tensor([[10.0, -10.0]]), torch.zeros(1)).q()
+    torch.testing.assert_close(q, torch.tensor([[10.0, -7.0]]), msg="0.9 of what comes later")
 
 
 def test_the_least_of_the_critics_is_taken_lexeme_by_lexeme() -> None:

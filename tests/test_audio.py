@@ -14,15 +14,7 @@ import pytest
 import soundfile
 
 from data_module.errors import InputError, install_line
-from data_module.speech.audio import (
-    SAMPLE_RATE,
-    SampleFeed,
-    amplified,
-    as_speech,
-    load_speech,
-    resample,
-    write_flac,
-)
+from data_module.speech import audio
 from data_module.types import Samples, Speech
 from gesticulator.infer import level_note
 
@@ -38,7 +30,7 @@ def check_tone(speech: Speech, apart: float) -> None:
     """It is of 440 Hz and 0.3 of full scale, to the share `apart`."""
     middle = speech.samples[4000:28000].astype(np.float64)
     spectrum = np.abs(np.fft.rfft(middle * np.hanning(len(middle))))
-    assert abs(np.argmax(spectrum) * SAMPLE_RATE / len(middle) - 440.0) < 1.0
+    assert abs(np.argmax(spectrum) * audio.SAMPLE_RATE / len(middle) - 440.0) < 1.0
     assert np.sqrt(np.mean(middle ** 2)) == pytest.approx(0.3 / np.sqrt(2), rel=apart)
 
 
@@ -56,7 +48,7 @@ def put(folder: Path, name: str, data: bytes) -> Path:
 
 def refused(path: Path, *words: str) -> None:
     with pytest.raises(InputError) as caught:
-        load_speech(path)
+        audio.load_speech(path)
     line = str(caught.value)
     assert "\n" not in line
     assert path.name in line
@@ -66,17 +58,17 @@ def refused(path: Path, *words: str) -> None:
 
 def test_twenty_decibels_are_ten_times_the_amplitude_in_a_file_and_in_a_stream() -> None:
     wave = 0.05 * np.sin(np.arange(16000, dtype=np.float32) / 7)
-    np.testing.assert_allclose(amplified(Speech(wave, 16000), 20.0).samples, 10 * wave, rtol=1e-5, atol=1e-7)
-    np.testing.assert_allclose(amplified(Speech(wave, 16000), -20.0).samples, wave / 10, rtol=1e-5, atol=1e-7)
-    np.testing.assert_allclose(SampleFeed(16000, 20.0).take(wave), 10 * wave, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(audio.amplified(Speech(wave, 16000), 20.0).samples, 10 * wave, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(audio.amplified(Speech(wave, 16000), -20.0).samples, wave / 10, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(audio.SampleFeed(16000, 20.0).take(wave), 10 * wave, rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.parametrize(("kind", "half"), [(np.int16, 2**14), (np.int32, 2**30), (np.uint8, 64)])
 def test_half_of_full_scale_is_a_half_whatever_the_type(kind: type, half: int) -> None:
     middle = 128 if kind is np.uint8 else 0
     samples = np.full(8000, middle + half, kind)
-    np.testing.assert_allclose(as_speech(samples, 16000).samples, 0.5)
-    np.testing.assert_allclose(SampleFeed(16000).take(samples), 0.5)
+    np.testing.assert_allclose(audio.as_speech(samples, 16000).samples, 0.5)
+    np.testing.assert_allclose(audio.SampleFeed(16000).take(samples), 0.5)
 
 
 @pytest.mark.parametrize(("suffix", "kind", "subtype"), FORMATS)
@@ -86,8 +78,8 @@ def test_a_tone_keeps_its_pitch_length_and_level_in_every_format(
         tmp_path: Path, suffix: str, kind: str, subtype: str | None, rate: int, channels: int) -> None:
     sound = np.repeat(tone(rate)[:, None], channels, axis=1)
     path = put(tmp_path, f"a.{suffix}", encoded(sound, rate, kind, subtype))
-    speech = load_speech(path)
-    assert speech.sample_rate == SAMPLE_RATE
+    speech = audio.load_speech(path)
+    assert speech.sample_rate == audio.SAMPLE_RATE
     assert speech.words is None
     assert abs(speech.duration - 2.0) < 0.002
     check_tone(speech, 0.03)
@@ -95,8 +87,8 @@ def test_a_tone_keeps_its_pitch_length_and_level_in_every_format(
 
 def test_flac_round_trip_is_exact_to_16_bits(tmp_path: Path) -> None:
     noise = (0.2 * np.random.default_rng(0).standard_normal(16000)).astype(np.float32)
-    write_flac(tmp_path / "a.flac", Speech(noise, SAMPLE_RATE))
-    assert np.abs(load_speech(tmp_path / "a.flac").samples - noise).max() <= 1.0 / 32768
+    audio.write_flac(tmp_path / "a.flac", Speech(noise, audio.SAMPLE_RATE))
+    assert np.abs(audio.load_speech(tmp_path / "a.flac").samples - noise).max() <= 1.0 / 32768
     assert [path.name for path in tmp_path.iterdir()] == ["a.flac"]
 
 
@@ -115,15 +107,15 @@ def test_what_is_no_sound_is_refused_in_one_line(tmp_path: Path) -> None:
 def test_samples_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
     refused(put(tmp_path, "none.wav", encoded(tone(16000)[:0], 16000)), "no samples")
     refused(put(tmp_path, "short.wav", encoded(tone(16000, 0.29), 16000)), "0.29 s", "0.3 s")
-    load_speech(put(tmp_path, "enough.wav", encoded(tone(16000, 0.3), 16000)))
+    audio.load_speech(put(tmp_path, "enough.wav", encoded(tone(16000, 0.3), 16000)))
     for value in (np.nan, np.inf):
         sound = tone(48000, 4.0)
         sound[round(48000 * 3.2):] = value
         refused(put(tmp_path, "nan.wav", encoded(sound, 48000, subtype="FLOAT")), "not a number", "at 3.2 s")
-        feed = SampleFeed(48000)
+        feed = audio.SampleFeed(48000)
         feed.take(sound[:48000 * 3])
         with pytest.raises(InputError, match=r"not a number .* at 3.2 s"):
-            as_speech(sound, 48000)
+            audio.as_speech(sound, 48000)
         with pytest.raises(InputError, match=r"not a number .* at 3.2 s"):
             feed.take(sound[48000 * 3:])
     refused(put(tmp_path, "big.wav", encoded(tone(16000) * 30000, 16000, subtype="FLOAT")), "full scale")
@@ -141,14 +133,14 @@ def test_a_cut_file_is_refused_where_its_header_says_so_and_else_read_as_far_as_
         refused(cut, "copy it again")
     else:
         # OGG gives whole pages alone, and each frame of an MP3 needs the one before it.
-        assert load_speech(cut).duration == pytest.approx(4.0 * share, abs=0.01 if suffix == "wav" else 0.5)
+        assert audio.load_speech(cut).duration == pytest.approx(4.0 * share, abs=0.01 if suffix == "wav" else 0.5)
 
 
 def test_a_flac_without_a_length_is_read_to_its_end(tmp_path: Path) -> None:
     data = bytearray(encoded(tone(16000), 16000, "FLAC"))
     data[21] &= 0xF0
     data[22:26] = bytes(4)
-    assert np.allclose(load_speech(put(tmp_path, "a.flac", bytes(data))).samples, tone(16000), atol=1e-4)
+    assert np.allclose(audio.load_speech(put(tmp_path, "a.flac", bytes(data))).samples, tone(16000), atol=1e-4)
 
 
 @pytest.mark.parametrize("size", [0, 0x7FFFFFDB, 0x7FFFFFFF, 0xFFFFFFFF, 2_000_000_000, 200_000])
@@ -162,8 +154,8 @@ def test_sizes_that_recorders_leave_behind_mean_the_bytes_that_are_there(tmp_pat
     data[4:8] = data[place + 4:place + 8] = size.to_bytes(4, "little")
     if extra:
         data[place:place] = b"LIST" + extra.to_bytes(4, "little") + b"INFO" + bytes(extra - 4)
-    speech = load_speech(put(tmp_path, "a.wav", bytes(data)))
-    assert np.array_equal(speech.samples, load_speech(put(tmp_path, "b.wav", whole)).samples)
+    speech = audio.load_speech(put(tmp_path, "a.wav", bytes(data)))
+    assert np.array_equal(speech.samples, audio.load_speech(put(tmp_path, "b.wav", whole)).samples)
 
 
 # ---------------------------------------------------------------------------------------------------- channels
@@ -181,7 +173,7 @@ HUM = (0.05 * np.sin(2 * np.pi * 50 * np.arange(96000) / 48000)).astype(np.float
 @pytest.mark.parametrize(("columns", "taken"), [
     ([voice(), -voice()], 0), ([0.9 * voice(), -voice()], 1), ([voice() + HUM, HUM - voice()], 0),
     ([0 * HUM, voice(), -voice(), 0 * HUM], 1),
-    ([voice(2, 1), voice(2, 2), 0.3 * voice(), HUM, 0 * HUM, 0 * HUM], 2),
+    ([voice(2, 1), voice(2, 2), 0.3 * voice(), HUM, 0 * HUM, 0 * HUM], 2), ([4 * HUM, voice()], 1),
     # What a mean does not harm stays one: the same in all, another one in each, one side alone, a quiet centre.
     ([voice(), voice()], None), ([voice(), voice(2, 1)], None), ([0 * HUM, voice()], None),
     ([voice(), voice(), 0.1 * voice(2, 1), HUM, voice(), voice()], None),
@@ -193,9 +185,10 @@ def test_the_channel_with_the_speech_is_taken_where_a_mean_would_lose_it(tmp_pat
     path = put(tmp_path, "a.wav", encoded(sound, 48000, subtype="FLOAT"))
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        found = [load_speech(path), resample(as_speech(sound, 48000), SAMPLE_RATE)]
+        found = [audio.load_speech(path), audio.resample(audio.as_speech(sound, 48000), audio.SAMPLE_RATE)]
     for speech in found:
-        np.testing.assert_allclose(speech.samples, resample(Speech(expected, 48000), SAMPLE_RATE).samples, atol=2e-5)
+        same = audio.resample(Speech(expected, 48000), audio.SAMPLE_RATE)
+        np.testing.assert_allclose(speech.samples, same.samples, atol=2e-5)
     lines = [str(remark.message) for remark in said]
     assert len(lines) == (0 if taken is None else 2)
     assert all(f"channel {(taken or 0) + 1} is taken of {len(columns)}," in line for line in lines)
@@ -207,7 +200,7 @@ def test_the_channel_with_the_speech_is_taken_where_a_mean_would_lose_it(tmp_pat
 def test_a_stream_is_read_as_a_file_is(tmp_path: Path, suffix: str, kind: str, subtype: str | None) -> None:
     data = encoded(tone(44100), 44100, kind, subtype)
     path = put(tmp_path, f"a.{suffix}", data)
-    expected = load_speech(path).samples
+    expected = audio.load_speech(path).samples
 
     class Pipe(io.RawIOBase):
         def __init__(self) -> None:
@@ -223,7 +216,7 @@ def test_a_stream_is_read_as_a_file_is(tmp_path: Path, suffix: str, kind: str, s
 
     with path.open("rb") as file:
         for stream in (io.BytesIO(data), io.BufferedReader(Pipe()), file):
-            assert np.array_equal(load_speech(stream).samples, expected)
+            assert np.array_equal(audio.load_speech(stream).samples, expected)
 
 
 # ---------------------------------------------------------------------------------------------------- containers
@@ -234,7 +227,7 @@ CONTAINERS = [("m4a", "mp4", "aac"), ("mp4", "mp4", "aac"), ("mov", "mov", "pcm_
 
 def contained(samples: Samples, kind: str, codec: str, rate: int = 48000, picture: bool = False, late: float = 0.0,
               **options: str) -> bytes:
-    """Mono sound in a container, with a video of black pictures when asked."""
+    """Sound, [n] or [n, channels], in a container, with a video of black pictures when asked."""
     av = pytest.importorskip("av", reason="PyAV is in the extra 'video'")
     memory = io.BytesIO()
     with av.open(memory, "w", format=kind, options=options) as file:
@@ -242,7 +235,7 @@ def contained(samples: Samples, kind: str, codec: str, rate: int = 48000, pictur
             video = file.add_stream("mpeg4", rate=25)
             video.width, video.height, video.pix_fmt = 64, 48, "yuv420p"
         stream = file.add_stream(codec, rate=rate)
-        stream.layout = "mono"
+        stream.layout = layout = {1: "mono", 6: "5.1", 8: "7.1"}[samples[:1].size or 1]
         if picture:
             for number in range(round(25 * (late + len(samples) / rate))):
                 frame = av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8))
@@ -252,8 +245,8 @@ def contained(samples: Samples, kind: str, codec: str, rate: int = 48000, pictur
             for packet in video.encode(None):
                 file.mux(packet)
         for start in range(0, len(samples), 4096):
-            part = (32767 * samples[None, start:start + 4096]).astype(np.int16)
-            frame = av.AudioFrame.from_ndarray(part, format="s16", layout="mono")
+            part = (32767 * samples[start:start + 4096]).astype(np.int16).reshape(1, -1)
+            frame = av.AudioFrame.from_ndarray(part, format="s16", layout=layout)
             frame.sample_rate, frame.pts = rate, start + round(late * rate)
             frame.time_base = Fraction(1, rate)
             for packet in stream.encode(frame):
@@ -265,23 +258,37 @@ def contained(samples: Samples, kind: str, codec: str, rate: int = 48000, pictur
 
 @pytest.mark.parametrize(("kind", "codec"), [("ac3", "ac3"), ("eac3", "eac3"), ("wav", "flac"), ("wav", "ac3"),
                                              ("mpegts", "aac"), ("vob", "ac3"), ("flv", "aac"), ("wav", "pcm_mulaw"),
-                                             ("wav", "libmp3lame"), ("wv", "wavpack"), ("ogg", "libspeex")])
+                                             ("wav", "libmp3lame"), ("wv", "wavpack"), ("tta", "tta"),
+                                             ("voc", "pcm_s16le")])
 def test_sound_is_found_by_content_whatever_holds_it_and_whenever_its_clock_starts(tmp_path: Path, kind: str,
                                                                                  codec: str) -> None:
-    av = pytest.importorskip("av", reason="PyAV is in the extra 'video'")
-    if codec not in av.codecs_available:
-        pytest.skip(f"FFmpeg without {codec}")
-    rate = {"libspeex": 32000, "pcm_mulaw": 8000}.get(codec, 48000)
+    rate = 8000 if codec == "pcm_mulaw" else 48000
     data = contained(tone(rate), kind, codec, rate=rate, picture=kind == "vob")
-    speech = load_speech(put(tmp_path, "a.sound", data))
+    speech = audio.load_speech(put(tmp_path, "a.sound", data))
     assert abs(speech.duration - 2.0) < 0.09
     check_tone(speech, 0.1)
+
+
+@pytest.mark.parametrize("suffix", ["ul", "mulaw", "alaw"])
+def test_what_telephones_record_has_no_header_and_is_told_by_its_name(tmp_path: Path, suffix: str) -> None:
+    data = encoded(tone(8000), 8000, "RAW", "ALAW" if suffix == "alaw" else "ULAW")
+    check_tone(audio.load_speech(put(tmp_path, f"a.{suffix}", data)), 0.05)
+
+
+@pytest.mark.parametrize(("kind", "codec", "centre"), [("ogg", "libopus", 1), ("ogg", "flac", 2), ("mp4", "aac", 2)])
+@pytest.mark.parametrize("channels", [6, 8])
+def test_the_centre_is_found_in_every_order_of_channels(tmp_path: Path, kind: str, codec: str, centre: int,
+                                                        channels: int) -> None:
+    data = contained(np.outer(tone(48000), np.arange(channels) == 2), kind, codec)
+    said = f"channel {centre + 1} is taken of {channels}, of which it is the centre"
+    with pytest.warns(audio.SoundWarning, match=said):
+        check_tone(audio.load_speech(put(tmp_path, "a.sound", data)), 0.1)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.7])
 def test_what_a_browser_records_has_no_length_and_is_read_to_its_end_or_a_cut(tmp_path: Path, share: float) -> None:
     data = contained(tone(48000, 6.0), "webm", "libopus", live="1")  # no duration, clusters of unknown size
-    speech = load_speech(put(tmp_path, "rec.webm", data[:round(share * len(data))]))
+    speech = audio.load_speech(put(tmp_path, "rec.webm", data[:round(share * len(data))]))
     assert speech.duration == pytest.approx(6.0 * share, abs=0.1 if share == 1.0 else 0.3)
     check_tone(speech, 0.05)
 
@@ -297,16 +304,16 @@ def test_a_codec_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytes
     *[(*row, True) for row in CONTAINERS if row[0] in ("mp4", "mov", "mkv", "avi")]])
 def test_sound_in_containers_and_of_videos(tmp_path: Path, suffix: str, kind: str, codec: str, picture: bool) -> None:
     path = put(tmp_path, f"a.{suffix}", contained(tone(48000), kind, codec, picture=picture))
-    speech = load_speech(path)
+    speech = audio.load_speech(path)
     assert abs(speech.duration - 2.0) < 0.06
     check_tone(speech, 0.05)
     with path.open("rb") as file:
-        assert np.array_equal(load_speech(file).samples, speech.samples)
+        assert np.array_equal(audio.load_speech(file).samples, speech.samples)
 
 
 def test_sound_that_begins_late_in_a_video_begins_late(tmp_path: Path) -> None:
     path = put(tmp_path, "a.mov", contained(tone(48000), "mov", "pcm_s16le", picture=True, late=0.5))
-    samples = load_speech(path).samples
+    samples = audio.load_speech(path).samples
     assert np.abs(samples[:7900]).max() < 1e-3 < np.abs(samples[8100:8200]).max()
     assert len(samples) == pytest.approx(40000, abs=200)
 
@@ -351,12 +358,12 @@ def _warned(folder: Path, samples: Samples, rate: int = 16000) -> list[str]:
     path = put(folder, "a.wav", encoded(samples, rate))
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        load_speech(path)
+        audio.load_speech(path)
     return [str(remark.message) for remark in said]
 
 
 def test_what_harms_a_recording_is_said_and_a_good_one_passes_in_silence(tmp_path: Path) -> None:
-    samples = load_speech(SPEECH).samples
+    samples = audio.load_speech(SPEECH).samples
     samples = samples / np.abs(samples).max()
     assert _warned(tmp_path, samples) == _warned(tmp_path, 0.3 * samples) == _warned(tmp_path, tone(16000)) == []
     for level in (1.0, 0.4):  # cut off by the recorder, and made quieter afterwards

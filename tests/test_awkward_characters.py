@@ -380,8 +380,12 @@ def test_a_flat_node_over_the_joints_is_named(scale: list[float], tmp_path: Path
     with pytest.raises(InputError, match=r"below rig, whose scale is .*0.*flat"):
         Retargeter(character)
     hidden = figure()
-    hidden.beside("Prop", "LeftHand", (0.1, 0.0, 0.0), 0.0)
+    hidden.beside("Prop", "LeftHand", (0.1, 0.0, 0.0), 0.02)
     assert Retargeter(read_character(edited(tmp_path / "rig.glb", hidden, scaled("Prop", scale)))).doubts == ()
+    file = GlbFile.parse((tmp_path / "rig.glb").read_bytes())
+    file.document["skins"][0].pop("inverseBindMatrices")
+    with pytest.raises(InputError, match="come out wrong"):
+        Retargeter(read_character(save(tmp_path / "bare.glb", file.document, file.binary)))
 
 
 def test_a_robot_without_a_spine_whose_feet_hang_elsewhere_is_moved_with_contacts(tmp_path: Path) -> None:

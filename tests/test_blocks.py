@@ -13,20 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import correlate1d
 
-from data_module.blocks import (
-    _WSOLA,
-    BlockSettings,
-    KnotPath,
-    cut,
-    denormalise,
-    first_pose,
-    hermite,
-    normalise_motion,
-    samples_per_frame,
-    smooth,
-    stretch_speech,
-    windows_of,
-)
+from data_module import blocks as blocking
 from data_module.errors import InputError
 from data_module.motion import rotation
 from data_module.motion.representation import ROTATIONS
@@ -52,19 +39,19 @@ def rms(sound: Array, axis: int | None = None) -> Array:
 
 
 def test_a_block_has_room_for_the_longest_interval() -> None:
-    assert BlockSettings().frames == 10
-    assert BlockSettings(BeatSettings(0.3, 0.6)).frames == 12
-    assert BlockSettings(fps=15.0).frames == 8
-    assert BlockSettings(BeatSettings(0.2, 0.55)).frames == 11  # 0.55 x 20 is a little more than 11 in floats
+    assert blocking.BlockSettings().frames == 10
+    assert blocking.BlockSettings(BeatSettings(0.3, 0.6)).frames == 12
+    assert blocking.BlockSettings(fps=15.0).frames == 8
+    assert blocking.BlockSettings(BeatSettings(0.2, 0.55)).frames == 11  # 0.55 x 20 is a little more than 11 in floats
     for fps in (0.0, -1.0, float("nan"), 1.0):
         with pytest.raises(InputError):
-            BlockSettings(fps=fps)
+            blocking.BlockSettings(fps=fps)
 
 
 def test_cut_tiles_the_recording() -> None:
     syllables = np.abs(np.sin(np.pi * np.arange(6 * RATE) / RATE / 0.25)).astype(np.float32)
     sound = np.concatenate([buzz(2.0), np.zeros(3 * RATE, np.float32), buzz(1.0)]) * syllables
-    blocks = cut(Speech(sound, RATE))
+    blocks = blocking.cut(Speech(sound, RATE))
     assert blocks.edges[0] == 0
     assert blocks.edges[-1] == 6.0
     assert (blocks.durations <= 0.5 + 1e-9).all()
@@ -78,7 +65,7 @@ def test_cut_tiles_the_recording() -> None:
 def test_stretching_keeps_pitch_level_and_length(hertz: float) -> None:
     time = np.arange(3 * RATE) / RATE
     blocks = lasting(np.array([0.5, 0.2, 0.25, 0.3, 0.45, 0.4, 0.5, 0.4]))
-    out = stretch_speech(Speech(np.sin(2 * np.pi * hertz * time).astype(np.float32), RATE), blocks)
+    out = blocking.stretch_speech(Speech(np.sin(2 * np.pi * hertz * time).astype(np.float32), RATE), blocks)
     assert out.shape == (8, 8000)
     assert out.dtype == np.float32
     spectra = np.abs(np.fft.rfft(out * np.hanning(8000), 80000, axis=1))
@@ -89,7 +76,7 @@ def test_stretching_keeps_pitch_level_and_length(hertz: float) -> None:
 def test_a_block_of_full_length_is_untouched_and_zeros_stay_zeros() -> None:
     sound = np.concatenate([buzz(0.5), np.zeros(8000, np.float32), buzz(0.4)])
     sound[16000 + 1600:16000 + 3200] = 0.0
-    out = stretch_speech(Speech(sound, RATE), lasting(np.array([0.5, 0.3, 0.2, 0.4])))
+    out = blocking.stretch_speech(Speech(sound, RATE), lasting(np.array([0.5, 0.3, 0.2, 0.4])))
     assert np.array_equal(out[0], sound[:8000])
     assert not out[1:3].any()
     assert not out[3, 2000:4000].any()
@@ -108,7 +95,7 @@ def test_clicks_at_the_beats_stay_at_the_ends_of_their_blocks() -> None:
         for edge in blocks.edges[1:-1]:
             place = round(edge * RATE)
             sound[place - 32:place] += rng.standard_normal(32)
-        power = stretch_speech(Speech(sound.astype(np.float32), RATE), blocks).astype(np.float64) ** 2
+        power = blocking.stretch_speech(Speech(sound.astype(np.float32), RATE), blocks).astype(np.float64) ** 2
         for before, after in itertools.pairwise(power):
             seam = np.concatenate([before[4000:], after[:4000]])
             assert seam[np.abs(away) < 0.04].sum() > 0.95 * seam.sum()
@@ -120,22 +107,22 @@ def test_clicks_at_the_beats_stay_at_the_ends_of_their_blocks() -> None:
 def test_a_block_is_stretched_from_its_surroundings_alone() -> None:
     sound = buzz(3.0) * np.linspace(0.2, 1, 3 * RATE, dtype=np.float32)
     blocks = lasting(np.array([0.3, 0.4, 0.25, 0.45, 0.3]))
-    whole = stretch_speech(Speech(sound, RATE), blocks)
-    assert np.array_equal(whole, stretch_speech(Speech(sound, RATE), blocks))
+    whole = blocking.stretch_speech(Speech(sound, RATE), blocks)
+    assert np.array_equal(whole, blocking.stretch_speech(Speech(sound, RATE), blocks))
     elsewhere = sound.copy()
     elsewhere[:round((0.7 - 0.04) * RATE)] = 0.5
     elsewhere[round((0.95 + 0.04) * RATE):] = -0.5
-    assert np.array_equal(stretch_speech(Speech(elsewhere, RATE), blocks)[2], whole[2])
+    assert np.array_equal(blocking.stretch_speech(Speech(elsewhere, RATE), blocks)[2], whole[2])
 
 
 @given(st.integers(700, 3000), st.floats(0.4, 2.9), st.integers(0, 10**6))
 def test_the_stretching_is_pytsmods_bit_for_bit(length: int, factor: float, seed: int) -> None:
     """It is given another linear interpolation than scipy's."""
-    assert pytsmod.wsola is not _WSOLA
+    assert pytsmod.wsola is not blocking._WSOLA
     sound = np.random.default_rng(seed).normal(size=length)
     anchors = np.array([[0, 300, length - 1], [0, 300, 300 + round(factor * (length - 301))]])
     whole = pytsmod.wsola(sound, anchors, win_size=512, syn_hop_size=256, tolerance=128)
-    np.testing.assert_array_equal(_WSOLA(sound, anchors, win_size=512, syn_hop_size=256, tolerance=128), whole)
+    np.testing.assert_array_equal(blocking._WSOLA(sound, anchors, win_size=512, syn_hop_size=256, tolerance=128), whole)
 
 
 @given(st.integers(1, 40), st.floats(0.02, 0.3), st.integers(0, 10**6))
@@ -144,25 +131,25 @@ def test_smoothing_is_scipys_correlation_with_a_gaussian(count: int, sigma: floa
     half = int(2.0 * sigma * 20.0 + 1e-9)
     weights = np.exp(-0.5 * (np.arange(-half, half + 1) / (sigma * 20.0)) ** 2)
     expected = correlate1d(frames, weights / weights.sum(), axis=0, mode="mirror")
-    np.testing.assert_allclose(smooth(frames, 20.0, sigma), expected, atol=1e-13)
+    np.testing.assert_allclose(blocking.smooth(frames, 20.0, sigma), expected, atol=1e-13)
 
 
 def test_windows_hold_three_blocks_and_zeros_outside() -> None:
     stretched = np.arange(1, 13, dtype=np.float32).reshape(4, 3)
-    windows = windows_of(stretched)
+    windows = blocking.windows_of(stretched)
     assert windows.tolist() == [[0, 0, 0, 1, 2, 3, 4, 5, 6], [1, 2, 3, 4, 5, 6, 7, 8, 9],
                                 [4, 5, 6, 7, 8, 9, 10, 11, 12], [7, 8, 9, 10, 11, 12, 0, 0, 0]]
-    assert windows_of(stretched[:1]).tolist() == [[0, 0, 0, 1, 2, 3, 0, 0, 0]]
-    assert samples_per_frame(16000, 20.0) == 800
+    assert blocking.windows_of(stretched[:1]).tolist() == [[0, 0, 0, 1, 2, 3, 0, 0, 0]]
+    assert blocking.samples_per_frame(16000, 20.0) == 800
 
 
 @given(durations=DURATIONS, seed=st.integers(0, 5))
 def test_motion_comes_back_exactly_on_the_beats(durations: Array, seed: int) -> None:
     blocks = lasting(durations)
     motion = waving(frames=round(durations.sum() * 60) + 1, fps=60.0, seed=seed)
-    knots = normalise_motion(motion, blocks)
+    knots = blocking.normalise_motion(motion, blocks)
     assert knots.shape == (len(blocks), 10, 48)
-    out = denormalise(knots, first_pose(motion), blocks, 20.0, smooth_over=0)
+    out = blocking.denormalise(knots, blocking.first_pose(motion), blocks, 20.0, smooth_over=0)
     assert len(out) == round(durations.sum() * 20)
     sampled = ROTATIONS.vectors(motion, np.arange(0, len(motion), 3) / 60.0)
     wanted = rotation.from_exponential_map(sampled.reshape(-1, 16, 3))[:len(out)]
@@ -178,20 +165,20 @@ def test_the_cubic_is_exact_at_knots_smooth_and_local(gaps: list[float], seed: i
     rng = np.random.default_rng(seed)
     times = np.cumsum(gaps)
     values = rng.standard_normal((len(times), 2))
-    assert np.allclose(hermite(times, values, times), values, atol=1e-9)
+    assert np.allclose(blocking.hermite(times, values, times), values, atol=1e-9)
     inner = times[1:-1]
     tiny = 1e-7
-    before = (hermite(times, values, inner) - hermite(times, values, inner - tiny)) / tiny
-    after = (hermite(times, values, inner + tiny) - hermite(times, values, inner)) / tiny
+    before = (blocking.hermite(times, values, inner) - blocking.hermite(times, values, inner - tiny)) / tiny
+    after = (blocking.hermite(times, values, inner + tiny) - blocking.hermite(times, values, inner)) / tiny
     assert np.allclose(before, after, atol=1e-3 * np.abs(before).max())
     parabola = np.stack([1 + 2 * times - 3 * times ** 2], axis=1)
     at = np.linspace(times[1], times[-2], 50)
-    assert np.allclose(hermite(times, parabola, at)[:, 0], 1 + 2 * at - 3 * at ** 2, atol=1e-9)
+    assert np.allclose(blocking.hermite(times, parabola, at)[:, 0], 1 + 2 * at - 3 * at ** 2, atol=1e-9)
     knot = len(times) // 2
     changed = values.copy()
     changed[knot] += 5
     dense = np.linspace(times[0], times[-1], 400)
-    apart = np.abs(hermite(times, changed, dense) - hermite(times, values, dense)).max(axis=1) > 1e-9
+    apart = np.abs(blocking.hermite(times, changed, dense) - blocking.hermite(times, values, dense)).max(axis=1) > 1e-9
     assert (dense[apart] > times[knot - 2]).all()
     assert (dense[apart] < times[min(knot + 2, len(times) - 1)]).all()
 
@@ -201,7 +188,7 @@ def test_a_path_whose_look_ahead_changes_is_whole_and_smooth(pushes: list[tuple[
     """Knots of a line give that line whatever the mode; those of a slow swing give it nearly, and its speed too: a
     slope that was used on one side of a knot is used on the other one."""
     rng, fps = np.random.default_rng(seed), 240.0
-    path, line = (KnotPath(np.zeros(1), fps, 0.0) for _ in range(2))
+    path, line = (blocking.KnotPath(np.zeros(1), fps, 0.0) for _ in range(2))
     end, out, straight = 0.0, [], []
     for count, prompt in pushes:
         times = end + np.cumsum(rng.uniform(0.02, 0.05, count))
@@ -224,7 +211,7 @@ def test_a_path_whose_look_ahead_changes_is_whole_and_smooth(pushes: list[tuple[
 
 def smoothed(frames: Array, fps: float) -> Array:
     """Frames [T, D] with a knot on each, where the cubic is exact, after the smoothing alone."""
-    path = KnotPath(frames[0], fps)
+    path = blocking.KnotPath(frames[0], fps)
     return np.concatenate([path.push(np.arange(1, len(frames)) / fps, frames[1:]), path.finish(len(frames) / fps)])
 
 

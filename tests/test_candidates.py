@@ -12,16 +12,6 @@ from data_module.types import Array
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, control_rows, representation_of
 from gesticulator.sampling import candidates
-from gesticulator.sampling.candidates import (
-    CandidateChooser,
-    apart_from_hands,
-    behind_trunk,
-    beyond,
-    depth,
-    in_time,
-    retimings,
-    swivel,
-)
 from tests.untrained import MOVING, PLAIN, untrained
 
 SHOULDERS = np.array([[-0.17, 0.6, 0.0], [0.17, 0.6, 0.0]])
@@ -59,7 +49,7 @@ def block_of(onsets: Array) -> SpeechBlock:
                        np.zeros(FRAMES, bool), onsets=onsets)
 
 
-def choice(chooser: CandidateChooser, speech: SpeechBlock, past: Array, blocks: Array, apart: Array,
+def choice(chooser: candidates.CandidateChooser, speech: SpeechBlock, past: Array, blocks: Array, apart: Array,
            control: Array | None = None, *, shift: Array | None = None) -> int:
     """The index of the candidate that is kept."""
     return chooser.choose(speech, chooser.motion(past, blocks, shift), apart, control)
@@ -67,7 +57,7 @@ def choice(chooser: CandidateChooser, speech: SpeechBlock, past: Array, blocks: 
 
 def test_of_those_that_show_the_lexeme_the_one_is_kept_that_stops_at_the_onset(
         bundle: Bundle, few: pytest.MonkeyPatch) -> None:
-    chooser = CandidateChooser(bundle, 0)
+    chooser = candidates.CandidateChooser(bundle, 0)
     stops = (0.3, 0.5, 0.8)
     past = swing(bundle, 0.3)[0]
     blocks = np.stack([swing(bundle, stop)[1] for stop in stops])
@@ -88,15 +78,15 @@ def test_a_hand_in_the_trunk_is_as_deep_as_it_is_and_the_candidate_without_is_ke
     places[2, 0, 3] = [0.0, 0.7, 0.05]  # an elbow 20 cm over the chest
     places[3, 0, 1] = [0.44, 0.6, 0.0]  # at the edge of the shoulder's sphere
     places[3, 1, 1] = [0.305, 0.6, 0.0]  # half its radius from the shoulder, and outside the trunk
-    np.testing.assert_allclose(depth(places), [0.0, 0.5 + 0.045 / 0.14, 0.0, 0.25], atol=1e-9)
-    chooser = CandidateChooser(bundle, 0)
+    np.testing.assert_allclose(candidates.depth(places), [0.0, 0.5 + 0.045 / 0.14, 0.0, 0.25], atol=1e-9)
+    chooser = candidates.CandidateChooser(bundle, 0)
     past, wide = swing(bundle, 0.0)
     skeleton = representation_of(bundle.config).motion(bundle.statistics.rest_pose[:1], 1.0).skeleton
     poses = bundle.statistics.denormalise(wide, 0)
     outside = poses.copy()
     poses[:, 3 * skeleton.index("RightArm") + 2] += 2.0 * np.arange(1, FRAMES + 1) / FRAMES  # through the body
     blocks, shown = np.stack([bundle.statistics.normalise(poses, 0), wide]), np.array([1.0, 1.2])
-    deep = depth(chooser._places(np.stack([poses, outside])))
+    deep = candidates.depth(chooser._places(np.stack([poses, outside])))
     assert deep[0] > 0.1 and deep[1] == 0.0
     assert choice(chooser, block_of(np.zeros(0)), past, blocks, shown) == 0
     few.setattr(candidates, "BODY", 8.0)
@@ -110,13 +100,13 @@ def test_arms_behind_the_trunk_are_as_far_behind_as_they_are_and_not_beside_it_o
     places[..., 6, 1], places[..., 4:6, :], places[..., :4, :] = 0.5, SHOULDERS, [0.0, 0.3, 1.0]
     places[0, :, 0] = [0.0, 0.3, -0.1], [-0.5, 0.1, -0.1], [0.0, 0.8, -0.1], [0.0, 0.3, 0.2], [0.0, -0.2, -0.1]
     places[0, :, 3] = [0.1, 0.3, -0.17], [0.26, 0.3, -0.17], [0.1, 0.3, 0.0], [0.1, 0.8, -0.17], [0.1, 0.3, -0.07]
-    behind = behind_trunk(places)
+    behind = candidates.behind_trunk(places)
     np.testing.assert_allclose(behind[0, [0, 2, 3, 4], 0], [0.215, -0.285, -0.085, -0.285], atol=1e-9)
     assert behind[0, 1, 0] < -0.2, "a hand beside the trunk"
     np.testing.assert_allclose(behind[0, :, 3], [0.1, 0.02, -0.07, -0.4, 0.0], atol=1e-9)
     leaning = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     leaning *= np.sign(np.linalg.det(leaning))
-    np.testing.assert_allclose(behind_trunk(places @ leaning.T), behind, atol=1e-9)
+    np.testing.assert_allclose(candidates.behind_trunk(places @ leaning.T), behind, atol=1e-9)
 
 
 def test_an_arm_before_the_face_is_as_near_as_its_nearest_point() -> None:
@@ -129,7 +119,7 @@ def test_an_arm_before_the_face_is_as_near_as_its_nearest_point() -> None:
     places[1, :, 0], places[1, :, 2] = [-0.2, 0.69, 0.19], [0.2, 0.69, 0.19]  # a forearm 11 cm before it
     places[2, :, 0], places[2, :, 2] = [-0.186, 0.69, 0.08], [-0.436, 0.69, 0.08]  # the hand ends 9.6 cm beside it
     places[3, :, 0], places[3, :, 2] = [-0.31, 0.69, 0.08], [-0.56, 0.69, 0.08]  # 22 cm beside it
-    np.testing.assert_allclose(depth(places), [0.0, 0.5, 1.0 - 0.096 / 0.22, 0.0], atol=1e-6)
+    np.testing.assert_allclose(candidates.depth(places), [0.0, 0.5, 1.0 - 0.096 / 0.22, 0.0], atol=1e-6)
 
 
 def test_a_head_that_turns_with_the_hands_is_nearer_to_them_than_one_that_does_not() -> None:
@@ -140,16 +130,16 @@ def test_a_head_that_turns_with_the_hands_is_nearer_to_them_than_one_that_does_n
     # Twice as fast as in speech, as the hands are: 0.8 rad/s, of two joints together.
     head[0, :, 0] = head[0, :, 3] = 0.4 * np.maximum(times, 0.0)
     head[1, :, 0] = 0.4 * np.maximum(times, 0.0)
-    apart = apart_from_hands(head, hands, times)
+    apart = candidates.apart_from_hands(head, hands, times)
     np.testing.assert_allclose(apart, [0.0, np.log(2.1 / 1.1), np.log(2.1 / 0.1)], atol=1e-9)
-    np.testing.assert_allclose(apart_from_hands(0 * head, 0 * hands, times), 0.0, atol=1e-9)
+    np.testing.assert_allclose(candidates.apart_from_hands(0 * head, 0 * hands, times), 0.0, atol=1e-9)
 
 
 def test_of_those_that_nearly_show_it_the_one_is_kept_that_does_what_is_asked(
         bundle: Bundle, few: pytest.MonkeyPatch) -> None:
     levels = bundle.statistics.levels
     assert levels is not None
-    chooser = CandidateChooser(bundle, 0)
+    chooser = candidates.CandidateChooser(bundle, 0)
     past, still = swing(bundle, 0.0)
     fast = swing(bundle, 1.0)[1]
     blocks, speech = np.stack([still, fast]), block_of(np.zeros(0))
@@ -171,7 +161,7 @@ def test_arms_that_people_do_not_have_are_beyond_them_by_how_much_they_are() -> 
     def moved(joints: slice, way: Array) -> float:
         places = np.repeat(rest[None], len(times), axis=0)
         places[:, joints, 2] += way[:, None]
-        return float(beyond(places[None], times)[0])
+        return float(candidates.beyond(places[None], times)[0])
 
     hands, elbow, late = slice(0, 2), slice(2, 3), np.maximum(times, 0.0)
     assert moved(hands, 0.0 * times) == 0 and moved(hands, 0.5 * late) == 0
@@ -185,9 +175,9 @@ def test_arms_that_people_do_not_have_are_beyond_them_by_how_much_they_are() -> 
     line = rest[0] - rest[4]
     spin = Rotation.from_rotvec(math.radians(460.0) * turn[:, None] * line / np.linalg.norm(line))
     places[:, 2] = rest[4] + spin.apply(rest[2] - rest[4])
-    turns, _ = swivel(*(places[:, k] for k in (4, 2, 0)))
+    turns, _ = candidates.swivel(*(places[:, k] for k in (4, 2, 0)))
     assert np.abs(turns) == pytest.approx(np.diff(math.radians(460.0) * turn), abs=1e-6)
-    assert beyond(places[None], times)[0] >= 1.0 - 1e-6
+    assert candidates.beyond(places[None], times)[0] >= 1.0 - 1e-6
 
 
 def test_an_onset_a_deviation_away_counts_as_a_gaussian_says() -> None:
@@ -195,13 +185,13 @@ def test_an_onset_a_deviation_away_counts_as_a_gaussian_says() -> None:
     times = np.arange(-3, 11) * 0.05
     way = np.minimum(times, 0.2)
     hands = np.stack([np.stack([way, 0 * way, 0 * way], -1)] * 2, axis=1)[None]
-    near = [float(in_time(hands, times, 0.0, np.array([0.2 + away]))[0]) for away in (0.0, 0.05, -0.1)]
+    near = [float(candidates.in_time(hands, times, 0.0, np.array([0.2 + away]))[0]) for away in (0.0, 0.05, -0.1)]
     np.testing.assert_allclose(near, 40 / 43 * np.exp([0.0, -0.5, -2.0]), rtol=1e-6)
 
 
 def test_a_retimed_block_is_earlier_or_later_in_its_middle_and_keeps_its_ends() -> None:
     steps = np.arange(-1, FRAMES + 1) / FRAMES
-    early, *_, same, _, _, late = retimings(FRAMES, 0.1) @ np.stack([steps, steps ** 2], axis=1)
+    early, *_, same, _, _, late = candidates.retimings(FRAMES, 0.1) @ np.stack([steps, steps ** 2], axis=1)
     t = steps[2:]
     np.testing.assert_array_equal(same, np.stack([t, t ** 2], axis=1))
     for made, shift in ((early, -0.1), (late, 0.1)):
@@ -210,4 +200,4 @@ def test_a_retimed_block_is_earlier_or_later_in_its_middle_and_keeps_its_ends() 
         inner = slice(1, -2)  # the spline of the last piece does not know what comes after it
         np.testing.assert_allclose(made[inner, 1], expected[inner] ** 2, atol=1e-12)
     assert late[4, 0] - t[4] == pytest.approx(0.1) and late[-1, 0] == 1.0, "by a tenth in the middle"
-    assert (np.diff(retimings(FRAMES, 0.3)[:, :, :] @ steps, axis=1) > 0.0).all(), "time never goes back"
+    assert (np.diff(candidates.retimings(FRAMES, 0.3)[:, :, :] @ steps, axis=1) > 0.0).all(), "time never goes back"

@@ -10,16 +10,8 @@ from bursts import blocks_of, turned
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_module.controls import (
-    Controls,
-    ControlWarning,
-    Curve,
-    Levels,
-    at_knots,
-    measure,
-    parse,
-    per_frame,
-)
+from data_module import controls
+from data_module.controls import Curve, Levels
 from data_module.errors import InputError
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion
@@ -48,7 +40,7 @@ def levels() -> Levels:
 @pytest.mark.parametrize("turns_per_second", [0.25, -0.5])
 def test_a_hand_on_a_circle_has_the_features_of_the_circle(fps: float, turns_per_second: float) -> None:
     angle = 2 * np.pi * turns_per_second * np.arange(round(4 * fps)) / fps
-    got = per_frame(arm(angle, fps))
+    got = controls.per_frame(arm(angle, fps))
     hand = SHOULDER - ARM * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
     assert np.allclose(got[:, 0], hand[:, 1], atol=1e-9)
     chord = 2 * ARM * np.sin(np.pi * abs(turns_per_second) / fps)  # what a straight line between frames makes of it
@@ -60,22 +52,22 @@ def test_a_hand_on_a_circle_has_the_features_of_the_circle(fps: float, turns_per
 def test_neither_heading_nor_walking_nor_standing_height_matters() -> None:
     rng = np.random.default_rng(0)
     angle = np.cumsum(rng.normal(0, 0.05, 90))
-    plain = per_frame(arm(angle, 30.0))
+    plain = controls.per_frame(arm(angle, 30.0))
     turned = arm(angle, 30.0, heading=np.linspace(0, 5, 90))
     path = np.array([3, 0.95, -2]) + np.cumsum(rng.normal(0, 0.02, (90, 3)), axis=0)
     walking = Motion(CHARACTER, turned.rotations, path, 30.0)
-    assert np.allclose(per_frame(walking), plain, atol=1e-9)
+    assert np.allclose(controls.per_frame(walking), plain, atol=1e-9)
 
 
 def test_one_frame_has_a_height_and_no_speed() -> None:
-    got = measure(arm(np.zeros(1), 20.0))
+    got = controls.measure(arm(np.zeros(1), 20.0))
     assert got.shape == (1, 3) and np.allclose(got[0], [0.49, 0.0, LEFT_RADIUS])
 
 
 @given(st.integers(1, 80), st.sampled_from([10.0, 15.0, 60.0]), st.floats(0, 12), st.integers(0, 2 ** 16))
 def test_the_average_is_that_of_the_frames_in_the_window(frames: int, fps: float, window: float, seed: int) -> None:
     motion = arm(np.cumsum(np.random.default_rng(seed).normal(0, 0.3, frames)), fps)
-    raw, got = per_frame(motion), measure(motion, window)
+    raw, got = controls.per_frame(motion), controls.measure(motion, window)
     half = round(window * fps / 2)
     expected = np.array([raw[max(0, t - half):t + half + 1].mean(axis=0) for t in range(frames)])
     assert np.allclose(got, expected, atol=1e-9)
@@ -84,17 +76,17 @@ def test_the_average_is_that_of_the_frames_in_the_window(frames: int, fps: float
 @pytest.mark.parametrize("window", [-1.0, float("nan"), float("inf")])
 def test_an_impossible_window_is_refused(window: float) -> None:
     with pytest.raises(InputError, match="window"):
-        measure(arm(np.zeros(5), 20.0), window)
+        controls.measure(arm(np.zeros(5), 20.0), window)
 
 
 def test_knots_are_read_on_the_recordings_own_clock() -> None:
     blocks = blocks_of([0.0, 0.2, 0.7, 1.0])
     values = np.outer(np.arange(31) / 30, [1.0, -2.0, 3.0])
-    got = at_knots(values, 30.0, blocks)
+    got = controls.at_knots(values, 30.0, blocks)
     assert got.shape == (3, 4, 3)
     assert np.allclose(got[0, :, 0], [0.05, 0.1, 0.15, 0.2]) and np.allclose(got[1, :, 1], [-0.65, -0.9, -1.15, -1.4])
     assert np.allclose(got[:, -1, 2], [0.6, 2.1, 3.0]), "the last frame of a block lies on its beat"
-    assert np.allclose(at_knots(values[:16], 30.0, blocks)[2, -1], [0.5, -1.0, 1.5]), "held past the end"
+    assert np.allclose(controls.at_knots(values[:16], 30.0, blocks)[2, -1], [0.5, -1.0, 1.5]), "held past the end"
 
 
 # ---------------------------------------------------------------------------------------------------- levels
@@ -125,16 +117,16 @@ def test_levels_need_values_and_unknown_levels_and_features_are_refused() -> Non
 # -------------------------------------------------------------------------------------------------- controls
 
 def test_free_constant_and_curve() -> None:
-    asked = Controls(height=0.3, radius=Curve((1.0, 3.0), (0.2, 0.6)))
+    asked = controls.Controls(height=0.3, radius=Curve((1.0, 3.0), (0.2, 0.6)))
     values, asked_for = asked.at(np.array([0.0, 1.0, 1.5, 3.0, 9.0]))
     assert asked_for.tolist() == [True, False, True]
     assert np.allclose(values[:, 0], 0.3) and (values[:, 1] == 0).all()
     assert np.allclose(values[:, 2], [0.2, 0.2, 0.3, 0.6, 0.6])
-    nothing, none = Controls().at(np.arange(4.0))
+    nothing, none = controls.Controls().at(np.arange(4.0))
     assert (nothing == 0).all() and not none.any()
-    assert Controls() != asked and Controls() == Controls(None, None, None)
-    assert Controls(radius=Curve((1.0, 3.0), (0.2, 0.6)), height=0.3) == asked
-    zero, told = Controls(speed=0.0).at(np.zeros(1))
+    assert controls.Controls() != asked and controls.Controls() == controls.Controls(None, None, None)
+    assert controls.Controls(radius=Curve((1.0, 3.0), (0.2, 0.6)), height=0.3) == asked
+    zero, told = controls.Controls(speed=0.0).at(np.zeros(1))
     assert zero[0, 1] == 0 and told.tolist() == [False, True, False], "zero is asked for, not free"
 
 
@@ -144,7 +136,7 @@ def test_impossible_controls_are_refused() -> None:
         with pytest.raises(ValueError):
             Curve(times, values)
     with pytest.raises(ValueError, match="speed"):
-        Controls(speed=float("inf"))
+        controls.Controls(speed=float("inf"))
 
 
 # --------------------------------------------------------------------------------------------------- parsing
@@ -152,15 +144,15 @@ def test_impossible_controls_are_refused() -> None:
 @pytest.mark.parametrize(("text", "expected"), [("low", 0.2), ("mid", 0.5), (" HIGH ", 0.9), ("0.35", 0.35),
                                                 ("6e-1", 0.6), ("0", 0.0)])
 def test_levels_and_numbers(text: str, expected: float) -> None:
-    assert parse("--hand-speed", text, "speed", levels()) == pytest.approx(expected)
+    assert controls.parse("--hand-speed", text, "speed", levels()) == pytest.approx(expected)
 
 
 @given(st.text(max_size=12))
 def test_any_text_is_understood_or_refused_by_name(text: str) -> None:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ControlWarning)
+        warnings.simplefilter("ignore", controls.ControlWarning)
         try:
-            got = parse("--hand-radius", text, "radius", levels())
+            got = controls.parse("--hand-radius", text, "radius", levels())
         except InputError as error:
             said = str(error)
         else:
@@ -173,14 +165,14 @@ def test_any_text_is_understood_or_refused_by_name(text: str) -> None:
                                   "0_4", "\0", "x" * 5000])
 def test_nonsense_names_its_flag(text: str) -> None:
     with pytest.raises(InputError, match="--hand-radius"):
-        parse("--hand-radius", text, "radius", levels())
+        controls.parse("--hand-radius", text, "radius", levels())
 
 
 def test_what_training_never_saw_is_said_and_used() -> None:
-    with pytest.warns(ControlWarning, match=r"--hand-height 1\.1.*far from the training data.*high 0\.40"):
-        assert parse("--hand-height", "1.1", "height", levels()) == 1.1
+    with pytest.warns(controls.ControlWarning, match=r"--hand-height 1\.1.*far from the training data.*high 0\.40"):
+        assert controls.parse("--hand-height", "1.1", "height", levels()) == 1.1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert parse("--hand-height", "0.5", "height", levels()) == 0.5
+        assert controls.parse("--hand-height", "0.5", "height", levels()) == 0.5
 
 

@@ -17,6 +17,7 @@ from interpreters.episodes import (
     EpisodeConfig,
     Episodes,
     SilentLexemes,
+    _episode,
     build,
     distance_rewards,
     looked_up,
@@ -227,6 +228,8 @@ def test_a_cut_is_a_truncation_and_the_end_is_terminal() -> None:
     assert torch.equal(batch["terminal"][:, :4], expected[:, :4])
     torch.testing.assert_close(batch["valid"], torch.tensor([[1.0] * 5, [1.0] * 5, [1.0] * 4 + [0.0]]))
     assert batch["block"][0].tolist() == [1, 2, 3, 4, 5] and batch["block"][2].tolist() == [8, 9, 10, 11, 11]
+    take = takes((12,))[0]
+    assert not _episode(take, take.lexemes[:11], 0, LITERAL, earned).terminal.any(), "the recording goes on"
     # Block 11 in the second window stands where one bootstraps from; whoever looks past it stops there.
     assert batch["terminal"][1].tolist() == [False, False, False, False, True]
 

@@ -102,6 +102,14 @@ def test_a_shift_is_taken_back_along_a_quintic() -> None:
     torch.testing.assert_close(_fade(4, torch.zeros(1)), torch.tensor([0.896484375, 0.5, 0.103515625, 0.0]))
 
 
+def test_the_loss_before_training_is_that_of_unit_gaussian_data() -> None:
+    """Of u - noise, which has variance 2, (2 t - 1) / s u_t leaves 1 / s; its mean over t is pi / 2."""
+    batch = swings(300, False)
+    generator = made(batch["motion"].flatten(0, 1)).eval()
+    loss = generator.losses(batch, 0.0, lambda y: torch.zeros(len(y), dtype=torch.long))["flow"]
+    assert loss.item() == pytest.approx(np.pi / 2, rel=0.1)
+
+
 @pytest.mark.parametrize("shared", [False, True])
 def test_drawing_follows_the_field_that_was_trained(shared: bool) -> None:
     """The Adams method over `FlowHead` itself, context by context, against the head that drawing uses: also after the

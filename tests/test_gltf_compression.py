@@ -212,11 +212,6 @@ def test_of_several_characters_the_named_one_moves(tmp_path: Path) -> None:
         read_character(f"{both}#Eve")
 
 
-def test_one_character_alone_needs_no_word(tmp_path: Path) -> None:
-    character, mapping = choose(write_character(tmp_path / "a#b.glb"))
-    assert note_of(character, mapping.joints["Hips"]) == ""
-
-
 def test_a_matrix_that_is_not_animated_stays_a_matrix(tmp_path: Path) -> None:
     file = GlbFile.parse(write_character(tmp_path / "plain.glb").read_bytes())
     sheared = [1.0, 0.0, 0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.5, 0.0, 0.0, 1.0]

@@ -14,18 +14,9 @@ from numpy.typing import NDArray
 from runners import played_critics, played_lstm, played_q, played_style
 
 from data_module.errors import InputError
-from interpreters import INTERPRETERS
+from interpreters import INTERPRETERS, base
 from interpreters.advantage import Critics
 from interpreters.advantage_run import AdvantageInterpreter
-from interpreters.base import (
-    EVERY_NEED,
-    BlockFeatures,
-    InterpreterByEar,
-    InterpreterDefaults,
-    Scores,
-    as_interpreter,
-    select,
-)
 from interpreters.cql import QConfig, QNetwork
 from interpreters.cql_run import LiteralQRunner, QRunner
 from interpreters.lstm import InterpreterWidths, LstmConfig, LstmInterpreter, StyleConfig, StyleInterpreter
@@ -78,7 +69,7 @@ class Outsider:
         """Blocks before."""
         return 0
 
-    def step(self, state: int, features: BlockFeatures, previous_lexeme: int) -> tuple[Scores, int]:
+    def step(self, state: int, features: base.BlockFeatures, previous_lexeme: int) -> tuple[base.Scores, int]:
         """Loud blocks favour the next lexeme."""
         scores = np.full(SIZE, -3.0)
         scores[(previous_lexeme + 1) % SIZE] = float(np.abs(features.high).mean())
@@ -89,9 +80,9 @@ MAKERS = {"lstm": lambda: played_lstm(lstm()), "cql": q_network, "cql-literal": 
           "advantage": advantage, "statistical": statistical}
 
 
-def hear(seed: int = 0, **also: NDArray[np.float32]) -> BlockFeatures:
+def hear(seed: int = 0, **also: NDArray[np.float32]) -> base.BlockFeatures:
     window = torch.randn(3 * FRAMES, AUDIO, generator=torch.Generator().manual_seed(seed)).numpy()
-    return BlockFeatures(window, window, **also)
+    return base.BlockFeatures(window, window, **also)
 
 
 def windows(seed: int, blocks: int, width: int = TEXT) -> torch.Tensor:
@@ -100,7 +91,7 @@ def windows(seed: int, blocks: int, width: int = TEXT) -> torch.Tensor:
     return torch.cat([rows[:-2], rows[1:-1], rows[2:]], dim=1)[None]
 
 
-PLAYED = {**MAKERS, "by ear": lambda: InterpreterByEar(played_lstm(lstm(audio_dropout=0.1)), 0.5),
+PLAYED = {**MAKERS, "by ear": lambda: base.InterpreterByEar(played_lstm(lstm(audio_dropout=0.1)), 0.5),
           "reads all": lambda: played_lstm(lstm(text_features=4, use_control=True, pose_features=4)),
           "outsider": Outsider}
 """Every registered interpreter, two more forms of the LSTM, and an object from outside."""
@@ -109,11 +100,11 @@ PLAYED = {**MAKERS, "by ear": lambda: InterpreterByEar(played_lstm(lstm(audio_dr
 @pytest.mark.parametrize("name", INTERPRETERS)
 def test_a_registered_interpreter_is_of_its_class_and_name(name: str) -> None:
     system = MAKERS[name]()
-    assert isinstance(system, INTERPRETERS[name].load()) and as_interpreter(system) is system
-    assert as_interpreter(system).name == name
+    assert isinstance(system, INTERPRETERS[name].load()) and base.as_interpreter(system) is system
+    assert base.as_interpreter(system).name == name
 
 
-def everything(seed: int = 0) -> BlockFeatures:
+def everything(seed: int = 0) -> base.BlockFeatures:
     """A block of which all is known."""
     generator = torch.Generator().manual_seed(seed)
     past = torch.randn(FRAMES, MOTION, generator=generator).numpy()
@@ -123,8 +114,8 @@ def everything(seed: int = 0) -> BlockFeatures:
 
 @pytest.mark.parametrize("name", PLAYED)
 def test_what_an_interpreter_does_not_need_changes_nothing(name: str) -> None:
-    system = as_interpreter(PLAYED[name]())
-    assert system.needs <= EVERY_NEED
+    system = base.as_interpreter(PLAYED[name]())
+    assert system.needs <= base.EVERY_NEED
     full = everything()
     others = {"text": {"text": everything(1).text}, "pose": {"past": everything(1).past},
               "control": {"control": everything(1).control}, "durations": {"durations": (0.4, 0.8)}}
@@ -143,22 +134,22 @@ def test_an_object_with_start_and_step_is_enough_and_less_is_refused() -> None:
     class Partly(Outsider):
         gives_values = True
 
-    class Derived(InterpreterDefaults, Partly):
+    class Derived(base.InterpreterDefaults, Partly):
         name = "derived"
         gives_values = True
 
-    adapted = as_interpreter(Outsider())
-    assert adapted.name == "Outsider" and as_interpreter(adapted) is adapted and not adapted.gives_values
-    assert as_interpreter(Derived()).gives_values
+    adapted = base.as_interpreter(Outsider())
+    assert adapted.name == "Outsider" and base.as_interpreter(adapted) is adapted and not adapted.gives_values
+    assert base.as_interpreter(Derived()).gives_values
     with pytest.raises(InputError, match="gives_values"):
-        as_interpreter(Partly())
+        base.as_interpreter(Partly())
     with pytest.raises(InputError, match="no start and step"):
-        as_interpreter(object())
+        base.as_interpreter(object())
 
 
 @pytest.mark.parametrize("name", PLAYED)
 def test_contract(name: str) -> None:
-    system = as_interpreter(PLAYED[name]())
+    system = base.as_interpreter(PLAYED[name]())
     state = system.start(1, 2)
     scores, after = system.step(state, everything(), 2)
     assert scores.shape == (SIZE,) and np.isfinite(scores).all()
@@ -185,7 +176,7 @@ def test_lstm_streams_as_it_trains(changes: dict[str, object]) -> None:
     state = runner.start(1, int(previous[0, 0]))
     for i in range(5):
         sound, words, rows = (values[0, i].numpy() for values in (audio, text, control))
-        heard = BlockFeatures(np.zeros_like(sound), sound, text=words, control=rows)
+        heard = base.BlockFeatures(np.zeros_like(sound), sound, text=words, control=rows)
         scores, state = runner.step(state, heard, int(previous[0, i]))
         np.testing.assert_allclose(scores, whole[i].detach().numpy(), atol=1e-5)
 
@@ -281,24 +272,24 @@ def test_the_mask_is_never_broken(values: list[float], data: st.DataObject) -> N
     allowed = np.array(data.draw(st.sets(st.integers(0, len(values) - 1), min_size=1)) and
                        sorted(data.draw(st.sets(st.integers(0, len(values) - 1), min_size=1))))
     for temperature in (0.0, 1.0):
-        chosen = select(np.array(values), allowed=allowed, temperature=temperature, rng=np.random.default_rng(0))
+        chosen = base.select(np.array(values), allowed=allowed, temperature=temperature, rng=np.random.default_rng(0))
         assert chosen in allowed
 
 
 def test_select_known_cases() -> None:
     scores = np.log([0.6, 0.3, 0.1])
-    assert select(scores) == 0
-    assert select(scores, allowed=np.array([], dtype=np.int64)) == 0, "an empty mask masks nothing"
+    assert base.select(scores) == 0
+    assert base.select(scores, allowed=np.array([], dtype=np.int64)) == 0, "an empty mask masks nothing"
     rng = np.random.default_rng(2)
-    drawn = [select(scores, temperature=1.0, top=2, rng=rng) for _ in range(200)]
+    drawn = [base.select(scores, temperature=1.0, top=2, rng=rng) for _ in range(200)]
     assert set(drawn) == {0, 1}
     with pytest.raises(ValueError):
-        select(scores, temperature=-1)
+        base.select(scores, temperature=-1)
 
 
 @pytest.mark.parametrize("temperature", [0.5, 1.0, 2.0])
 def test_lexemes_are_drawn_from_the_tempered_softmax(temperature: float) -> None:
     scores, rng = np.log([0.6, 0.3, 0.1]), np.random.default_rng(8)
-    drawn = [select(scores, temperature=temperature, rng=rng) for _ in range(6000)]
+    drawn = [base.select(scores, temperature=temperature, rng=rng) for _ in range(6000)]
     wanted = np.array([0.6, 0.3, 0.1]) ** (1 / temperature)
     np.testing.assert_allclose(np.bincount(drawn, minlength=3) / 6000, wanted / wanted.sum(), atol=0.025)

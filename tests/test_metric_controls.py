@@ -18,16 +18,6 @@ from data_module.speech.audio import load_speech
 from data_module.types import Motion
 from eval.ablate.rows import DOSES
 from eval.baselines import controls
-from eval.baselines.controls import (
-    CONTROLS,
-    DAMAGES,
-    donors,
-    jittered,
-    mean_pose,
-    reversed_in_time,
-    shuffled,
-    split_halves,
-)
 from gesticulator.gesticulator import Gesticulator
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
@@ -44,10 +34,10 @@ def clip(frames: int, seed: int, fps: float = 20.0) -> Motion:
 CLIPS = [clip(frames, seed) for seed, frames in enumerate((30, 50, 41, 36, 60, 25))]
 
 
-@pytest.mark.parametrize("name", sorted(CONTROLS))
+@pytest.mark.parametrize("name", sorted(controls.CONTROLS))
 def test_the_seed_decides_and_the_clips_stay_as_they_were(name: str) -> None:
     before = [own.rotations.copy() for own in CLIPS]
-    first, second = CONTROLS[name](CLIPS, NAMES, 4), CONTROLS[name](CLIPS, NAMES, 4)
+    first, second = controls.CONTROLS[name](CLIPS, NAMES, 4), controls.CONTROLS[name](CLIPS, NAMES, 4)
     assert len(first) == len(CLIPS)
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a.rotations, b.rotations)
@@ -62,9 +52,9 @@ NAMES = [str(number) for number in range(len(CLIPS))]
 
 @pytest.mark.parametrize(("kind", "doses"), sorted(DOSES.items()))
 def test_each_dose_of_damage_is_further_from_the_clips_than_the_one_before(kind: str, doses: int) -> None:
-    assert len(DAMAGES[kind]) == doses and set(DAMAGES) == set(DOSES)
+    assert len(controls.DAMAGES[kind]) == doses and set(controls.DAMAGES) == set(DOSES)
     away = [0.0, *(np.mean([np.abs(positions_of(one) - positions_of(other)).mean() for one, other in
-                            zip(CLIPS, damage(CLIPS), strict=True)]) for damage in DAMAGES[kind])]
+                            zip(CLIPS, damage(CLIPS), strict=True)]) for damage in controls.DAMAGES[kind])]
     assert all(more > less + 1e-3 for less, more in itertools.pairwise(away))
 
 
@@ -73,30 +63,30 @@ def test_damage_halves_and_doubles_the_angle_from_the_mean_pose_and_stills_the_t
         k = CHARACTER.index(joint)
         return rotation.angle_between(clip.rotations[:, k], mean.rotations[:, k])
 
-    mean, = mean_pose(CLIPS[:1])
+    mean, = controls.mean_pose(CLIPS[:1])
     for kind, factor in (("smaller", 0.5), ("larger", 2.0)):
-        moved, = DAMAGES[kind][-1](CLIPS[:1])
+        moved, = controls.DAMAGES[kind][-1](CLIPS[:1])
         np.testing.assert_allclose(angle(moved, "RightArm"), factor * angle(CLIPS[0], "RightArm"), atol=1e-6)
-    frozen, = DAMAGES["frozen-trunk"][-1](CLIPS[:1])
+    frozen, = controls.DAMAGES["frozen-trunk"][-1](CLIPS[:1])
     assert angle(frozen, "Spine1").max() < 1e-6
     np.testing.assert_allclose(angle(frozen, "RightArm"), angle(CLIPS[0], "RightArm"), atol=1e-9)
 
 
 def test_halves_are_all_clips_once_and_about_as_long() -> None:
-    first, second = split_halves(CLIPS, NAMES, 0)
+    first, second = controls.split_halves(CLIPS, NAMES, 0)
     assert sorted(first + second) == list(range(len(CLIPS)))
     seconds = [sum(CLIPS[k].duration for k in half) for half in (first, second)]
     assert abs(seconds[0] - seconds[1]) <= max(own.duration for own in CLIPS)
-    assert any(split_halves(CLIPS, NAMES, seed)[0] != first for seed in range(1, 6))
+    assert any(controls.split_halves(CLIPS, NAMES, seed)[0] != first for seed in range(1, 6))
 
 
 def test_a_group_is_never_split() -> None:
     groups = ["a", "a", "b", "c", "b", "c"]
     for seed in range(10):
-        first, second = split_halves(CLIPS, groups, seed)
+        first, second = controls.split_halves(CLIPS, groups, seed)
         assert first and second and not {groups[k] for k in first} & {groups[k] for k in second}
     with pytest.raises(ValueError):
-        split_halves(CLIPS, ["a"] * 6, 0)
+        controls.split_halves(CLIPS, ["a"] * 6, 0)
 
 
 @given(sizes=st.lists(st.integers(1, 4), min_size=2, max_size=6), seed=st.integers(0, 99))
@@ -105,38 +95,38 @@ def test_every_speech_gets_the_motion_of_another_group_and_every_motion_is_given
     groups = [str(k) for k, size in enumerate(sizes) for _ in range(size)]
     if 2 * max(sizes) > len(groups):
         with pytest.raises(ValueError):
-            donors(groups, seed)
+            controls.donors(groups, seed)
         return
-    giver = donors(groups, seed)
+    giver = controls.donors(groups, seed)
     assert sorted(giver) == list(range(len(groups)))
     assert all(groups[k] != groups[giver[k]] for k in range(len(groups)))
 
 
 def test_shuffled_clips_are_cut_to_the_speech() -> None:
-    giver = donors(NAMES, 0)
-    for k, own in enumerate(shuffled(CLIPS, NAMES, 0)):
+    giver = controls.donors(NAMES, 0)
+    for k, own in enumerate(controls.shuffled(CLIPS, NAMES, 0)):
         assert giver[k] != k and len(own) == min(len(CLIPS[k]), len(CLIPS[giver[k]]))
         np.testing.assert_array_equal(own.rotations, CLIPS[giver[k]].rotations[:len(own)])
     with pytest.raises(ValueError):
-        shuffled(CLIPS[:1], ["a"], 0)
+        controls.shuffled(CLIPS[:1], ["a"], 0)
 
 
 def test_reversed_twice_is_the_clip() -> None:
-    once = reversed_in_time(CLIPS)
+    once = controls.reversed_in_time(CLIPS)
     np.testing.assert_array_equal(once[1].rotations[0], CLIPS[1].rotations[-1])
     np.testing.assert_array_equal(once[1].root_positions[-1], CLIPS[1].root_positions[0])
-    for own, twice in zip(CLIPS, reversed_in_time(once), strict=True):
+    for own, twice in zip(CLIPS, controls.reversed_in_time(once), strict=True):
         np.testing.assert_array_equal(own.rotations, twice.rotations)
 
 
 def test_jitter_is_two_centimetres_at_every_joint_and_does_not_add_up() -> None:
     long = clip(600, 3)
-    off = positions_of(jittered([long], 0)[0]) - positions_of(long)
+    off = positions_of(controls.jittered([long], 0)[0]) - positions_of(long)
     deviation = off.reshape(-1, len(CHARACTER), 3).std(axis=(0, 2))
     assert (deviation[:2] < 1e-12).all()  # the root, and the joint that hangs on it
     assert (deviation[2:] > 0.8 * controls.JITTER).all() and (deviation[2:] < 1.2 * controls.JITTER).all()
     # nor does it grow where metrics look from the facing hips
-    faced = positions_of(facing(jittered([long], 0)[0])) - positions_of(facing(long))
+    faced = positions_of(facing(controls.jittered([long], 0)[0])) - positions_of(facing(long))
     np.testing.assert_allclose(faced.reshape(-1, len(CHARACTER), 3).std(axis=(0, 2)), deviation, rtol=0.1, atol=1e-9)
     # white: what it is in one frame says nothing of the next
     hands = off[:, CHARACTER.index("LeftHand"), 0]
@@ -144,10 +134,10 @@ def test_jitter_is_two_centimetres_at_every_joint_and_does_not_add_up() -> None:
 
 
 def test_jitter_keeps_the_bones_and_what_is_absent() -> None:
-    np.testing.assert_allclose(positions_of(jittered(CLIPS[:1], 0, 0.0)[0]), positions_of(CLIPS[0]), atol=1e-9)
+    np.testing.assert_allclose(positions_of(controls.jittered(CLIPS[:1], 0, 0.0)[0]), positions_of(CLIPS[0]), atol=1e-9)
     lacking = replace(CLIPS[1], rotations=CLIPS[1].rotations.copy(), absent=("Spine3",))
     lacking.rotations[:, CHARACTER.index("Spine3")] = (1.0, 0.0, 0.0, 0.0)
-    got = jittered([lacking], 1)[0]
+    got = controls.jittered([lacking], 1)[0]
     np.testing.assert_array_equal(got.rotations[:, CHARACTER.index("Spine3")], lacking.rotations[:, 4])
     assert got.absent == ("Spine3",)
     places = positions_of(got)

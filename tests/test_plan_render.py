@@ -19,16 +19,9 @@ from gesticulator.body.clips import mirrored_motion
 from gesticulator.bundle.features import representation_of
 from gesticulator.contacts.columns import TRUNK
 from gesticulator.contacts.limbs import pose_of
+from gesticulator.directing import shaping
 from gesticulator.directing.cues import cues_at
 from gesticulator.directing.named_gestures import span_of_gesture
-from gesticulator.directing.shaping import (
-    FADE,
-    MIRROR_FADE,
-    REST_FADE,
-    ShapeLevels,
-    Shaper,
-    rest_share,
-)
 from gesticulator.directing.strokes import FINE, LARGE, REMEMBERED, StrokeMemory
 from gesticulator.editing.render import BLEND
 from gesticulator.page.session import EditSession
@@ -101,8 +94,8 @@ def test_an_edit_changes_its_block_and_the_blend_alone(what: str, plans: EditSes
     elif what == "draw":
         edited = with_block(plan, at, draw=replace(block.draw, variation=5))
     elif what in ("intensity", "none", "mirror"):
-        fade, edit = {"intensity": (FADE, {"intensity": 1.7}), "none": (REST_FADE, {"intensity": 0.0}),
-                      "mirror": (MIRROR_FADE, {"mirror": True})}[what]
+        fade, edit = {"intensity": (shaping.FADE, {"intensity": 1.7}), "none": (shaping.REST_FADE, {"intensity": 0.0}),
+                      "mirror": (shaping.MIRROR_FADE, {"mirror": True})}[what]
         edited, blend, begin, end = with_block(plan, at, **edit), 0.0, begin - fade, end + fade
     else:
         end = after.end
@@ -169,17 +162,18 @@ def poses_of(made: Performance, step: int = 3) -> tuple[Array, Array]:
     return poses, np.arange(len(poses)) * step / made.fps
 
 
-def sized(count: int, intensity: float, mirrored: float = 0.0) -> ShapeLevels:
+def sized(count: int, intensity: float, mirrored: float = 0.0) -> shaping.ShapeLevels:
     sizes = np.full(count, intensity)
-    return ShapeLevels(sizes, rest_share(sizes), np.full(count, mirrored))
+    return shaping.ShapeLevels(sizes, shaping.rest_share(sizes), np.full(count, mirrored))
 
 
 @pytest.fixture(scope="module")
-def new_shaper(system: Gesticulator) -> Callable[[], Shaper]:
-    return lambda: Shaper(system.bundle.statistics, representation_of(system.bundle.config), 0)
+def new_shaper(system: Gesticulator) -> Callable[[], shaping.Shaper]:
+    return lambda: shaping.Shaper(system.bundle.statistics, representation_of(system.bundle.config), 0)
 
 
-def test_shaping_needs_no_later_frames_and_can_go_back(new_shaper: Callable[[], Shaper], drawn: Performance) -> None:
+def test_shaping_needs_no_later_frames_and_can_go_back(new_shaper: Callable[[], shaping.Shaper], drawn: Performance
+                                                       ) -> None:
     poses, times = poses_of(drawn)
     asked = sized(len(poses), 0.7)
     whole = new_shaper().shaped(poses, times, asked)
@@ -191,7 +185,7 @@ def test_shaping_needs_no_later_frames_and_can_go_back(new_shaper: Callable[[], 
         np.testing.assert_allclose(got, whole[part], rtol=0, atol=1e-12)
 
 
-def test_nothing_asked_is_nothing_done(new_shaper: Callable[[], Shaper], drawn: Performance) -> None:
+def test_nothing_asked_is_nothing_done(new_shaper: Callable[[], shaping.Shaper], drawn: Performance) -> None:
     poses, times = poses_of(drawn)
     shaper = new_shaper()
     np.testing.assert_array_equal(shaper.shaped(poses, times, sized(len(poses), 1.0)), poses)

@@ -8,28 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+import recogniser_samples as samples
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recogniser_samples import (
-    FILES,
-    JSON,
-    WITHOUT_TIMES,
-    Words,
-    assemblyai,
-    faster_whisper,
-    srt_highlighted,
-    whisper,
-    whisperx,
-)
 
 from data_module.errors import InputError
-from data_module.text.transcript import Transcript, read_transcript, with_transcript
-from data_module.types import Speech, Word
+from data_module.text.transcript import Transcript, read_transcript
+from data_module.types import Speech
 
 RATE = 16000
-SPOKEN: Words = (("And", 0.0, 0.3), ("so,", 0.3, 0.55), ("my", 0.7, 0.9), ("fellow", 0.9, 1.4),
+SPOKEN: samples.Words = (("And", 0.0, 0.3), ("so,", 0.3, 0.55), ("my", 0.7, 0.9), ("fellow", 0.9, 1.4),
                  ("Americans,", 1.4, 2.1), ("ask", 2.6, 2.9), ("not", 3.0, 3.4))
-TIMED = sorted(set(FILES) - WITHOUT_TIMES)
+TIMED = sorted(set(samples.FILES) - samples.WITHOUT_TIMES)
 UNENDING = {"vtt, rolling", "lrc"}
 """Samples that tell when words begin only: each lasts until the next."""
 
@@ -41,12 +31,12 @@ def _read(folder: Path, suffix: str, content: str, seconds: float | None = None)
     return read_transcript(path, speech)
 
 
-def _sample(folder: Path, name: str, words: Words) -> Transcript:
-    suffix, write = FILES[name]
+def _sample(folder: Path, name: str, words: samples.Words) -> Transcript:
+    suffix, write = samples.FILES[name]
     return _read(folder, suffix, write(words))
 
 
-def _same(found: Transcript, words: Words, ends: bool = True) -> None:
+def _same(found: Transcript, words: samples.Words, ends: bool = True) -> None:
     assert found.timing == "words" and found.words is not None and found.guessed == 0
     assert [word.text for word in found.words] == [word for word, _, _ in words]
     np.testing.assert_allclose([word.start for word in found.words], [start for _, start, _ in words], atol=1e-9)
@@ -54,23 +44,23 @@ def _same(found: Transcript, words: Words, ends: bool = True) -> None:
         np.testing.assert_allclose([word.end for word in found.words], [end for _, _, end in words], atol=1e-9)
 
 
-WORD = st.from_regex(r"[A-Za-z]{1,9}[a-z]", fullmatch=True)
+WORD = st.from_regex(r"[A-Za-z]{1,9}[a-z][,.]?", fullmatch=True)
 
 
 @settings(max_examples=8)
-@given(st.lists(st.tuples(WORD, st.integers(0, 900), st.integers(80, 900)), min_size=3, max_size=20))
+@given(st.lists(st.tuples(WORD, st.integers(0, 90), st.integers(8, 90)), min_size=3, max_size=20))
 def test_any_words_read_the_same_from_every_recogniser(tmp_path_factory: pytest.TempPathFactory,
                                                        drawn: list[tuple[str, int, int]]) -> None:
     words, at = [], 0
     for word, pause, length in drawn:
-        words.append((word, (at + pause) / 1000, (at + pause + length) / 1000))
+        words.append((word, (at + pause) / 100, (at + pause + length) / 100))
         at += pause + length
     folder = tmp_path_factory.mktemp("words")
     for name in TIMED:
         _same(_sample(folder, name, words), words, name not in UNENDING)
 
 
-@pytest.mark.parametrize("name", sorted(WITHOUT_TIMES - {"text"}))
+@pytest.mark.parametrize("name", sorted(samples.WITHOUT_TIMES - {"text"}))
 def test_lines_are_cues_and_their_words_are_spread(name: str, tmp_path: Path) -> None:
     found = _sample(tmp_path, name, SPOKEN)
     assert found.timing == "cues" and [cue.text for cue in found.cues] == ["And so, my fellow", "Americans, ask not"]
@@ -86,30 +76,10 @@ def _without_words(content: Any) -> Any:
 @pytest.mark.parametrize("name", ["whisper", "whisperx", "faster-whisper", "google", "azure", "azure, batch",
                                   "azure, fast", "deepgram"])
 def test_a_file_without_word_times_gives_its_lines_or_its_text(name: str, tmp_path: Path) -> None:
-    content = _without_words(JSON[name](SPOKEN))
+    content = _without_words(samples.JSON[name](SPOKEN))
     found = _read(tmp_path, ".json", json.dumps(content))
     assert found.timing == ("none" if name == "deepgram" else "cues")
     assert found.text == "And so, my fellow Americans, ask not"
-
-
-def test_milliseconds_are_read_as_such(tmp_path: Path) -> None:
-    """79 words of a real length: 78 of them fell behind the end of the recording, as seconds."""
-    words = [(f"word{chr(97 + n % 26)}", 0.4 * n, 0.4 * n + 0.3) for n in range(79)]
-    for content in (assemblyai(words), {"words": assemblyai(words)["words"]}, assemblyai(words)["words"]):
-        found = _read(tmp_path, ".json", json.dumps(content), 35.0)
-        _same(found, words)
-        speech, timing = with_transcript(Speech(np.zeros(35 * RATE, np.float32), RATE), found)
-        assert timing.words == len(speech.words or ()) == 79 and timing.how == "given"
-
-
-def test_highlighted_words_come_once(tmp_path: Path) -> None:
-    """79 words were 889 where each cue of the line counted."""
-    words = [(f"word{n % 7}", 0.4 * n, 0.4 * n + 0.3) for n in range(79)]
-    parts = [words[n:n + 10] for n in range(0, 79, 10)]
-    cues = [cue for part in parts for cue in srt_highlighted(part).split("\n\n")]
-    text = "\n\n".join(cue.strip() for cue in cues)
-    assert sum(len(cue.split("\n")[-1].split()) for cue in text.split("\n\n")) > 700
-    _same(_read(tmp_path, ".srt", text, 35.0), words)
 
 
 def test_emphasis_in_a_line_is_no_time(tmp_path: Path) -> None:
@@ -120,21 +90,8 @@ def test_emphasis_in_a_line_is_no_time(tmp_path: Path) -> None:
     assert found.timing == "cues" and found.text == "I really mean it you do not"
 
 
-def test_words_that_were_not_aligned_lie_between(tmp_path: Path) -> None:
-    """whisperX leaves out the times of numbers, gentle those of words that it does not hear."""
-    for name in ("whisperx", "gentle"):
-        content = JSON[name](SPOKEN)
-        item = (content["segments"][0] if name == "whisperx" else content)["words"][2]
-        del item["start"], item["end"]
-        item["case"] = "not-found-in-audio"
-        found = _read(tmp_path, ".json", json.dumps(content))
-        assert found.words is not None and found.guessed == 1
-        assert [word.text for word in found.words] == [word for word, _, _ in SPOKEN]
-        assert found.words[2] == Word("my", 0.55, 0.9)
-
-
 def test_a_list_of_word_segments_is_read_with_what_it_lacks_and_in_order(tmp_path: Path) -> None:
-    words: list[dict[str, Any]] = whisperx(SPOKEN)["word_segments"]
+    words: list[dict[str, Any]] = samples.whisperx(SPOKEN)["word_segments"]
     words[1:5] = [{"word": "2266"}, words[1], words[2], {"word": "?"}, words[4], words[3]]
     found = _read(tmp_path, ".json", json.dumps({"word_segments": words, "language": "en"}))
     assert "the times were not in order and were sorted" in found.notes
@@ -144,24 +101,11 @@ def test_a_list_of_word_segments_is_read_with_what_it_lacks_and_in_order(tmp_pat
 
 
 def test_words_without_times_stay_within_their_segment(tmp_path: Path) -> None:
-    content = faster_whisper(SPOKEN)
+    content = samples.faster_whisper(SPOKEN)
     content[0]["words"][2:] = [{"word": word["word"]} for word in content[0]["words"][2:]]
     found = _read(tmp_path, ".json", json.dumps(content)).words or ()
     assert [word.text for word in found] == [word for word, *_ in SPOKEN]
     assert found[3].end == pytest.approx(1.4) and found[4].start == pytest.approx(1.4)
-
-
-def test_phrases_of_transformers_are_cues_and_the_last_may_be_open(tmp_path: Path) -> None:
-    chunks = [{"text": " Well then.", "timestamp": [0.0, 1.1]}, {"text": " So be it.", "timestamp": [2.0, None]}]
-    found = _read(tmp_path, ".json", json.dumps({"text": " Well then. So be it.", "chunks": chunks}))
-    assert found.timing == "cues" and [cue.start for cue in found.cues] == [0.0, 2.0]
-    assert found.cues[1].end == pytest.approx(2.9)
-
-
-def test_what_was_not_recognised_is_passed_over(tmp_path: Path) -> None:
-    content = [JSON["azure"](SPOKEN), {"RecognitionStatus": "InitialSilenceTimeout", "Offset": 4 * 10**7,
-                                          "Duration": 10**7}]
-    _same(_read(tmp_path, ".json", json.dumps(content)), SPOKEN)
 
 
 @pytest.mark.parametrize(("content", "said"), [
@@ -175,13 +119,20 @@ def test_what_was_not_recognised_is_passed_over(tmp_path: Path) -> None:
     ({"transcription": [{"text": "a", "offsets": {"from": 0, "to": 9}}, {"text": " b c"}]},
      "transcription[1]: has no times"),
     ({"chunks": [{"text": "a", "timestamp": [0, 1]}, {"text": "b c", "timestamp": 3}]}, "chunks[1]: has no times"),
-    ({"results": [{"alternatives": [{"words": [{"word": "a", "endTime": "1.5"}]}]}]}, "'1.5' is not a time"),
+    ({"results": [{"alternatives": [{"words": [{"word": "a", "endTime": "1:5"}]}]}]}, "'1:5' is not a time"),
     ({"chapters": []}, "neither words nor segments"),
 ])
 def test_what_cannot_be_used_is_refused(content: Any, said: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         _read(tmp_path, ".json", json.dumps(content))
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(("times", "start", "end"), [
+    ("begin='00:01:01.5' xml:id='a' end='00:01:02'", 61.5, 62), ('dur="0.5s" begin="1.5s"', 1.5, 2)])
+def test_times_of_ttml(times: str, start: float, end: float, tmp_path: Path) -> None:
+    found = _read(tmp_path, ".dfxp", f"<tt:tt>\n<tt:p {times}>so<tt:br/>be\n it &amp; on</tt:p></tt:tt>")
+    assert [(cue.text, cue.start, cue.end) for cue in found.cues] == [("so be it & on", start, end)]
 
 
 @pytest.mark.parametrize(("content", "said"), [
@@ -196,8 +147,8 @@ def test_broken_tables_are_named_by_line(content: str, said: str, tmp_path: Path
 
 
 def test_texts_in_a_script_without_spaces_are_spread_over_their_tokens(tmp_path: Path) -> None:
-    part = whisper([("今天天气很好", 0.0, 1.2)])
+    part = samples.whisper([("今天天气很好", 0.0, 1.2)])
     found = _read(tmp_path, ".json", json.dumps(part))
     assert found.words is not None and found.words[0].start == 0.0 and found.words[-1].end == 1.2
     assert "".join(word.text for word in found.words) == "今天天气很好"
-    assert _read(tmp_path, ".json", json.dumps(whisperx(SPOKEN))).timing == "words"
+    assert _read(tmp_path, ".json", json.dumps(samples.whisperx(SPOKEN))).timing == "words"

@@ -20,16 +20,8 @@ from data_module.speech.sound_map import SoundMap, Stretch
 from data_module.types import Speech, Word
 from gesticulator import Gesticulator, infer
 from gesticulator.editing.moved_beats import BeatMap
-from gesticulator.plan.plan import (
-    DrawnBlocks,
-    GestureCue,
-    GesturePlan,
-    KnobCurve,
-    PlanKnobs,
-    PlanMeaning,
-    PosePin,
-    edited_blocks,
-)
+from gesticulator.plan import plan as plans
+from gesticulator.plan.plan import GesturePlan
 from gesticulator.plan.plan_file import parse_plan
 
 PAUSE = 4.6
@@ -47,7 +39,7 @@ def speech() -> Speech:
 def plan(system: Gesticulator, speech: Speech) -> GesturePlan:
     words = tuple(Word(text, start, start + 0.3) for text, start in (("one", 1.0), ("two", 6.5), ("one", 8.0)))
     made = system(replace(speech, words=words), seed=1, cues=(
-        GestureCue("wave", time=2.0), GestureCue("nod", "one", 2), GestureCue("shrug", "two")))
+        plans.GestureCue("wave", time=2.0), plans.GestureCue("nod", "one", 2), plans.GestureCue("shrug", "two")))
     return parse_plan(made.plan().to_json())
 
 
@@ -88,7 +80,7 @@ def test_an_export_of_the_same_sound_keeps_every_block(system: Gesticulator, spe
     found = system.retimed(plan, new())
     assert decisions(found.plan) == decisions(plan) and not found.anew and not found.losses
     np.testing.assert_allclose(starts(found.plan), starts(plan), atol=1e-6)
-    assert found.plan.drawn.lexemes == plan.drawn.lexemes and not any(edited_blocks(found.plan))
+    assert found.plan.drawn.lexemes == plan.drawn.lexemes and not any(plans.edited_blocks(found.plan))
     assert parse_plan(found.plan.to_json()) == found.plan
 
 
@@ -123,7 +115,7 @@ def test_silence_before_the_sound_moves_all_and_is_all_that_is_new(system: Gesti
     for block in found.plan.blocks[:new]:
         assert block.silent and block.name == names[block.lexeme] and len(block.alternatives) == 5
     assert len(set(found.plan.drawn.numbers)) == len(found.plan.blocks)
-    assert not any(edited_blocks(found.plan))
+    assert not any(plans.edited_blocks(found.plan))
 
 
 def test_only_the_blocks_of_another_sentence_are_decided_anew(system: Gesticulator, speech: Speech, plan: GesturePlan
@@ -157,13 +149,13 @@ def test_edits_locks_pins_and_curves_go_along_or_are_reported(system: Gesticulat
     blocks[last - 2] = replace(blocks[last - 2], lexeme=3)
     blocks[last], blocks[last + 1] = replace(blocks[last], end=moved), replace(blocks[last + 1], start=moved)
     edited = replace(
-        plan, blocks=tuple(blocks), pins=(PosePin(3.0, "Head", position=(0.0, 1.6, 0.0)), PosePin(
+        plan, blocks=tuple(blocks), pins=(plans.PosePin(3.0, "Head", position=(0.0, 1.6, 0.0)), plans.PosePin(
             7.0, "RightHand", position=(0.1, 1.2, 0.3), hold=0.5)),
-        curves=(KnobCurve("intensity", (1.0, 7.0), (1.0, 0.5)),), meanings=(PlanMeaning(6.0, 6.5, "size"),),
+        curves=(plans.KnobCurve("intensity", (1.0, 7.0), (1.0, 0.5)),), meanings=(plans.PlanMeaning(6.0, 6.5, "size"),),
         knobs=replace(plan.knobs, hold_still=((7.5, 8.0),)))
     found = system.retimed(edited, joined(piece(speech, 0, PAUSE), piece(speech, PAUSE + 0.3)))
     assert decisions(found.plan) == decisions(edited)
-    assert edited_blocks(found.plan) == edited_blocks(edited)
+    assert plans.edited_blocks(found.plan) == plans.edited_blocks(edited)
     assert found.plan.blocks[last].end == pytest.approx(moved - 0.3, abs=FRAME)
     assert [pin.time for pin in found.plan.pins] == pytest.approx([3.0, 6.7], abs=FRAME)
     assert found.plan.pins[1].hold == pytest.approx(0.5)
@@ -216,7 +208,7 @@ def test_moved_times_never_go_back(parts: list[tuple[float, float, float]], seed
     rng = np.random.default_rng(seed)
     edges = np.cumsum([0.0, *rng.uniform(0.2, 0.5, int(time / 0.3) + 1)])
     flags = tuple(rng.choice(["onset", "even_pseudo"], len(edges) - 1).tolist())
-    drawn = DrawnBlocks(tuple(edges.tolist()), flags, (False,) * len(flags), (0,) * len(flags), PlanKnobs())
+    drawn = plans.DrawnBlocks(tuple(edges.tolist()), flags, (False,) * len(flags), (0,) * len(flags), plans.PlanKnobs())
     frames = [rng.integers(0, 16, (int(end * 50) + 2, 12), dtype=np.uint8) for end in (time, there)]
     beats = BeatMap(SoundMap(*frames, tuple(stretches), 1.0), drawn, np.sort(rng.uniform(0, there, 20)))
     times = np.sort(rng.uniform(0, time, 60))

@@ -13,22 +13,16 @@ from learning import learn
 from torch import Tensor
 from torch.nn import functional
 
-from interpreters.reward import (
-    LEAST_TEMPERATURE,
-    RewardConfig,
-    RewardModel,
-    contrast,
-    similarities,
-)
+from interpreters import reward as rewards
 from interpreters.reward_table import Centred, RewardTable
 
 FRAMES, MOTION, AUDIO, LEXEMES, BLOCKS = 4, 5, 3, 7, 40
 
 
-def model(seed: int = 0, **changes: object) -> RewardModel:
+def model(seed: int = 0, **changes: object) -> rewards.RewardModel:
     torch.manual_seed(seed)
-    config = RewardConfig(**{"width": 16, "projection": 8, **changes})  # type: ignore[arg-type]
-    return RewardModel(config, FRAMES, MOTION, AUDIO).eval()
+    config = rewards.RewardConfig(**{"width": 16, "projection": 8, **changes})  # type: ignore[arg-type]
+    return rewards.RewardModel(config, FRAMES, MOTION, AUDIO).eval()
 
 
 def drawn(*shape: int, seed: int = 0) -> Tensor:
@@ -81,21 +75,21 @@ def windows(count: int, width: int, seed: int = 0) -> tuple[Tensor, Tensor, Tens
 @pytest.mark.parametrize("count", [1, 2, 5, 64])
 def test_equal_embeddings_cost_log_n(count: int) -> None:
     same = functional.normalize(torch.ones(count, 8), dim=-1)
-    assert float(contrast(same, same, 0.07, torch.arange(count))) == pytest.approx(math.log(count), abs=1e-5)
+    assert float(rewards.contrast(same, same, 0.07, torch.arange(count))) == pytest.approx(math.log(count), abs=1e-5)
 
 
 def test_orthogonal_pairs_cost_what_the_formula_says() -> None:
     unit = torch.eye(3)
-    value = contrast(unit, unit, 0.5, torch.arange(3))
+    value = rewards.contrast(unit, unit, 0.5, torch.arange(3))
     assert float(value) == pytest.approx(math.log(1 + 2 * math.exp(-1 / 0.5)), abs=1e-6)
 
 
 def test_rows_of_a_group_are_not_negatives() -> None:
     unit = torch.eye(3)
-    value = contrast(unit, unit, 1.0, torch.tensor([4, 4, 1]))
+    value = rewards.contrast(unit, unit, 1.0, torch.tensor([4, 4, 1]))
     expected = (2 * math.log(1 + math.exp(-1)) + math.log(1 + 2 * math.exp(-1))) / 3
     assert float(value) == pytest.approx(expected, abs=1e-6)
-    cosines = similarities(unit, unit, torch.tensor([4, 4, 1]))
+    cosines = rewards.similarities(unit, unit, torch.tensor([4, 4, 1]))
     assert torch.isneginf(cosines).nonzero().tolist() == [[0, 1], [1, 0]]
 
 
@@ -107,10 +101,11 @@ def test_the_temperature_begins_where_it_is_set_and_stays_above_its_floor() -> N
     assert net.temperature == pytest.approx(0.07)
     with torch.no_grad():
         net.log_temperature.fill_(-20.0)
-    assert net.temperature == LEAST_TEMPERATURE
+    assert net.temperature == rewards.LEAST_TEMPERATURE
     value = net.losses(batch(6, 4))["contrast"].detach()
     motion, audio = (vectors.detach() for vectors in net.embed(batch(6, 4)))
-    assert float(value) == pytest.approx(float(contrast(motion, audio, LEAST_TEMPERATURE, torch.arange(6))), rel=1e-4)
+    again = rewards.contrast(motion, audio, rewards.LEAST_TEMPERATURE, torch.arange(6))
+    assert float(value) == pytest.approx(float(again), rel=1e-4)
 
 
 def test_a_temperature_at_its_floor_can_rise_again() -> None:
@@ -119,7 +114,7 @@ def test_a_temperature_at_its_floor_can_rise_again() -> None:
         net.log_temperature.fill_(-20.0)
     # Nothing to be learned from noise: a cold softmax is punished.
     learn(net, lambda step: net.losses(batch(16, 4, seed=10 * step))["contrast"], 5, 0.02)
-    assert net.temperature > LEAST_TEMPERATURE * 1.02
+    assert net.temperature > rewards.LEAST_TEMPERATURE * 1.02
 
 
 # The encoders
@@ -160,9 +155,9 @@ def test_rivals_are_more_negatives_of_the_audio_and_of_nothing_else() -> None:
     apart = torch.arange(5)
     rivals = torch.full((5, 3), float(alike[0] @ alike[0]) / 0.5)
     # Nothing can be told apart: 5 audios for a motion, 5 motions and 3 rivals for an audio.
-    assert float(contrast(alike, alike, 0.5, apart, rivals)) == pytest.approx(0.5 * (math.log(5) + math.log(8)))
+    assert float(rewards.contrast(alike, alike, 0.5, apart, rivals)) == pytest.approx(0.5 * (math.log(5) + math.log(8)))
     none = torch.full((5, 3), -math.inf)
-    assert float(contrast(alike, alike, 0.5, apart, none)) == pytest.approx(math.log(5))
+    assert float(rewards.contrast(alike, alike, 0.5, apart, none)) == pytest.approx(math.log(5))
     net, given_batch = model(), batch(4, 6)
     rival = torch.randn(4, 2, *given_batch["motion"].shape[1:])
     unmarked = {**given_batch, "rival": rival, "rivalled": torch.zeros(4)}
@@ -308,7 +303,7 @@ def test_what_goes_together_is_learned() -> None:
 
 def test_rows_that_are_no_rivals_leave_every_gradient_a_number() -> None:
     torch.manual_seed(0)
-    model = RewardModel(RewardConfig(width=8, projection=4, window=2, longest=3), 2, 3, 4)
+    model = rewards.RewardModel(rewards.RewardConfig(width=8, projection=4, window=2, longest=3), 2, 3, 4)
     batch = {"motion": torch.randn(4, 3, 2, 3), "audio": torch.randn(4, 3, 2, 4),
              "valid": torch.ones(4, 3), "group": torch.tensor([1, 1, 2, 3])}
     model.losses(batch)["contrast"].backward()

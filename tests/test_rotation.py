@@ -101,11 +101,11 @@ def test_the_mean_is_scipys() -> None:
     assert apart(rotation.mean(q)[None], as_scipy(q).mean().as_quat(scalar_first=True)[None]) < 1e-12
 
 
-@given(vectors, st.floats(0.5, 12.0), st.integers(0, 4))
-def test_unrolling_follows_a_joint_through_any_number_of_turns(axis: Array, reach: float, turns_before: int) -> None:
+@given(vectors, st.floats(0.01, 3.0), st.integers(0, 4))
+def test_unrolling_follows_a_joint_through_any_number_of_turns(axis: Array, step: float, turns_before: int) -> None:
     length = np.linalg.norm(axis)
     axis = axis / length if length > 1e-3 else np.array([0.0, 1.0, 0.0])
-    angles = np.linspace(0.1, 0.1 + reach, 60) + 2 * np.pi * turns_before
+    angles = 0.1 + step * np.arange(40) + 2 * np.pi * turns_before
     truth = angles[:, None] * axis
     wrapped = rotation.to_exponential_map(rotation.from_exponential_map(truth))
     smooth = rotation.unroll(wrapped)

@@ -145,9 +145,7 @@ def test_of_two_visitors_at_once_the_second_waits_and_is_served(address: tuple[s
         for page in pages:
             page.wait_for_function("() => /of speech in/.test(document.querySelector('#line')?.innerText ?? '')")
             ends.append(time.monotonic())
-            found = re.search(r"of speech in ([\d.]+) s", page.locator("#line").inner_text())
-            assert found is not None
-            work.append(float(found[1]))
+            work += map(float, re.findall(r"of speech in ([\d.]+) s", page.locator("#line").inner_text()))
             page.frame_locator("#page iframe").locator("body[data-ready=true]").wait_for(state="attached")
     # The work on the second begins when that on the first has ended, and both are in the same hurry.
     assert ends[1] - ends[0] > 0.7 * work[1], (ends, work)

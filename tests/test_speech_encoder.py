@@ -11,13 +11,7 @@ from learning import learn
 from scipy.special import erf, logsumexp
 from torch import Tensor, nn
 
-from data_module.speech.speech_encoder import (
-    NEGATIVES,
-    PREDICTION_STEPS,
-    PredictiveCoding,
-    SpeechEncoder,
-    TextContrast,
-)
+from data_module.speech import speech_encoder as encoding
 from data_module.speech.speech_encoder_run import LEVELS, hop_and_reach
 from data_module.types import Array
 from gesticulator.training.stages.speech import crops_of
@@ -26,7 +20,7 @@ PUBLISHED = [(10, 5), (8, 4), (4, 2), (4, 2), (4, 2), (1, 1), (1, 1), (1, 1)]
 FRAMES, PER_FRAME = 4, 400
 
 
-def by_hand(encoder: SpeechEncoder, samples: Array) -> list[Array]:
+def by_hand(encoder: encoding.SpeechEncoder, samples: Array) -> list[Array]:
     """The eight levels [C, T_l] of samples [T] in double precision, from the encoder's weights."""
     x, out = samples[None].astype(np.float64), []
     for layer, (kernel, stride) in enumerate(PUBLISHED):
@@ -43,7 +37,7 @@ def by_hand(encoder: SpeechEncoder, samples: Array) -> list[Array]:
 
 def test_the_eight_levels_are_what_plain_arithmetic_gives() -> None:
     torch.manual_seed(3)
-    encoder = SpeechEncoder(7)
+    encoder = encoding.SpeechEncoder(7)
     for norm in encoder.norms:
         nn.init.normal_(norm.weight, 1.0, 0.3)
         nn.init.normal_(norm.bias, 0.0, 0.3)
@@ -56,7 +50,7 @@ def test_the_eight_levels_are_what_plain_arithmetic_gives() -> None:
 
 
 def test_a_row_hears_its_own_samples_and_no_others() -> None:
-    encoder = SpeechEncoder(6).double()
+    encoder = encoding.SpeechEncoder(6).double()
     encoder.norms = nn.ModuleList(nn.Identity() for _ in range(LEVELS))  # which hears the whole window
     samples = torch.randn(1, 2000, dtype=torch.float64, requires_grad=True)
     for level, row in ((1, 17), (2, 30), (5, 3), (8, 5)):
@@ -76,23 +70,23 @@ class Numbered(nn.Module):
 
 
 def test_predictive_coding_asks_for_the_row_that_comes_and_for_others_of_the_crop() -> None:
-    model = PredictiveCoding(Numbered())  # type: ignore[arg-type]
+    model = encoding.PredictiveCoding(Numbered())  # type: ignore[arg-type]
     with torch.no_grad():
         model.predict.weight.zero_()
-        model.predict.bias.copy_(torch.arange(20.0).repeat(PREDICTION_STEPS) * 20 ** 0.5)
+        model.predict.bias.copy_(torch.arange(20.0).repeat(encoding.PREDICTION_STEPS) * 20 ** 0.5)
     torch.manual_seed(0)
     scores, there = model.scores(torch.zeros(20, 1))
-    assert scores.shape == (20, 20, PREDICTION_STEPS, 1 + NEGATIVES)
+    assert scores.shape == (20, 20, encoding.PREDICTION_STEPS, 1 + encoding.NEGATIVES)
     rows = scores.round().long()
     for t in range(20):
-        assert there[t].tolist() == [t > step for step in range(PREDICTION_STEPS)]
+        assert there[t].tolist() == [t > step for step in range(encoding.PREDICTION_STEPS)]
         assert (rows[:, t, :, 0] == t).all()
         assert set(rows[:, t, :, 1:].flatten().tolist()) == set(range(20)) - {t}
 
 
 def test_predictive_coding_is_at_chance_untold_and_learns_what_repeats() -> None:
     torch.manual_seed(0)
-    model = PredictiveCoding(SpeechEncoder(12))
+    model = encoding.PredictiveCoding(encoding.SpeechEncoder(12))
     generator = np.random.default_rng(0)
 
     def crops() -> dict[str, Tensor]:
@@ -115,9 +109,9 @@ def test_predictive_coding_is_at_chance_untold_and_learns_what_repeats() -> None
     assert set(model.weights) == set(model.losses(crops()))
 
 
-def contrast(width: int = 6, text_width: int = 9) -> TextContrast:
+def contrast(width: int = 6, text_width: int = 9) -> encoding.TextContrast:
     torch.manual_seed(1)
-    return TextContrast(SpeechEncoder(width), text_width, FRAMES)
+    return encoding.TextContrast(encoding.SpeechEncoder(width), text_width, FRAMES)
 
 
 def batch_of(seed: int, blocks: int = 5, text_width: int = 9) -> dict[str, Tensor]:
@@ -130,7 +124,7 @@ def batch_of(seed: int, blocks: int = 5, text_width: int = 9) -> dict[str, Tenso
             "text": torch.tensor(vectors[words], dtype=torch.float32)}
 
 
-def cosines(model: TextContrast, batch: dict[str, Tensor]) -> Array:
+def cosines(model: encoding.TextContrast, batch: dict[str, Tensor]) -> Array:
     """Eq. 2, [B, K, 8, K], one vector at a time."""
     with torch.no_grad():
         levels = model.encoder.levels(batch["samples"], 3 * FRAMES, range(1, 9))

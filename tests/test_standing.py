@@ -7,16 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_module.motion import kinematics, rotation
-from data_module.motion.skeletons import (
-    CHARACTER,
-    FINGER_JOINTS,
-    HIP_HEIGHT,
-    LEG_JOINTS,
-    WHOLE_BODY,
-    resized,
-    to_character,
-)
+from data_module.motion import kinematics, rotation, skeletons
+from data_module.motion.skeletons import CHARACTER, WHOLE_BODY
 from data_module.motion.standing_legs import with_standing_legs
 from data_module.types import Array, Motion
 
@@ -35,7 +27,7 @@ def swaying(seed: int = 0, seconds: float = 6.0, hips: float = 6.0, spine: float
     turns = rotation.from_exponential_map(maps)
     facing = rotation.from_exponential_map(np.array([0.0, np.radians(yaw), 0.0]))
     turns[:, 0] = rotation.multiply(facing[None], turns[:, 0])
-    return resized(Motion(CHARACTER, turns, rng.normal(size=(len(times), 3)), FPS), WHOLE_BODY)
+    return skeletons.resized(Motion(CHARACTER, turns, rng.normal(size=(len(times), 3)), FPS), WHOLE_BODY)
 
 
 def places(motion: Motion) -> Array:
@@ -64,7 +56,7 @@ def test_hips_turn_as_they_did_and_go_the_other_way_than_the_chest() -> None:
         assert np.corrcoef(body[60:-60, 0, axis], chest[60:-60, axis])[0, 1] < -0.8
         assert 0.005 < np.ptp(body[:, 0, axis]) < 0.08
     assert np.abs(body[:, 0, [0, 2]].mean(axis=0)).max() < 1e-6
-    assert body[:, 0, 1].min() > HIP_HEIGHT - 0.06 and body[:, 0, 1].max() <= HIP_HEIGHT
+    assert body[:, 0, 1].min() > skeletons.HIP_HEIGHT - 0.06 and body[:, 0, 1].max() <= skeletons.HIP_HEIGHT
     assert np.linalg.norm(np.diff(body[:, 0], axis=0), axis=-1).max() * FPS < 0.15, "no jump"
 
 
@@ -95,15 +87,15 @@ def test_feet_point_to_where_the_hips_do() -> None:
 
 def test_what_was_made_up_is_said() -> None:
     motion = swaying()
-    assert set(motion.absent) == {*FINGER_JOINTS, *LEG_JOINTS}
+    assert set(motion.absent) == {*skeletons.FINGER_JOINTS, *skeletons.LEG_JOINTS}
     out = with_standing_legs(motion)
-    assert out.absent == FINGER_JOINTS and out.filled == LEG_JOINTS
+    assert out.absent == skeletons.FINGER_JOINTS and out.filled == skeletons.LEG_JOINTS
     again = with_standing_legs(out)
-    assert np.abs(again.rotations - out.rotations).max() < 1e-9 and again.filled == LEG_JOINTS
-    assert to_character(out, skeleton=WHOLE_BODY).filled == LEG_JOINTS
+    assert np.abs(again.rotations - out.rotations).max() < 1e-9 and again.filled == skeletons.LEG_JOINTS
+    assert skeletons.to_character(out, skeleton=WHOLE_BODY).filled == skeletons.LEG_JOINTS
 
 
 def test_one_frame_stands() -> None:
     still = Motion(CHARACTER, np.tile([1.0, 0, 0, 0], (1, 16, 1)), np.zeros((1, 3)), 30.0)
-    out = with_standing_legs(resized(still, WHOLE_BODY))
+    out = with_standing_legs(skeletons.resized(still, WHOLE_BODY))
     assert out.root_positions[0].tolist() == pytest.approx([0.0, 0.913, 0.0], abs=0.04)

@@ -46,10 +46,12 @@ _FULL_SCALE = 16.0
 # Most channels; more indicate that samples and channels are swapped.
 _MOST_CHANNELS = 1024
 _USUAL_CHANNELS = 8  # (7.1) above which as few samples indicate the same
-# Numbers of channels with a centre (5.1, 7.1), which one it is, and its least power with speech, of the strongest's.
-_WITH_CENTRE, _CENTRE, _LEAST_CENTRE = (6, 8), 2, 0.06
+# Numbers of channels with a centre (5.1, 7.1), and its least power with speech, of the strongest's.
+_WITH_CENTRE, _LEAST_CENTRE = (6, 8), 0.06
 # Power of the mean of channels, of what it would be if they were unrelated, below which they cancel one another.
 _CANCELLED = 0.25
+# Speech over noise of a mean below which it is noisy, and by how much a channel must be clearer; power of no noise.
+_NOISY, _CLEARER, _NO_NOISE = 3.0, 10.0, 1e-7
 # Levels that are told apart up to full scale; the share of samples at the loudest one above which a recording is
 # clipped, and their part of the samples within a hundredth of it: a sine has a fifth there, a cut wave nearly all.
 _LEVELS, _CLIPPED, _CUT_OFF = 2048, 0.002, 0.4
@@ -66,8 +68,8 @@ def load_speech(source: str | os.PathLike[str] | BinaryIO) -> Speech:
 
     source: a path, or a binary stream such as `sys.stdin.buffer` with a sound file: WAV, FLAC, OGG, MP3 and other
     formats of libsndfile, and with PyAV installed M4A, MP4, WebM and other containers. Channels are averaged; of 5.1
-    the centre is taken, and where channels cancel one another, the one with the strongest speech. `SoundWarning` for
-    that, for a low sample rate and for a clipped recording.
+    the centre is taken, and where a mean would lose the speech, because channels cancel one another or one is noisy,
+    the one with the speech. `SoundWarning` for that, for a low sample rate and for a clipped recording.
 
     `InputError` for anything that is not a recording of at least `SHORTEST` seconds, and for one with fewer samples
     than its header promises.
@@ -77,7 +79,7 @@ def load_speech(source: str | os.PathLike[str] | BinaryIO) -> Speech:
     def read(channel: int | None = None) -> tuple[Samples, _Survey]:
         with decoder(raw, name) as sound:
             _check_rate(sound.rate, name)
-            survey = _Survey(sound.rate)
+            survey = _Survey(sound.rate, sound.centre)
             return np.concatenate(list(_mono(sound, name, survey, channel))), survey
 
     try:
@@ -221,8 +223,8 @@ def _mixed(samples: NDArray[np.floating[Any]], channel: int | None = None) -> Sa
 class _Survey:
     """Where in the channels of a recording the speech is, and whether it is clipped; from its pieces, in order."""
 
-    def __init__(self, rate: int) -> None:
-        self.rate, self._channels = rate, 1
+    def __init__(self, rate: int, centre: int = 2) -> None:
+        self.rate, self._channels, self._centre = rate, 1, centre
         self._powers: list[NDArray[np.float32]] = []
         self._counts = np.zeros(_LEVELS + 1, np.int64)
 
@@ -244,16 +246,20 @@ class _Survey:
             return None
         powers = np.concatenate(self._powers)
         # Speech comes and goes; hum and noise stay.
-        *alone, mean = (powers.mean(axis=0) - np.percentile(powers, 10, axis=0)).tolist()
+        noise = np.percentile(powers, 10, axis=0)
+        *alone, mean = (powers.mean(axis=0) - noise).tolist()
+        clear = (powers.mean(axis=0) - noise) / np.maximum(noise, _NO_NOISE)
         loudest = int(np.argmax(alone))
-        if len(alone) in _WITH_CENTRE and alone[_CENTRE] > _LEAST_CENTRE * alone[loudest]:
-            return _CENTRE
-        return loudest if mean < _CANCELLED * sum(alone) / len(alone) ** 2 else None
+        if len(alone) in _WITH_CENTRE and alone[self._centre] > _LEAST_CENTRE * alone[loudest]:
+            return self._centre
+        if mean < _CANCELLED * sum(alone) / len(alone) ** 2:
+            return loudest
+        return int(np.argmax(clear)) if clear[-1] < min(_NOISY, clear.max() / _CLEARER) else None
 
     def warn(self, name: object, channel: int | None) -> None:
         if channel is not None:
-            why = "of which it is the centre" if self._channels in _WITH_CENTRE and channel == _CENTRE \
-                else "which cancel one another when they are mixed"
+            why = "of which it is the centre" if self._channels in _WITH_CENTRE and channel == self._centre \
+                else "as the speech is lost when they are mixed"
             _warn(name, f"channel {channel + 1} is taken of {self._channels}, {why}")
         if self.rate < _TELEPHONE_RATE:
             _warn(name, f"has {self.rate} samples per second and so lacks consonants; record it at 16 kHz or more")

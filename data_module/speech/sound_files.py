@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
@@ -34,11 +36,13 @@ _MOST_OFFSET = 60.0
 @dataclass(frozen=True)
 class Sound:
     """A sound file that is being decoded. rate: samples per second. frames: samples per channel that its header
-    promises, 0 if unknown. pieces: samples [n, channels], to be iterated once; they raise `BrokenSoundError`."""
+    promises, 0 if unknown. pieces: samples [n, channels], to be iterated once; they raise `BrokenSoundError`. centre:
+    which channel that is in 5.1 and 7.1."""
 
     rate: int
     frames: int
     pieces: Iterator[NDArray[np.float32]]
+    centre: int = 2
 
 
 class NoSoundError(Exception):
@@ -62,10 +66,15 @@ _CONTAINERS: tuple[tuple[int, bytes, str], ...] = (
     (4, b"ftyp", "mov,mp4,m4a,3gp,3g2,mj2"), (4, b"moov", "mov,mp4,m4a,3gp,3g2,mj2"),
     (4, b"mdat", "mov,mp4,m4a,3gp,3g2,mj2"), (0, b"\x1aE\xdf\xa3", "matroska,webm"), (8, b"AVI ", "avi"),
     (0, b"0&\xb2u\x8ef\xcf\x11", "asf"), (0, b"#!AMR", "amr"), (0, b"\0\0\x01\xba", "mpeg"),
-    (0, b"FLV", "flv"), (0, b"\x7f\xfe\x80\x01", "dts"),
+    (0, b"FLV", "flv"), (0, b"\x7f\xfe\x80\x01", "dts"), (0, b"TTA1", "tta"), (0, b"Creative V", "voc"),
 )
 # The same for formats of which libsndfile reads some codecs only: WAV, Ogg, AIFF, CAF; and for WavPack, which it lacks.
 _SECOND_TRY = ((8, b"WAVE", "wav"), (0, b"OggS", "ogg"), (0, b"FORM", "aiff"), (0, b"caff", "caf"), (0, b"wvpk", "wv"))
+# What telephones record: without a header, so that nothing but the name tells them. libsndfile's names, and FFmpeg's.
+_BY_NAME = {".ul": "ULAW", ".ulaw": "ULAW", ".mulaw": "ULAW", ".al": "ALAW", ".alaw": "ALAW", ".gsm": "gsm",
+            ".g722": "g722"}
+_TELEPHONE = {"samplerate": 8000, "channels": 1, "format": "RAW"}
+_HEADED = (b"RIFF", b".snd", b"OggS", b"fLaC")
 # Streams of frames without a header, of which FFmpeg guesses the length from the first frame.
 _HEADLESS = frozenset({"aac", "ac3", "eac3", "dts"})
 
@@ -127,10 +136,11 @@ def decoder(raw: BinaryIO, name: object) -> Iterator[Sound]:
     raw.seek(0)
     head = raw.read(_HEAD)
     raw.seek(0)
-    kind = container_of(head)
+    by_name = "" if head.startswith(_HEADED) else _BY_NAME.get(PurePath(str(name)).suffix.lower(), "")
+    kind = container_of(head) if not by_name else by_name if by_name.islower() else ""
     with contextlib.ExitStack() as files:
         try:
-            sound = files.enter_context(container(raw, kind, name) if kind else _sndfile(raw, head))
+            sound = files.enter_context(container(raw, kind, name) if kind else _sndfile(raw, head, by_name))
         except NoSoundError:
             second = next((kind for at, mark, kind in _SECOND_TRY if head[at:at + len(mark)] == mark), "")
             if kind or not second:
@@ -141,7 +151,8 @@ def decoder(raw: BinaryIO, name: object) -> Iterator[Sound]:
 
 
 @contextlib.contextmanager
-def _sndfile(raw: BinaryIO, head: bytes) -> Iterator[Sound]:
+def _sndfile(raw: BinaryIO, head: bytes, encoding: str = "") -> Iterator[Sound]:
+    """encoding: that of a file without a header."""
     import soundfile
 
     class ForwardOnlyFile(soundfile.SoundFile):
@@ -153,14 +164,17 @@ def _sndfile(raw: BinaryIO, head: bytes) -> Iterator[Sound]:
     # The decoder would trust a length of 0; one beyond the end of the file it corrects.
     place = head.find(_OPEN_WAV) + 4 if head[:4] == b"RIFF" and _OPEN_WAV in head else 0
     try:
-        file = ForwardOnlyFile(io.BufferedReader(Patched(raw, place)))
+        file = ForwardOnlyFile(io.BufferedReader(Patched(raw, place)),
+                               **({**_TELEPHONE, "subtype": encoding} if encoding else {}))
     except (soundfile.SoundFileError, TypeError, ValueError) as error:
         raise NoSoundError from error
     # Of an MP3 (an ID3 tag or a frame) without a count in its header the decoder guesses the length from that frame.
     mpeg = head[:3] == b"ID3" or (len(head) > 1 and head[0] == 0xFF and head[1] & 0xE0 == 0xE0)
-    frames = 0 if mpeg or file.frames > _OPEN_END else int(file.frames)
+    frames = 0 if (mpeg and not encoding) or file.frames > _OPEN_END else int(file.frames)
     with file:
-        yield Sound(int(file.samplerate), frames, _of_sndfile(file))
+        # Vorbis and Opus, but not FLAC, have the centre between left and right, and libsndfile leaves it there.
+        centre = 1 if file.format == "OGG" and file.subtype != "FLAC" else 2
+        yield Sound(int(file.samplerate), frames, _of_sndfile(file), centre)
 
 
 def _of_sndfile(file: Any) -> Iterator[NDArray[np.float32]]:
@@ -212,15 +226,14 @@ def _of_container(file: Any, stream: Any, rate: int, late: float) -> Iterator[ND
 
     if late:
         yield np.zeros((round(late * rate), 1), np.float32)
-    planes = None
+    floats = None
     try:
-        for frame in file.decode(stream):
-            if planes is None:
-                # Convert the sample format of the codec to floats, one row per channel.
-                planes = av.AudioResampler(format="fltp", layout=frame.layout, rate=rate)
-            for part in planes.resample(frame):
-                yield np.ascontiguousarray(part.to_ndarray().T, dtype=np.float32)
-        for part in planes.resample(None) if planes is not None else ():
-            yield np.ascontiguousarray(part.to_ndarray().T, dtype=np.float32)
+        # The frame None flushes.
+        for frame in itertools.chain(file.decode(stream), [None]):
+            if floats is None and frame is not None:
+                # Not one row per channel: PyAV 18 crashes with eight of them.
+                floats = av.AudioResampler(format="flt", layout=frame.layout, rate=rate)
+            for part in floats.resample(frame) if floats is not None else ():
+                yield np.asarray(part.to_ndarray(), np.float32).reshape(-1, part.layout.nb_channels)
     except (av.error.FFmpegError, ValueError) as error:
         raise BrokenSoundError(str(error).splitlines()[0][:120] if str(error) else type(error).__name__) from None

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from statistics import median
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from data_module.errors import InputError, shown
 from data_module.files import parse_json
 from data_module.text.alignment import written_words
 from data_module.text.marks import marked_text
-from data_module.text.transcript_formats import Content, Entry, filled, shared_in_cue, spoken_tier
+from data_module.text.transcript_formats import Content, Entry, filled, shared_in_cue
 
 __all__ = ["words_json"]
 
@@ -29,19 +29,18 @@ LONGEST_WORD = 20.0
 """Seconds per word above which whole numbers are milliseconds: a word of 20 ms would be as short."""
 # Seconds per word of the last phrase of a recording, which may have no end: the mean of spoken English.
 _OPEN_WORD = 0.3
-_TIME = re.compile(r"\d{1,9}(?:\.\d{1,9})?s")
+_TIME = re.compile(r"\d{1,9}(?:\.\d{1,9})?s?")
+# Between the objects of a file that holds one after the other, as NeMo's manifests and the results of streams.
+_NEXT_OBJECT = re.compile(r"\}[ \t\r]*\n\s*\{")
 
 
-class _Segment(NamedTuple):
-    """A stretch of speech: its text with its time, and its words, if the file has them."""
-
-    cue: Entry
-    words: list[Entry]
+_Segment: TypeAlias = tuple[Entry, list[Entry]]
+"""A stretch of speech: its text with its time, and its words, if the file has them."""
 
 
 class _Clock(NamedTuple):
     """The keys of the times of a word or a segment. unit: seconds in a unit of time; lasts: the second time is a
-    duration; texts: times are not numbers, and a start of 0 is left out."""
+    duration; texts: times are not numbers."""
 
     start: str
     end: str
@@ -51,10 +50,10 @@ class _Clock(NamedTuple):
 
 
 _CLOCKS = (
-    _Clock("start", "end"),
-    # Google's protocol buffers leave out what is zero. gentle's "startOffset" is a number of letters.
-    _Clock("startTime", "endTime", texts=True), _Clock("startOffset", "endOffset", texts=True),
-    _Clock("start_time", "end_time", texts=True), _Clock("start_offset", "end_offset", texts=True),
+    _Clock("start", "end"), _Clock("startTime", "endTime"), _Clock("start_time", "end_time"),
+    _Clock("StartTime", "EndTime"), _Clock("time_begin", "time_end"),
+    # Google's. As numbers, gentle's count letters and NeMo's the steps of a model, whatever a step lasts.
+    _Clock("startOffset", "endOffset", texts=True), _Clock("start_offset", "end_offset", texts=True),
     # Azure writes ticks beside an "offset" that is a text, so they come first.
     _Clock("offsetInTicks", "durationInTicks", TICK, lasts=True), _Clock("Offset", "Duration", TICK, lasts=True),
     _Clock("offsetMilliseconds", "durationMilliseconds", MILLISECOND, lasts=True),
@@ -64,19 +63,22 @@ _CLOCKS = (
 )
 # Google's results have an end alone, and begin where the one before ends.
 _RESULT_ENDS = ("resultEndTime", "resultEndOffset", "result_end_time", "result_end_offset")
-_TEXTS = ("punctuated_word", "word", "text", "Word", "display", "Display", "DisplayText", "transcript")
+_TEXTS = ("punctuated_word", "word", "text", "Word", "display", "Display", "DisplayText", "transcript", "content",
+          "Content", "segment", "sentence", "pred_text", "Transcript")
 # Alternatives, of which the first is the best; lists of words; and what holds further parts, the better times first.
-_ALTERNATIVES = ("alternatives", "nBest", "NBest")
-_WORDS = ("words", "Words", "result", "terms", "tokens")
+_ALTERNATIVES = ("alternatives", "nBest", "NBest", "Alternatives")
+_WORDS = ("words", "Words", "result", "terms", "tokens", "items", "Items", "word", "timestamps_word", "results",
+          "entries")
 _PARTS = ("segments", "chunks", "transcription", "phrases", "recognizedPhrases", "monologues", "response", "results",
-          "inlineResult", "transcript", "channels", "utterances", "word_segments")
+          "inlineResult", "inline_result", "transcript", "Transcript", "Results", "channels", "utterances",
+          "prediction", "word_segments", "timestamp", "timestep", "timestamps_segment", "segment", "sentences")
+
 
 
 def words_json(source: str, text: str, speaker: str | None = None) -> Content:
     """Words or segments with times, or a text, of any recogniser. `InputError` for any other JSON."""
-    content = parse_json(text, source, "write it again")
-    if isinstance(content, Mapping) and isinstance(content.get("tiers"), Mapping):
-        return _tiers(source, content["tiers"], speaker)
+    joined = _NEXT_OBJECT.sub("},\n{", text)
+    content = parse_json(text if joined == text else f"[{joined}]", source, "write it again")
     segments = _segments(source, content, "")
     if not segments:
         raise InputError(source, "holds neither words nor segments of a known recogniser",
@@ -94,15 +96,14 @@ def _segments(source: str, item: object, where: str) -> list[_Segment]:
         return [segment for place, inner in _numbered(item, where) for segment in _segments(source, inner, place)]
     if not isinstance(item, Mapping):
         return []
-    for key in _ALTERNATIVES:
-        if isinstance(item.get(key), list) and item[key] and isinstance(item[key][0], Mapping):
-            # The time of a phrase stands beside its alternatives.
-            item, where = {**item, key: None, **item[key][0]}, f"{_below(where, key)}[0]"
+    item, where = _best(item, where)
     if words := _words(source, item, where):
         # The time of a segment bounds those of its words that were not aligned.
         lacking = any(word.start is None for word in words)
-        return [_Segment(_entry(source, {**item, "text": ""} if lacking else {"text": ""}, where), words)]
-    text = str(_of(item, *_TEXTS) or "").strip()
+        times = {**item, **dict.fromkeys(_TEXTS)} if lacking else {}
+        return [(_entry(source, {**times, "text": ""}, where), words)]
+    text = _of(item, *_TEXTS)
+    text = text.strip() if isinstance(text, str) else ""
     # Google's results of several files lie below the names of the files.
     files = [] if text else [key for key, part in item.items() if isinstance(part, Mapping) and key not in _PARTS]
     without_times: list[_Segment] = []
@@ -110,28 +111,40 @@ def _segments(source: str, item: object, where: str) -> list[_Segment]:
         segments = _segments(source, item.get(key), _below(where, key))
         if key == "channels" and len(segments) > 1:
             raise InputError(source, f"holds the words of {len(segments)} channels", "leave one channel in it")
-        if any(segment.words or segment.cue.end is not None for segment in segments):
+        if any(inner or cue.end is not None for cue, inner in segments):
             return segments
         without_times = without_times or segments
-    return without_times or ([_Segment(_entry(source, item, where), [])] if text else [])
+    return without_times or ([(_entry(source, item, where), [])] if text else [])
+
+
+def _best(item: Mapping[str, Any], where: str) -> tuple[Mapping[str, Any], str]:
+    """An object with the keys of the best of its alternatives, beside which stands its time; and their place."""
+    for key in _ALTERNATIVES:
+        if isinstance(item.get(key), list) and item[key] and isinstance(item[key][0], Mapping):
+            item, where = {**item, key: None, **item[key][0]}, f"{_below(where, key)}[0]"
+    return item, where
 
 
 def _words(source: str, item: Mapping[str, Any], where: str) -> list[Entry]:
     """The words of an object, without what is not spoken."""
-    key = next((key for key in _WORDS if isinstance(item.get(key), list) and item[key]), "")
-    # whisper's tokens are numbers.
-    spoken = [(place, word) for place, word in _numbered(item.get(key) or (), _below(where, key))
-              if not _is_note(word) and not (key == "tokens" and isinstance(word, int))]
-    entries = [_entry(source, word, place) for place, word in spoken]
+    key = next((key for key in _WORDS if _is_words(key, item.get(key))), "")
+    entries: list[Entry] = []
+    for place, word in _numbered(item.get(key) or (), _below(where, key)):
+        kind = str(word.get("type") or "").lower() if isinstance(word, Mapping) else ""
+        if kind == "punctuation":
+            mark = str(_of(_best(word, place)[0], *_TEXTS) or "").strip()
+            entries[-1:] = [replace(last, text=last.text + mark) for last in entries[-1:]]
+        # whisper's tokens are numbers, or marks such as [_BEG_] and <|endoftext|>.
+        elif kind not in ("spacing", "audio_event") and not (key == "tokens" and isinstance(word, int)) and not (
+                isinstance(word, Mapping) and str(word.get("text")).strip().startswith(("[_", "<|"))):
+            entries.append(_entry(source, word, place))
     return _joined_tokens(source, entries) if key == "tokens" else entries
 
 
-def _is_note(word: object) -> bool:
-    """Whether an entry in a list of words is none: punctuation, a mark of whisper's such as [_BEG_] or <|endoftext|>,
-    or a sound that gentle's text lacks."""
-    return isinstance(word, Mapping) and (
-        str(word.get("type") or "WORD").upper() != "WORD" or str(_of(word, "text")).strip().startswith(("[_", "<|"))
-        or (word.get("case") is not None and word.get("word") is None))
+def _is_words(key: str, items: object) -> bool:
+    """Whether the value of one of `_WORDS` is a list of words; results are words if they have a type."""
+    return isinstance(items, list) and bool(items) and (
+        key != "results" or (isinstance(items[0], Mapping) and "type" in items[0]))
 
 
 def _of(item: Mapping[str, Any], *keys: str) -> Any:
@@ -153,8 +166,11 @@ def _below(where: str, key: str) -> str:
 def _entry(source: str, item: object, where: str) -> Entry:
     """A JSON object as a word or a segment; both times may be missing (for a word that was not aligned), or the start
     alone (of a result)."""
+    if isinstance(item, list) and len(item) == 3:  # the Montreal Forced Aligner's
+        item = dict(zip(("start", "end", "word"), item, strict=True))
     if not isinstance(item, Mapping):
         raise InputError(source, f"{where}: is not an object with a word and its times", "write it again")
+    item, _ = _best(item, where)
     text = _of(item, *_TEXTS)
     if not isinstance(text, str):
         raise InputError(source, f"{where}: has no word", "give it a 'word' or a 'text'")
@@ -183,9 +199,9 @@ def _tells(item: Mapping[str, Any], clock: _Clock) -> bool:
 
 
 def _seconds(source: str, value: object, where: str, unit: float = 1.0) -> float:
-    """A time in seconds: a number in a unit, "1.400s", or {"seconds": 1, "nanos": 400000000}."""
+    """A time in seconds: a number in a unit, "1.400s", "1.4", or {"seconds": 1, "nanos": 400000000}."""
     if isinstance(value, str) and _TIME.fullmatch(value):
-        return float(value[:-1])
+        return float(value.removesuffix("s"))
     if isinstance(value, Mapping) and value.keys() <= {"seconds", "nanos"}:
         # Protocol buffers write large whole numbers as texts.
         parts = [str(value.get(name, 0)) for name in ("seconds", "nanos")]
@@ -267,14 +283,3 @@ def _joined_tokens(source: str, tokens: Sequence[Entry]) -> list[Entry]:
         # A script without spaces gives one token after the other and no word's end.
         out += shared_in_cue(_timed(source, word)) if _count(word.text) > 1 else [word]
     return [word for word in out if word.text]
-
-
-def _tiers(source: str, content: Mapping[str, Any], speaker: str | None) -> Content:
-    """The Montreal Forced Aligner's JSON: tiers of [start, end, word]."""
-    tiers = {}
-    for name, tier in content.items():
-        rows = tier.get("entries") if isinstance(tier, Mapping) else None
-        if isinstance(rows, list) and all(isinstance(row, list) and len(row) == 3 for row in rows):
-            tiers[name] = [_stripped(_entry(source, {"start": a, "end": b, "word": word}, f"tiers.{name}[{n}]"))
-                           for n, (a, b, word) in enumerate(rows)]
-    return Content(words=spoken_tier(source, tiers, speaker))

@@ -30,8 +30,8 @@ from data_module.types import Speech, Word
 __all__ = ["Text", "Transcript", "as_transcript", "read_transcript", "timed_transcript", "with_transcript"]
 
 FORMATS: dict[str, Callable[[str, str, str | None], Content]] = {
-    ".txt": formats.plain, ".textgrid": formats.textgrid, ".srt": formats.subtitles,
-    ".vtt": formats.subtitles, ".tsv": formats.tsv, ".json": words_json,
+    ".txt": lambda source, text, speaker: Content(text=text), ".textgrid": formats.textgrid,
+    ".tsv": formats.tsv, ".ctm": formats.ctm, ".json": words_json, ".jsonl": words_json,
     **dict.fromkeys(formats.TIMED_LINES, formats.timed_lines),
 }
 """Readers by suffix: (file, its text, speaker) to its content."""

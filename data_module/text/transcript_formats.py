@@ -1,4 +1,4 @@
-"""Readers of transcript files: plain text, TextGrid, TSV, SRT and WebVTT; and what they share with that of JSON.
+"""Readers of transcript files: plain text, TextGrid, tables, subtitles; and what they share with that of JSON.
 
 Each reader takes the text of a file and returns its words, or cues if there are no word times. Errors name the line.
 Marks of gestures stay in the texts; `data_module.text.transcript` takes them out.
@@ -35,6 +35,7 @@ _CLOCK = r"(?:(\d{1,4}):)?(\d{1,4}):(\d{1,4})(?:[.,](\d+))?"
 _CUE = re.compile(rf"\s*{_CLOCK}\s*-->\s*{_CLOCK}(?:\s.*)?")
 # Tags, positions of the SubStation kind, and descriptions of sounds.
 _NOT_SPOKEN = re.compile(r"<[^<>]*>|\{\\[^{}]*\}|\[[^\[\]]*\]")
+_BETWEEN_WORDS = re.compile(r"\[|<(\w+:)?br\b")
 # Duration of a word without times and without timed neighbours, seconds: the mean of spoken English.
 _UNTIMED = 0.3
 _INNER = re.compile(rf"<{_CLOCK}>")
@@ -61,10 +62,6 @@ class Content:
     words: tuple[Entry, ...] = ()
     cues: tuple[Entry, ...] = ()
     text: str = ""
-
-
-def plain(source: str, text: str, speaker: str | None = None) -> Content:
-    return Content(text=text)
 
 
 def textgrid(source: str, text: str, speaker: str | None = None) -> Content:
@@ -137,6 +134,17 @@ def tsv(source: str, text: str, speaker: str | None = None) -> Content:
     return Content(words=tuple(replace(entry, text=entry.text.replace("#", "").strip()) for entry in entries))
 
 
+_CTM = re.compile(rf"^(\S+) +\S+ +({NUMBER}) +({NUMBER}) +(\S+).*$|^;;.*$", re.M)
+
+
+def ctm(source: str, text: str, speaker: str | None = None) -> Content:
+    """CTM, as NeMo and Kaldi write it: rows of recording, channel, start, length and word."""
+    if len(recordings := {row[1] for row in _CTM.finditer(text) if row[1]}) > 1:
+        raise InputError(source, f"holds the words of {len(recordings)} recordings", "leave those of one in it")
+    return tsv(source, _CTM.sub(
+        lambda row: f"{row[2]}\t{float(row[2]) + float(row[3])}\t{row[4]}" if row[1] else "", text))
+
+
 def _timed(row: Sequence[str]) -> bool:
     """Whether a row begins with a start and an end."""
     return len(row) >= 2 and all(re.fullmatch(NUMBER, value.strip()) for value in row[:2])
@@ -181,77 +189,56 @@ def filled(entries: Sequence[Entry], begin: float | None = None, end: float | No
 
 # ---------------------------------------------------------------------------------------------------- subtitles
 
-@dataclass(frozen=True)
-class _Cue:
-    """A cue as written: lines with their tags, and its time, seconds."""
-
-    lines: list[str]
-    start: float
-    end: float
-    where: str
-
-    @property
-    def text(self) -> str:
-        return _plain(" ".join(self.lines))
-
-    def entry(self) -> Entry:
-        return Entry(self.text, self.start, self.end, self.where)
-
-
-def subtitles(source: str, text: str, speaker: str | None = None) -> Content:
-    """SubRip or WebVTT: of each cue a line with two times, and the lines up to an empty one; the rest is not spoken."""
-    cues: list[_Cue] = []
-    inside = False
-    for number, line in enumerate(text.split("\n"), 1):
-        if re.match(r"\s*\d+:[^>]*-->", line):
-            match = _CUE.fullmatch(line)
-            if match is None:
-                raise InputError(source, f"line {number}: {line.strip()[:60]!r} is not a pair of times",
-                                 "write 00:00:01,000 --> 00:00:02,500")
-            times = match.groups()
-            cues.append(_Cue([], _clock(times[:4]), _clock(times[4:]), f"line {number}"))
-            inside = True
-        # In WebVTT a line of spaces is a line; rolling captions have one above the first.
-        elif inside and (line.strip() or (line and not cues[-1].lines)):
-            cues[-1].lines.append(line)
-        else:
-            inside = False
-    return _of_cues(cues)
-
-
 def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
-    """SubStation, TTML, SBV and LRC, by the file's suffix; a line of LRC lasts until the next one."""
-    cues: list[_Cue] = []
+    """SubRip, WebVTT, SubStation, TTML, SBV and LRC, by the file's suffix; a line of LRC lasts until the next one."""
+    for row in re.finditer(r"^\s*\d+:[^>\n]*-->.*$", text, re.M):
+        if _CUE.fullmatch(row[0]) is None:
+            raise InputError(source, f"line {text.count(chr(10), 0, row.end()) + 1}: {row[0].strip()[:60]!r} is not a "
+                             "pair of times", "write 00:00:01,000 --> 00:00:02,500")
+    cues: list[Entry] = []
+    number, at = 1, 0
     for match in TIMED_LINES[source[source.rindex("."):].lower()].finditer(text):
         *clock, line = match.groups()
         start = _clock(clock[:4])
         if cues and len(clock) == 4:
-            cues[-1] = replace(cues[-1], end=max(start, cues[-1].start))
-        end = _clock(clock[4:]) if len(clock) > 4 else start + _UNTIMED * len(line.split())
-        cues.append(_Cue([line.replace("\\N", " ")], start, end, f"line {text.count(chr(10), 0, match.start()) + 1}"))
+            cues[-1] = replace(cues[-1], end=max(start, cues[-1].start or 0.0))
+        end = start + _UNTIMED * len(line.split())
+        if len(clock) > 4:
+            end = _clock(clock[5:]) + (start if clock[4] else 0.0)
+        number, at = number + text.count("\n", at, match.start(3)), match.start(3)
+        cues.append(Entry(line.replace("\\N", " "), start, end, f"line {number}"))
     return _of_cues(cues)
 
 
-_DIALOGUE = re.compile(rf"^Dialogue:[^,\n]*,{_CLOCK},{_CLOCK},(?:[^,\n]*,){{6}}(.*)$", re.M)
+_ANY_TIME = r"""["'](?:(?:(\d{1,4}):)?(\d{1,4}):)?(\d{1,6})(?:[.,:](\d+))?s?["']"""
 TIMED_LINES = {
-    ".ass": _DIALOGUE, ".ssa": _DIALOGUE, ".lrc": re.compile(rf"^\[{_CLOCK}\](.*)$", re.M),
-    ".sbv": re.compile(rf"^{_CLOCK},{_CLOCK}\n((?:.+\n?)+)", re.M),
-    ".ttml": re.compile(rf'<p\b[^>]*\bbegin="{_CLOCK}"[^>]*\bend="{_CLOCK}"[^>]*>(.*?)</p>', re.S)}
+    # In WebVTT a line of spaces is a line; rolling captions have one above the first.
+    **dict.fromkeys((".srt", ".vtt"), re.compile(
+        rf"^[ \t]*{_CLOCK}[ \t]*-->[ \t]*(){_CLOCK}(?:[ \t].*)?$((?:\n.+(?:\n.*\S.*)*)?)", re.M)),
+    **dict.fromkeys((".ass", ".ssa"), re.compile(rf"^Dialogue:[^,\n]*,{_CLOCK},(){_CLOCK},(?:[^,\n]*,){{6}}(.*)$",
+                                                 re.M)),
+    ".lrc": re.compile(rf"^\[{_CLOCK}\](.*)$", re.M), ".sbv": re.compile(rf"^{_CLOCK},(){_CLOCK}\n((?:.+\n?)+)", re.M),
+    **dict.fromkeys((".ttml", ".dfxp"), re.compile(
+        rf"<(?:\w+:)?p\b(?=[^>]*\bbegin={_ANY_TIME})(?=[^>]*\b(?:end|(dur))={_ANY_TIME})[^>]*>(.*?)</(?:\w+:)?p>",
+        re.S))}
+"""By suffix: the time of a line, whether the next one is a length, that one, and the text."""
 
 
-def _of_cues(cues: Sequence[_Cue]) -> Content:
+def _of_cues(cues: Sequence[Entry]) -> Content:
     # One time inside a line is enough: the first word of each line has the time of its cue.
-    if any(_INNER.search(line) for cue in cues for line in cue.lines):
+    if any(_INNER.search(cue.text) for cue in cues):
         return Content(words=tuple(_timed_inside(cues)))
     lines = _highlighted_lines(cues)
     if lines is None:
-        return Content(cues=tuple(cue.entry() for cue in cues))
+        return Content(cues=tuple(replace(cue, text=_plain(cue.text)) for cue in cues))
     return Content(words=tuple(word for line in lines for word in _words_of_line(line)))
 
 
 def _plain(text: str) -> str:
     """A line as it is spoken: without tags and notes in brackets; marks of gestures stay."""
-    spoken = _NOT_SPOKEN.sub(lambda note: note[0] if is_mark(note[0]) else " ", text)
+    # A tag may stand inside of a word, unless it is a break.
+    spoken = _NOT_SPOKEN.sub(
+        lambda note: note[0] if is_mark(note[0]) else " " if _BETWEEN_WORDS.match(note[0]) else "", text)
     return " ".join(html.unescape(spoken).split())
 
 
@@ -262,30 +249,25 @@ def _clock(parts: Sequence[str | None]) -> float:
 
 # ------------------------------------------------------------------------------------------ highlighted words
 
-def _highlight(cue: _Cue) -> tuple[int, int] | None:
+def _highlight(cue: Entry) -> tuple[int, int] | None:
     """Where the one highlighted word of a cue begins and ends among the words of its text; None without one."""
-    text = " ".join(cue.lines)
-    spans = list(_HIGHLIGHT.finditer(text))
+    spans = list(_HIGHLIGHT.finditer(cue.text))
     if len(spans) != 1:
         return None
-    before, inside = (len(_tokens(part)) for part in (text[:spans[0].start()], spans[0][2]))
+    before, inside = (len(_plain(part).split()) for part in (cue.text[:spans[0].start()], spans[0][2]))
     return (before, before + inside) if inside else None
 
 
-def _tokens(text: str) -> list[str]:
-    return _plain(text).split()
-
-
-def _highlighted_lines(cues: Sequence[_Cue]) -> list[list[_Cue]] | None:
+def _highlighted_lines(cues: Sequence[Entry]) -> list[list[Entry]] | None:
     """The cues of each line, if one line is shown several times with one word after the other highlighted; else None.
     """
-    lines: list[list[_Cue]] = []
+    lines: list[list[Entry]] = []
     place = 0
     repeated = False
     for cue in cues:
         span = _highlight(cue)
         # The highlight only moves forward in a line; a step back means that the line is spoken again.
-        again = bool(lines) and lines[-1][-1].text == cue.text and (span is None or span[0] >= place)
+        again = bool(lines) and _plain(lines[-1][-1].text) == _plain(cue.text) and (span is None or span[0] >= place)
         if again:
             lines[-1].append(cue)
             repeated = repeated or (span is not None and place > 0)
@@ -296,10 +278,10 @@ def _highlighted_lines(cues: Sequence[_Cue]) -> list[list[_Cue]] | None:
     return lines if repeated else None
 
 
-def _words_of_line(cues: Sequence[_Cue]) -> list[Entry]:
+def _words_of_line(cues: Sequence[Entry]) -> list[Entry]:
     """The words of a line with the times at which each is highlighted; a line without highlights is spread over its
     time, and other words have no times."""
-    tokens = _tokens(" ".join(cues[0].lines))
+    tokens = _plain(cues[0].text).split()
     words: list[Entry] = []
     at = 0
     for cue in cues:
@@ -311,26 +293,27 @@ def _words_of_line(cues: Sequence[_Cue]) -> list[Entry]:
         words.append(Entry(" ".join(tokens[span[0]:span[1]]), cue.start, cue.end, cue.where))
         at = span[1]
     if not words:
-        return shared_in_cue(Entry(cues[0].text, cues[0].start, cues[-1].end, cues[0].where))
+        return shared_in_cue(Entry(_plain(cues[0].text), cues[0].start, cues[-1].end, cues[0].where))
     return words + [Entry(token, None, None, cues[-1].where) for token in tokens[at:]]
 
 
 # ---------------------------------------------------------------------------------------- times inside of cues
 
-def _timed_inside(cues: Sequence[_Cue]) -> Iterator[Entry]:
+def _timed_inside(cues: Sequence[Entry]) -> Iterator[Entry]:
     """The words of cues with times inside; a line that repeats one of the cue before is left out."""
     before: list[str] = []
     for cue in cues:
-        lines = [_plain(line) for line in cue.lines]
-        for line, plain in zip(cue.lines, lines, strict=True):
+        lines = [_plain(line) for line in cue.text.split("\n")]
+        for line, plain in zip(cue.text.split("\n"), lines, strict=True):
             # A rolling caption shows the line before once more, without times.
             if plain and (plain not in before or _INNER.search(line)):
                 yield from _pieces(line, cue)
         before = lines
 
 
-def _pieces(line: str, cue: _Cue) -> Iterator[Entry]:
+def _pieces(line: str, cue: Entry) -> Iterator[Entry]:
     """The words of a line with times inside: each piece lasts from its time to the next one."""
+    assert cue.start is not None and cue.end is not None
     starts = [cue.start, *(_clock(match.groups()) for match in _INNER.finditer(line)), cue.end]
     ends = [0, *(edge for match in _INNER.finditer(line) for edge in match.span()), len(line)]
     for (start, end), first, last in zip(itertools.pairwise(starts), ends[::2], ends[1::2], strict=True):

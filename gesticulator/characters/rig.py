@@ -41,7 +41,8 @@ class Skin:
         # Only the joints that move a vertex: a rig has many more nodes.
         used = np.unique(self.joints)
         moves = np.zeros((len(world), world.shape[1], 4, 4))
-        moves[:, used] = world[:, used] @ np.linalg.inv(bind[used])
+        # A joint may be flat, as a hidden prop is.
+        moves[:, used] = world[:, used] @ np.linalg.pinv(bind[used])
         out = np.zeros((len(world), len(self.points), 3))
         for column in range(self.joints.shape[1]):
             move = moves[:, self.joints[:, column]]

@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from data_module.files import read_object
-from data_module.text.language import LANGUAGES
+from gesticulator.language import LANGUAGES
 
 _BOUNDARY = "[,.?] "
 _ENDS = (", ", ". ", "? ")

@@ -15,11 +15,11 @@ from itertools import accumulate
 from typing import NamedTuple
 
 from data_module.speech.word_sound import WordSounds
-from data_module.text.language import language_of
 from data_module.types import Speech, Word
 from gesticulator.directing.cues import TimedCue, cues_at, gesture_of_word, stroke_of_word
 from gesticulator.directing.marks import gestures_of
 from gesticulator.directing.meaning_cues import CalledGesture, meaning_cues
+from gesticulator.language import language_of
 from gesticulator.options import InferenceOptions
 from gesticulator.plan.gestures import GESTURES
 from gesticulator.plan.plan import GestureCue, PlanMeaning

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.text.alignment import aligner_installed, can_follow, dictionary_phones, spoken_words
-from data_module.text.language import language_of
 from data_module.types import Array, Word
 from gesticulator.face.visemes import CLOSED, RATE, SILENT, VISEMES, of_arpabet
+from gesticulator.language import language_of
 
 SLACK = 0.1
 """Seconds by which the times of a word may be wrong: recognisers round and miss by so much."""

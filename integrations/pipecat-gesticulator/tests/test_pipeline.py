@@ -45,7 +45,7 @@ class EspeakService(TTSService):
 
     def __init__(self) -> None:
         self.said: list[str] = []
-        super().__init__(sample_rate=RATE, push_start_frame=True, push_stop_frames=True, stop_frame_timeout_s=0.2,
+        super().__init__(sample_rate=RATE, push_start_frame=True, push_stop_frames=True, stop_frame_timeout_s=1.0,
                          text_transforms=[("*", spoken_text)],
                          settings=TTSSettings(model=None, voice=None, language=None))
 
