@@ -41,7 +41,7 @@ WAKES = 0.2
 """Least duration of sound that ends a pause, seconds: clicks and lip noises do not."""
 LEAD = 0.4
 """Seconds before the voice at which the body wakes: the preparation of a gesture precedes its word."""
-HOLD = 0.5
+HOLD = 0.56
 """Seconds from the start of the rest until the hands retract: they stop, and hold the end of their gesture."""
 SINKING = 0.4
 """Greatest speed of a hand on its way to rest, m/s: a retraction, a little slower than the gestures (a hand's mean

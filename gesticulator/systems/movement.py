@@ -176,11 +176,11 @@ def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Req
     # 5. What is shown: rest, idle motion, and the offset that joins it to what was shown before.
     if offset is not None:
         waxes = minimum_jerk(np.clip((state.keys.activity(speech.keyed_at) + 1.0) / 1.5, 0.0, 1.0))
-        made = _HELD if held else _CALM_BY + (_LIVELY_BY - _CALM_BY) * float(waxes)
+        share = _HELD if held else _CALM_BY + (_LIVELY_BY - _CALM_BY) * float(waxes)
         moves = np.concatenate([state.past[-1:] - generator.behind, block + offset])
         behind = left_behind(generator.behind, np.diff(moves, axis=0), generator.sampler.chooser.ways(moves),
-                             speech.durations[1], (generator.made, made), generator.sampler.arms)
-        offset, generator = offset + behind, replace(generator, behind=behind[-1], made=made)
+                             speech.durations[1], (generator.share, share), generator.sampler.arms)
+        offset, generator = offset + behind, replace(generator, behind=behind[-1], share=share)
     past, motion = loop.shown(bundle, rest, block, offset)
     faded = state.offset is None or state.offset.over(speech.end)
     record = loop.decided(speech, lexeme, scores, keys, rested.probability)
@@ -370,11 +370,11 @@ def left_behind(before: Floats, steps: Floats, ways: Array, seconds: float, shar
     metres; seconds: of the block; shares: a at its start and end; arms: [2, D_m] 1 in the columns of that arm."""
     quick = minimum_jerk(np.clip((ways * (len(steps) / seconds) - _SLOW) / (_QUICK - _SLOW), 0.0, 1.0))
     share = np.linspace(*shares, len(steps) + 1)[1:, None]
-    kept = np.exp(-np.minimum(share, 1.0) ** 2 * quick * ways / _CATCHES_UP).astype(np.float32) @ arms
+    keeps = np.exp(-np.minimum(share, 1.0) ** 2 * quick * ways / _CATCHES_UP).astype(np.float32) @ arms
     missed = (share * (_LEAST + (1.0 - _LEAST) * quick) - 1.0).astype(np.float32) @ arms * steps
     out = np.empty_like(steps)
     for k in range(len(steps)):
-        out[k] = before = kept[k] * before + missed[k]
+        out[k] = before = keeps[k] * before + missed[k]
     return out
 
 
@@ -429,7 +429,7 @@ class FlowState:
     """The state of the sampler between two blocks. lstm: of the generator; base: [K, D_m] the extrapolation of the
     frames before the last block, to which its coefficients were added; both None after a fresh start. place: how long
     speech or silence has lasted. style: of the style interpreter, None without one. set_out: seconds at which the hands
-    last set out. made, behind: a, and d [D_m] or [1], of the section before."""
+    last set out. share, behind: a, and d [D_m] or [1], of the section before."""
 
     sampler: FlowSampler
     lstm: tuple[Floats, Floats] | None = None
@@ -437,7 +437,7 @@ class FlowState:
     place: Circumstances = field(default_factory=Circumstances)
     style: UnitStyleState | None = None
     set_out: float = 0.0
-    made: float = 1.0
+    share: float = 1.0
     behind: Floats = field(default_factory=lambda: np.zeros(1, np.float32))
 
 
