@@ -1,7 +1,7 @@
 """Metadata that depends on where the repository is: its URLs, and README with absolute links.
 
-GESTICULATOR_URL is the address of the repository on its forge, such as https://example.org/group/gesticulator; the
-workflow passes its own. Without it a distribution has no URLs and README as it is.
+GESTICULATOR_URL is the address of the repository on its forge, such as https://example.org/group/gesticulator (the
+workflow passes its own), else the one in pyproject.toml. Without one a distribution has no URLs and README as it is.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class RepositoryMetadata(MetadataHookInterface):
 
     def update(self, metadata: dict[str, Any]) -> None:
         """ValueError for an address that is not of the web."""
-        url = os.environ.get(VARIABLE, "").strip().rstrip("/")
+        url = (os.environ.get(VARIABLE) or self.config["repository"]).strip().rstrip("/")
         metadata["readme"] = "README.md"
-        if not url:
+        if "OWNER" in url:
             return
         if not re.fullmatch(r"https?://[^\s/]+/\S+", url):
             raise ValueError(f"{VARIABLE} is {url!r}: give the address of the repository, https://HOST/PATH")

@@ -34,12 +34,10 @@ def processor() -> str:
 
 def warm(system: Gesticulator, source: Path, target: Path, interpreter: str, text: Path | None = None) -> float:
     """Seconds from a sound file to a BVH file, the second time."""
-    spent = 0.0
     for _ in range(2):
         begin = time.perf_counter()
         write(target, system(load_speech(source), interpreter=interpreter, text=text).scene())
-        spent = time.perf_counter() - begin
-    return spent
+    return time.perf_counter() - begin
 
 
 def cold(arguments: list[str]) -> float:

@@ -210,6 +210,11 @@ def nemo_manifest(words: Words) -> Any:
             _steps(words), "timestamps_segment": nemo(words)["timestamp"]["segment"]}
 
 
+def nemo_speakers(words: Words) -> Any:
+    return {"status": "Success", "session_id": "a", "transcription": _text(words), "words": [
+        {"word": word, "start_time": start, "end_time": end, "speaker": "speaker_0"} for word, start, end in words]}
+
+
 def azure(words: Words) -> Any:
     """The SDK's detailed results."""
     silence = {"RecognitionStatus": "InitialSilenceTimeout", "Offset": 0, "Duration": 10**7}
@@ -255,7 +260,7 @@ JSON: dict[str, Callable[[Words], Any]] = {
     "google, speakers": google_speakers, "google, protobuf": google_protobuf, "azure": azure,
     "azure, batch": azure_batch, "azure, fast": azure_fast, "mfa": mfa, "transformers": transformers, "aws": aws,
     "speechmatics": speechmatics, "elevenlabs": elevenlabs, "gladia": gladia, "deepgram": deepgram,
-    "nemo": nemo, "nemo, manifest": nemo_manifest,
+    "nemo": nemo, "nemo, manifest": nemo_manifest, "nemo, speakers": nemo_speakers,
     "list": lambda words: _plain(words, "text"), "text": lambda words: {"text": _text(words)},
 }
 """Sample -> what writes it; all but "text" have the times of words."""
@@ -333,17 +338,25 @@ def lrc(words: Words) -> str:
         f" <{_clock(start, '.')}>{word}" for word, start, _ in part) + "\n" for part in _parts(words))
 
 
+def ass_coloured(words: Words) -> str:
+    """As NeMo's aligner highlights words: the line anew for each."""
+    return "".join(
+        f"Dialogue: 0,{_clock(start, '.')},{_clock(end, '.')},Default,,0,0,0,," + " ".join(
+            f"{{\\c&H{'09ab39' if k == n else 'c7c1c2'}&}}{word}{{\\r}}" for k, (word, _, _) in enumerate(part)) + "\n"
+        for part in _parts(words) for n, (_, start, end) in enumerate(part))
+
+
 FILES: dict[str, tuple[str, Callable[[Words], str]]] = {
     **{name: (".json", lambda words, write=write: json.dumps(write(words))) for name, write in JSON.items()},
     "srt, highlighted": (".srt", srt_highlighted), "srt, coloured": (".srt", srt_coloured),
     "vtt, highlighted": (".vtt", vtt_highlighted), "vtt, rolling": (".vtt", vtt_rolling),
     "srt": (".srt", srt), "vtt": (".vtt", vtt), "tsv": (".tsv", tsv), "lrc": (".lrc", lrc),
     "ass": (".ass", lambda words: _lines(words, "Dialogue: 0,{},{},Default,,0,0,0,,{{\\i1}}{}\n", "\\N")),
-    "sbv": (".sbv", lambda words: _lines(words, "{},{}\n{}\n\n")),
+    "ass, coloured": (".ass", ass_coloured), "sbv": (".sbv", lambda words: _lines(words, "{},{}\n{}\n\n")),
     "ttml": (".ttml", lambda words: '<tt xmlns="http://www.w3.org/ns/ttml">' + _lines(
         words, '<p begin="{}" xml:id="c" end="{}"><span>{}</span></p>', "<br/>") + "</tt>"),
     "ctm": (".ctm", lambda words: "".join(f"a 1 {a:.3f} {b - a:.3f} {word} 0.9\n" for word, a, b in words)),
 }
 """Sample -> its suffix, and what writes it."""
-WITHOUT_TIMES = {"srt", "vtt", "tsv", "text", "ass", "sbv", "ttml"}
+WITHOUT_TIMES = {"srt", "vtt", "tsv", "text", "ass", "ass, coloured", "sbv", "ttml"}
 """Samples without the times of words."""

@@ -16,7 +16,7 @@ import soundfile
 from data_module.errors import InputError, install_line
 from data_module.speech import audio
 from data_module.types import Samples, Speech
-from gesticulator.infer import level_note
+from gesticulator.infer import level_note, music_note
 
 SPEECH = Path(__file__).parents[1] / "examples" / "speech.flac"
 FORMATS = [("wav", "WAV", "PCM_16"), ("flac", "FLAC", "PCM_16"), ("ogg", "OGG", "VORBIS"), ("mp3", "MP3", None)]
@@ -347,11 +347,18 @@ def test_a_recording_that_is_too_low_is_told_its_gain() -> None:
     loud = (np.repeat(rng.random(40) < 0.6, 4000) * rng.standard_normal(160_000) * 0.05).astype(np.float32)
     assert level_note(Speech(loud, 16000)) is None
     for gain in (-30, -46):
-        note = level_note(Speech(loud * np.float32(10 ** (gain / 20)), 16000))
-        assert note is not None
+        note = str(level_note(Speech(loud * np.float32(10 ** (gain / 20)), 16000)))
         # Loud frames are at -26 dBFS, the usual level, so the gain is what was lost.
         assert f"at {-26 + gain} dBFS" in note and f"--gain {-gain}" in note
     assert "silence" in str(level_note(Speech(np.zeros(16000, np.float32), 16000)))
+
+
+def test_music_is_told_and_speech_is_not() -> None:
+    time = np.arange(96_000) / 16000
+    chord = sum(np.sin(2 * np.pi * note * part * time) / part for note in (220, 277, 330) for part in range(1, 9))
+    music = (0.05 * chord * np.exp(-2.0 * (time % 0.5))).astype(np.float32)
+    assert "steady tones" in str(music_note(Speech(music, 16000)))
+    assert music_note(audio.load_speech(SPEECH)) is None and music_note(Speech(voice(), 48000)) is None
 
 
 def _warned(folder: Path, samples: Samples, rate: int = 16000) -> list[str]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -28,7 +30,13 @@ def test_its_outputs_are_stored_and_small() -> None:
     assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1)), "run once, from the top"
     kinds = [output["output_type"] for cell in cells for output in cell["outputs"]]
     assert len(kinds) >= len(cells) - 1 and "error" not in kinds
-    assert "colab.research.google.com/github/" in NOTEBOOK.read_text()
+    # The one address that is set, and no other, in whatever is published.
+    hooks = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["metadata"]["hooks"]
+    place = hooks["custom"]["repository"].removeprefix("https://github.com/")
+    assert f"research.google.com/github/{place}/blob/HEAD/examples/{NOTEBOOK.name}" in NOTEBOOK.read_text()
+    files = [NOTEBOOK, *ROOT.glob("*.*"), *ROOT.glob("docs/*.md"), *ROOT.glob("integrations/*/*.*")]
+    texts = "".join(file.read_text(errors="ignore") for file in files if file.is_file())
+    assert set(re.findall(r"github(?:\.com)?/([\w.-]+/gesticulator)\b(?!-)", texts)) == {place}
 
 
 def test_the_page_in_it_plays() -> None:

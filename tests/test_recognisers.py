@@ -121,6 +121,7 @@ def test_words_without_times_stay_within_their_segment(tmp_path: Path) -> None:
     ({"chunks": [{"text": "a", "timestamp": [0, 1]}, {"text": "b c", "timestamp": 3}]}, "chunks[1]: has no times"),
     ({"results": [{"alternatives": [{"words": [{"word": "a", "endTime": "1:5"}]}]}]}, "'1:5' is not a time"),
     ({"chapters": []}, "neither words nor segments"),
+    ([{"audio_filepath": name, "pred_text": name} for name in ("a.wav", "b.wav")], "the words of several recordings"),
 ])
 def test_what_cannot_be_used_is_refused(content: Any, said: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:

@@ -149,15 +149,10 @@ def viewing(sound: Path, *words: str, stderr: int | None = None) -> Iterator[tup
         process.wait(30)
 
 
-def _got(url: str) -> str:
-    with urlopen(url) as answer:
-        return str(answer.read().decode())
-
-
 def test_page_and_terminal_say_the_same_of_what_cannot_be_shown(tmp_path: Path) -> None:
     (sound := tmp_path / "talk.wav").write_text("no sound at all")
     with viewing(sound, stderr=subprocess.PIPE) as (process, url):
-        while "failed" not in (told := json.loads(_got(url + "progress"))):
+        while "failed" not in (told := json.load(urlopen(url + "progress"))):
             time.sleep(0.02)
         said = process.communicate(timeout=60)[1]
         assert process.returncode == 2 and said == f"gesticulator: {told['failed']}\n" and "talk.wav" in said
@@ -166,13 +161,13 @@ def test_page_and_terminal_say_the_same_of_what_cannot_be_shown(tmp_path: Path) 
 def test_the_command_shows_a_character(recording: Path, tmp_path: Path) -> None:
     rig = write_character(tmp_path / "rig.glb")
     with viewing(recording, "--character", str(rig), "--fps", "25") as (process, url):
-        assert 'id="performance"' not in _got(url), "the page opens before the talk is there"
+        assert b'id="performance"' not in urlopen(url).read(), "the page opens before the talk is there"
         shares = [0.0]
-        while not (told := json.loads(_got(url + "progress")))["ready"]:
+        while not (told := json.load(urlopen(url + "progress")))["ready"]:
             shares.append(told.get("share", 0.0))
             time.sleep(0.02)
         assert shares == sorted(shares) and shares[-1] > 0.5 and told["name"] == recording.name
-        page = _got(url)
+        page = urlopen(url).read().decode()
         assert "<img" not in page
         told = json.loads(page.partition('id="performance">')[2].partition("</script>")[0])
         assert told["title"] == recording.stem and set(told["character"]["joints"]) > {"Hips", "LeftForeArm"}

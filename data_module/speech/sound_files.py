@@ -29,6 +29,8 @@ PIECE = 1 << 18
 
 # Late start of a video's sound, seconds, above which it is shifted: half a frame of film.
 _OFFSET = 0.02
+# Share of its length that is decoded at least.
+_LEAST = 0.05
 # Late start, seconds, above which it is implausible and ignored.
 _MOST_OFFSET = 60.0
 
@@ -218,15 +220,15 @@ def container(raw: BinaryIO, kind: str, name: object) -> Iterator[Sound]:
         begin = float(stream.start_time * stream.time_base) if stream.start_time and stream.time_base else 0.0
         late = begin - (file.start_time or 0) / av.time_base if begin else 0.0
         late = late if _OFFSET < late < _MOST_OFFSET else 0.0
-        yield Sound(rate, round((seconds + late) * rate), _of_container(file, stream, rate, late))
+        yield Sound(rate, round((seconds + late) * rate), _of_container(file, stream, rate, late, seconds))
 
 
-def _of_container(file: Any, stream: Any, rate: int, late: float) -> Iterator[NDArray[np.float32]]:
+def _of_container(file: Any, stream: Any, rate: int, late: float, seconds: float) -> Iterator[NDArray[np.float32]]:
     import av
 
     if late:
         yield np.zeros((round(late * rate), 1), np.float32)
-    floats = None
+    floats, frames = None, 0
     try:
         # The frame None flushes.
         for frame in itertools.chain(file.decode(stream), [None]):
@@ -234,6 +236,10 @@ def _of_container(file: Any, stream: Any, rate: int, late: float) -> Iterator[ND
                 # Not one row per channel: PyAV 18 crashes with eight of them.
                 floats = av.AudioResampler(format="flt", layout=frame.layout, rate=rate)
             for part in floats.resample(frame) if floats is not None else ():
+                frames += part.samples
                 yield np.asarray(part.to_ndarray(), np.float32).reshape(-1, part.layout.nb_channels)
     except (av.error.FFmpegError, ValueError) as error:
         raise BrokenSoundError(str(error).splitlines()[0][:120] if str(error) else type(error).__name__) from None
+    # A cut file has more than this; of Vorbis in a WAV no decoder finds its frames.
+    if frames < _LEAST * seconds * rate:
+        raise BrokenSoundError(f"{stream.codec_context.name} in {file.format.name}")

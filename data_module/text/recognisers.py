@@ -71,7 +71,8 @@ _WORDS = ("words", "Words", "result", "terms", "tokens", "items", "Items", "word
           "entries")
 _PARTS = ("segments", "chunks", "transcription", "phrases", "recognizedPhrases", "monologues", "response", "results",
           "inlineResult", "inline_result", "transcript", "Transcript", "Results", "channels", "utterances",
-          "prediction", "word_segments", "timestamp", "timestep", "timestamps_segment", "segment", "sentences")
+          "prediction", "word_segments", "timestamp", "timestep", "timestamps_segment", "segment", "sentences",
+          "audio_segments", "transcripts")
 
 
 
@@ -79,6 +80,9 @@ def words_json(source: str, text: str, speaker: str | None = None) -> Content:
     """Words or segments with times, or a text, of any recogniser. `InputError` for any other JSON."""
     joined = _NEXT_OBJECT.sub("},\n{", text)
     content = parse_json(text if joined == text else f"[{joined}]", source, "write it again")
+    items = [item for item in content if isinstance(item, Mapping)] if isinstance(content, list) else []
+    if len({str(item["audio_filepath"]) for item in items if "audio_filepath" in item}) > 1:
+        raise InputError(source, "holds the words of several recordings", "leave those of one in it")
     segments = _segments(source, content, "")
     if not segments:
         raise InputError(source, "holds neither words nor segments of a known recogniser",
@@ -109,7 +113,7 @@ def _segments(source: str, item: object, where: str) -> list[_Segment]:
     without_times: list[_Segment] = []
     for key in (*_PARTS, *files):
         segments = _segments(source, item.get(key), _below(where, key))
-        if key == "channels" and len(segments) > 1:
+        if key in ("channels", "transcripts") and len(segments) > 1:
             raise InputError(source, f"holds the words of {len(segments)} channels", "leave one channel in it")
         if any(inner or cue.end is not None for cue, inner in segments):
             return segments
@@ -130,7 +134,7 @@ def _words(source: str, item: Mapping[str, Any], where: str) -> list[Entry]:
     key = next((key for key in _WORDS if _is_words(key, item.get(key))), "")
     entries: list[Entry] = []
     for place, word in _numbered(item.get(key) or (), _below(where, key)):
-        kind = str(word.get("type") or "").lower() if isinstance(word, Mapping) else ""
+        kind = str(_of(word, "type", "Type") or "").lower() if isinstance(word, Mapping) else ""
         if kind == "punctuation":
             mark = str(_of(_best(word, place)[0], *_TEXTS) or "").strip()
             entries[-1:] = [replace(last, text=last.text + mark) for last in entries[-1:]]

@@ -206,7 +206,12 @@ def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
         if len(clock) > 4:
             end = _clock(clock[5:]) + (start if clock[4] else 0.0)
         number, at = number + text.count("\n", at, match.start(3)), match.start(3)
-        cues.append(Entry(line.replace("\\N", " "), start, end, f"line {number}"))
+        cue = Entry(line.replace("\\N", " "), start, end, f"line {number}")
+        # NeMo's aligner shows a line anew for each word, in other colours.
+        if cues and "\\c&" in line and _plain(cues[-1].text) == _plain(cue.text):
+            cues[-1] = replace(cues[-1], end=end)
+        else:
+            cues.append(cue)
     return _of_cues(cues)
 
 

@@ -7,6 +7,7 @@ import asyncio
 import gc
 import logging
 import os
+import sys
 import threading
 import webbrowser
 
@@ -126,6 +127,9 @@ def serve(args: argparse.Namespace, address: ServerAddress, limits: ServerLimits
     output = None if args.vmc is None else VmcOutput(args.vmc)
     gesticulator = Gesticulator.from_pretrained(args.bundle)
     _log_to_stderr()
+    # By default Python lets a thread that computes run for 5 ms before the loop may read and send: with five changes
+    # between the two for each block, a stream beside a busy one was 0.3 s late.
+    sys.setswitchinterval(0.001)
     # Beside a stream's small matrix products further threads wait in a loop, which costs more than the stream.
     with address.listen() as listening, limited_threads(args.threads):
         host, port = listening.getsockname()[:2]
@@ -133,7 +137,7 @@ def serve(args: argparse.Namespace, address: ServerAddress, limits: ServerLimits
                  port)
         # The first stream would otherwise wait for the models to be loaded. Silence would not reach the generator.
         noise = np.random.default_rng(0).normal(0.0, 0.05, 2 * SAMPLE_RATE)
-        gesticulator.stream(text=gesticulator.reads_text).feed(noise.astype(np.float32))
+        gesticulator.stream(text=gesticulator.reads_text, face="full", legs=True).feed(noise.astype(np.float32))
         # An ended stream is a circle of tasks, exceptions and frames, which the collector looks for when there are many
         # new objects for the known ones. So the models must not count as known: the second collection notes that.
         gc.collect()
