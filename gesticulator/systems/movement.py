@@ -26,12 +26,13 @@ from numpy.typing import NDArray
 
 from data_module.controls import Controls
 from data_module.layers_run import Floats, Tensors
-from data_module.motion.kinematics import fade_weights, minimum_jerk
+from data_module.motion.kinematics import fade_weights
 from data_module.motion.movement_run import PAST, BasisRunner
 from data_module.motion.skeletons import CHARACTERS
 from data_module.types import Array
 from generator.flow_run import Circumstances, FlowConditions, FlowRunner, alone
 from generator.settings import GeneratorWidths
+from generator.stillness import HELD, HOME, left_behind, share_at
 from gesticulator.body.life import SIDES
 from gesticulator.bundle.features import CONTROL_WIDTH, SpeechBlock, body_columns
 from gesticulator.sampling import loop
@@ -167,7 +168,9 @@ def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Req
     keys = request.keys or state.keys
     home = np.repeat(state.generator.sampler.home[None], bundle.frames, axis=0)
     offset = None if state.rest is None else home if state.offset is None else home + state.offset.at(speech.span.times)
-    shift = None if offset is None else np.concatenate([state.past - state.generated, offset + state.generator.behind])
+    # What does not fade is left out, as no candidate differs by it.
+    shift = None if state.offset is None else np.concatenate([state.past - state.generated,
+                                                              offset + state.generator.behind])
     block, code, generator = state.generator.sampler.sample(
         state.generator, BlockToSample(speech, features, lexeme, unit, keys, shift, request.fast,
                                        rest is not None and rest.rests_wholly),
@@ -175,8 +178,7 @@ def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Req
 
     # 5. What is shown: rest, idle motion, and the offset that joins it to what was shown before.
     if offset is not None:
-        waxes = minimum_jerk(np.clip((state.keys.activity(speech.keyed_at) + 1.0) / 1.5, 0.0, 1.0))
-        share = _HELD if held else _CALM_BY + (_LIVELY_BY - _CALM_BY) * float(waxes)
+        share = HELD if held else share_at(state.keys.activity(speech.keyed_at))
         moves = np.concatenate([state.past[-1:] - generator.behind, block + offset])
         behind = left_behind(generator.behind, np.diff(moves, axis=0), generator.sampler.chooser.ways(moves),
                              speech.durations[1], (generator.share, share), generator.sampler.arms)
@@ -342,42 +344,6 @@ def set_out(bundle: Bundle, setup: loop.Setup, state: loop.State, speech: Speech
                                      behind=np.zeros(1, np.float32)))
 
 
-# ---------------------------------------------------------------------------------------------- stillness and strokes
-
-# People's hands are nearly still or quick; what is generated moves at an even speed. So an arm makes the share k of a
-# generated movement dg of its pose, and catches up with what it stayed behind by, d, on the way of quick movements:
-#
-#     d <- exp(-min(a, 1)^2 q |dh| / c) d + (k - 1) dg,   k = a (k_0 + (1 - k_0) q)
-#
-# |dh| is the way of its hand, q rises from 0 to 1 with the hand's speed, and a with an activity that waxes and wanes
-# over seconds: in calm times people make small beats about one pose. Where the hands set out, d is 0 again.
-
-_HOME = (4.0, -9.0, -3.0, 7.0)
-"""Degrees from a generated arm to the shown one: the upper arm's exponential map and the bend of the elbow, of the
-right side. In the corpus hands are lower and nearer to each other than those of people who talk."""
-_SLOW, _QUICK, _LEAST = 0.08, 0.45, 0.65
-"""Speeds of a hand where q is 0 and 1, m/s; and k_0."""
-_CALM_BY, _LIVELY_BY, _HELD = 0.6, 1.2, 0.4
-"""a at an activity of -1 deviations or less, at 0.5 or more, and in a hold, in which people's hands still drift by one
-to three centimetres."""
-_CATCHES_UP = 0.25
-"""c, metres."""
-
-
-def left_behind(before: Floats, steps: Floats, ways: Array, seconds: float, shares: tuple[float, float], arms: Floats
-                ) -> Floats:
-    """[K, D_m] d in each frame of a block, from d before it. steps: [K, D_m] dg of each frame; ways: [K, 2] |dh|,
-    metres; seconds: of the block; shares: a at its start and end; arms: [2, D_m] 1 in the columns of that arm."""
-    quick = minimum_jerk(np.clip((ways * (len(steps) / seconds) - _SLOW) / (_QUICK - _SLOW), 0.0, 1.0))
-    share = np.linspace(*shares, len(steps) + 1)[1:, None]
-    keeps = np.exp(-np.minimum(share, 1.0) ** 2 * quick * ways / _CATCHES_UP).astype(np.float32) @ arms
-    missed = (share * (_LEAST + (1.0 - _LEAST) * quick) - 1.0).astype(np.float32) @ arms * steps
-    out = np.empty_like(steps)
-    for k in range(len(steps)):
-        out[k] = before = keeps[k] * before + missed[k]
-    return out
-
-
 # --------------------------------------------------------------------------------------------------- the flow generator
 
 AUDIO_GUIDANCE, LEXEME_GUIDANCE, UNIT_GUIDANCE = 0.7, 0.4, 0.5
@@ -429,7 +395,7 @@ class FlowState:
     """The state of the sampler between two blocks. lstm: of the generator; base: [K, D_m] the extrapolation of the
     frames before the last block, to which its coefficients were added; both None after a fresh start. place: how long
     speech or silence has lasted. style: of the style interpreter, None without one. set_out: seconds at which the hands
-    last set out. share, behind: a, and d [D_m] or [1], of the section before."""
+    last set out. share, behind: a, and d [D_m] or [1], of `generator.stillness`."""
 
     sampler: FlowSampler
     lstm: tuple[Floats, Floats] | None = None
@@ -445,7 +411,7 @@ class FlowSampler:
     """Samples blocks of one speaker from the flow generator. It has no state of its own."""
 
     def __init__(self, bundle: Bundle, speaker: int, at_home: bool) -> None:
-        """at_home: the arms are brought to `_HOME`; not where the places of the hands are controlled."""
+        """at_home: the arms are brought to `HOME`; not where the places of the hands are controlled."""
         self.generator: FlowRunner = bundle.runners["generator"]
         self.lexicon: MovementLexiconRunner = bundle.runners["lexicon"]
         self.style: UnitStyleRunner | None = bundle.runners.get("style")
@@ -460,7 +426,7 @@ class FlowSampler:
         self.home = np.zeros(len(self.arms[0]), np.float32)
         for side, sign in zip(SIDES if at_home else (), (1.0, -1.0), strict=False):
             columns = 3 * names.index(side + "Arm") + np.array([0, 1, 2]), 3 * names.index(side + "ForeArm") + 1
-            self.home[np.append(*columns)] = np.radians(_HOME) * (1.0, sign, sign, sign)
+            self.home[np.append(*columns)] = np.radians(HOME) * (1.0, sign, sign, sign)
         self.home /= bundle.statistics.deviation.astype(np.float32)
 
     def _by_part(self, trunk: float, fingers: float = 1.0) -> Floats:
