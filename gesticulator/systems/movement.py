@@ -166,8 +166,9 @@ def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Req
 
     # 4. The motion: candidates from the flow generator, of which one is kept.
     keys = request.keys or state.keys
-    home = np.repeat(state.generator.sampler.home[None], bundle.frames, axis=0)
-    offset = None if state.rest is None else home if state.offset is None else home + state.offset.at(speech.span.times)
+    offset = None if state.rest is None else state.generator.sampler.home
+    if state.offset is not None:
+        offset = offset + state.offset.at(speech.span.times)
     # What does not fade is left out, as no candidate differs by it.
     shift = None if state.offset is None else np.concatenate([state.past - state.generated,
                                                               offset + state.generator.behind])
@@ -184,11 +185,11 @@ def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Req
                              speech.durations[1], (generator.share, share), generator.sampler.arms)
         offset, generator = offset + behind, replace(generator, behind=behind[-1], share=share)
     past, motion = loop.shown(bundle, rest, block, offset)
-    faded = state.offset is None or state.offset.over(speech.end)
+    fades = state.offset is not None and speech.end < state.offset.begin + FADES
     record = loop.decided(speech, lexeme, scores, keys, rested.probability)
     after = replace(state, lexeme=lexeme, past=past, generated=past if offset is None else past - offset,
                     interpreter=interpreter, unguided=unguided, generator=generator, gate=rested.gate, unit=unit,
-                    rest=rest, until=speech.end, offset=None if faded else state.offset)
+                    rest=rest, until=speech.end, offset=state.offset if fades else None)
     return loop.BlockMotion(record, lexeme, motion, code, unit), after
 
 
@@ -201,22 +202,15 @@ def motion_of(bundle: Bundle, setup: loop.Setup, blocks: Sequence[loop.BlockMoti
 
 HOLD = 1.2
 """Added to the logit of a hold after a stroke: what is generated holds less than people do."""
-GOES_ON_PAUSING = 0.5
-"""Added to the logit of a hold in a pause that goes on: people hold at the ends of phrases."""
 VOICE_RETURNS = 4.0
 """Added to the logit of a preparation in a pause that ends in the next block: people prepare before they speak."""
 
 
 def phrasing(speech: SpeechBlock) -> loop.Scores:
     """[5] what is added to the planner's logits of the phases."""
-    bias = np.zeros(len(PHASES))
-    bias[PHASES.index("hold")] = HOLD
-    if speech.quiet.mean() >= 0.5 and speech.ahead is not None:
-        if speech.ahead.all():
-            bias[PHASES.index("hold")] += GOES_ON_PAUSING
-        else:
-            bias[PHASES.index("preparation")] = VOICE_RETURNS
-    return bias
+    returns = speech.quiet.mean() >= 0.5 and speech.ahead is not None and not speech.ahead.all()
+    # In the order of `PHASES`: preparation is the second, hold the fourth.
+    return np.array([0.0, VOICE_RETURNS * returns, 0.0, HOLD, 0.0])
 
 
 def decide_unit(bundle: Bundle, setup: loop.Setup, planner: PlannerState | None, speech: SpeechBlock,
@@ -279,10 +273,6 @@ class Offset:
         weights = np.stack([sinks, FADES * coasts]).astype(self.pose.dtype)[..., None]
         return weights[0] * self.pose + weights[1] * self.velocity
 
-    def over(self, time: float) -> bool:
-        """Whether it has faded at `time` seconds."""
-        return time >= self.begin + FADES
-
 
 def first_pose(chances: Array, posture: Array, names: Sequence[str], rest: Array) -> NDArray[np.float32]:
     """[D_m] h of a preparation, normalised: each arm is somewhere between the mean and the resting pose, or a little
@@ -340,8 +330,8 @@ def set_out(bundle: Bundle, setup: loop.Setup, state: loop.State, speech: Speech
                    # Without the blocks before, as at the start of a training window, but for the last decision and for
                    # how long speech or silence has lasted.
                    planner=None if state.planner is None else replace(state.planner, hidden=None),
-                   generator=replace(state.generator, lstm=None, base=None, set_out=speech.start,
-                                     behind=np.zeros(1, np.float32)))
+                   generator=FlowState(state.generator.sampler, place=state.generator.place,
+                                     style=state.generator.style, set_out=speech.start))
 
 
 # --------------------------------------------------------------------------------------------------- the flow generator
@@ -423,11 +413,8 @@ class FlowSampler:
         self.deviation = np.float32(NOISE) * self._by_part(TRUNK_NOISE, FINGER_NOISE)
         names = CHARACTERS[bundle.config.motion.joints].names
         self.arms = np.array([np.repeat([name.startswith(side) for name in names], 3) for side in SIDES], np.float32)
-        self.home = np.zeros(len(self.arms[0]), np.float32)
-        for side, sign in zip(SIDES if at_home else (), (1.0, -1.0), strict=False):
-            columns = 3 * names.index(side + "Arm") + np.array([0, 1, 2]), 3 * names.index(side + "ForeArm") + 1
-            self.home[np.append(*columns)] = np.radians(HOME) * (1.0, sign, sign, sign)
-        self.home /= bundle.statistics.deviation.astype(np.float32)
+        turns = np.radians([HOME.get(name, (0.0, 0.0, 0.0)) for name in names]).ravel() * at_home
+        self.home = (turns / bundle.statistics.deviation).astype(np.float32)
 
     def _by_part(self, trunk: float, fingers: float = 1.0) -> Floats:
         """[n] factors on the coefficients: `trunk` for torso and head, `fingers` for fingers, 1 for the arms."""
