@@ -32,7 +32,7 @@ _CATCHES_UP = 0.25
 
 def share_at(activity: float) -> float:
     """a at an activity, deviations."""
-    return float(np.interp(activity, *_ACTIVITY))
+    return np.interp(activity, *_ACTIVITY)
 
 
 def left_behind(before: Floats, steps: Floats, ways: Array, seconds: float, shares: tuple[float, float], arms: Floats

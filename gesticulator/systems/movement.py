@@ -38,7 +38,7 @@ from gesticulator.bundle.features import CONTROL_WIDTH, SpeechBlock, body_column
 from gesticulator.sampling import loop
 from gesticulator.sampling.candidates import CandidateChooser
 from interpreters.base import BlockFeatures
-from interpreters.planner_run import CLASSES, PHASES, PlannerRunner, UnitDecision, UnitStyleRunner
+from interpreters.planner_run import CLASSES, PlannerRunner, UnitDecision, UnitStyleRunner
 from lexicon.movement_run import MovementLexiconRunner
 
 if TYPE_CHECKING:
