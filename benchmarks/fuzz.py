@@ -8,8 +8,6 @@ corpora and the server document), prints a message of several lines or with cont
 over 1 GB, or ends the process.
 """
 
-from __future__ import annotations
-
 import argparse
 import multiprocessing
 import os

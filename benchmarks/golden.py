@@ -18,8 +18,6 @@ A name is KIND:GROUP/CASE, such as bvh:edit/swap. `plan:` and `html:` hold what 
 `--motion` compares the motion alone, for a change that adds fields to the plan. `--only GROUP` runs one group.
 """
 
-from __future__ import annotations
-
 import argparse
 import copy
 import functools

@@ -11,8 +11,6 @@ error. Exit code 1 if one survives, is in error, or if its fragment does not occ
 that has loaded the libraries once, which halves the time; Linux and macOS alone can do that.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import os

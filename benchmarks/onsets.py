@@ -6,8 +6,6 @@ F-measure, precision and recall at 50 ms (mir_eval) on the readings in speech/, 
 reference, onsets closer than 50 ms merged on both sides.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -5,8 +5,6 @@ The recording is the example over and over, at its own rate. Each length is done
 seconds: of its processor time; peak: MB that it held at most, the interpreter and the models included.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import platform

@@ -16,8 +16,6 @@ Computing is counted in processor time, so that other programs on the machine do
   chance PMB is in the low mode, recording by recording and seed by seed, with the 95 % interval over both.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import platform
@@ -52,8 +50,7 @@ def live(system: Gesticulator, speech: Speech, latency: str) -> dict[str, Any]:
     """One recording, as from a microphone."""
     stream = system.stream(latency=latency)
     parts: list[StreamFrames] = []
-    late, drew, other, first, clock = [], [], [], (0.0, 0.0), 0.0
-    spent = 0.0
+    late, drew, other, first, clock, spent = [], [], [], (0.0, 0.0), 0.0, 0.0
     for at in range(0, len(speech.samples), PIECE):
         heard = min(at + PIECE, len(speech.samples)) / SAMPLE_RATE
         begin = time.process_time()
@@ -119,7 +116,8 @@ def main() -> None:
                                (("mean", apart.mean), ("low", apart.low), ("high", apart.high))}
     print("low_less_full", result["low_less_full"], flush=True)
     if a.out:
-        Path(a.out).write_text(json.dumps(result, indent=1) + "\n")
+        old = json.loads(Path(a.out).read_text()) if Path(a.out).exists() else {}  # with what load.py measured
+        Path(a.out).write_text(json.dumps({**old, **result}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -4,8 +4,6 @@ numpy trusts the header: a file of a hundred bytes that claims 45 GB makes it al
 compared with the size of the file, only numbers, booleans and text are read, and nothing is unpickled.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import os

@@ -4,8 +4,6 @@ Block i covers (b_{i-1}, b_i]; its K-th frame lies on the beat b_i. In normalise
 Sound is stretched with its pitch kept; motion is interpolated as rotations.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import sys

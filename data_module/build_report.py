@@ -4,8 +4,6 @@ It is printed and written to `report.json` in the store. It does not depend on t
 have equal reports.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Atomic writing of files, reading of text and JSON files within limits, and locks on folders."""
 
-from __future__ import annotations
-
 import codecs
 import contextlib
 import csv

@@ -1,8 +1,6 @@
 """Histograms of the intervals between onsets of the speech and between beats (RG Fig. 5), to choose the bounds d_min
 and d_max for a corpus: most intervals between onsets should lie within them."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

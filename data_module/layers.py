@@ -1,7 +1,5 @@
 """Layers shared by lexicon, generator and interpreters (`data_module.layers_run` plays them)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

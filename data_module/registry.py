@@ -8,8 +8,6 @@ it is used, so that the command line can list the names.
     ".txt" = "my_package.text:write_text"
 """
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field

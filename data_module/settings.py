@@ -4,8 +4,6 @@ The type of a field contains its range, `width: Width = 64`, and `check` validat
 setting is refused by its name when it is read, and not by a layer of a network half an hour later.
 """
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import functools

@@ -1,7 +1,5 @@
 """The verbs of `eval`. Cheap to import: what is heavy is imported when a verb runs."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 

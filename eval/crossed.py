@@ -20,8 +20,6 @@ What fools it: with two seeds the degrees of freedom approach one, and the inter
 which one is a hundred times the others is the figure of that clip. Blocks of a clip are no units here.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

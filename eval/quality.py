@@ -1,7 +1,5 @@
 """How good are the models of a bundle on the test split: its lexicon and its interpreters, each beside baselines."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Voices, the bundle that gestures for them, and its renderings."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The losses of the generator (RG 5.3, Eq. 10 to 14), every norm a mean over elements."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import torch

@@ -1,7 +1,5 @@
 """The paper's generator on arrays: one block after the other (RG 5.2, Eq. 15). `generator.model` trains it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from data_module.layers_run import BlockDense, Convolutions, Floats, Lstm, Tensors, leaky_relu, side_by_side

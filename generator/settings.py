@@ -1,7 +1,5 @@
 """Sizes and weights of both generators, and what their torch modules and runners have in common."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`gesticulator build`: build a training store from a corpus (`data_module.build`)."""
 
-from __future__ import annotations
-
 import argparse
 from functools import partial
 

@@ -4,8 +4,6 @@ A verb is an entry point of the group `gesticulator.commands`, so that higher pa
 verbs. It names a `Command`, which must be cheap to import: heavy modules (torch, librosa) are imported by its `run`.
 """
 
-from __future__ import annotations
-
 import argparse
 import difflib
 import os

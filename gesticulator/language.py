@@ -1,7 +1,5 @@
 """The language of a text, by its commonest words."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 _COMMONEST = {language: frozenset(words.split()) for language, words in {

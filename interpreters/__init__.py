@@ -4,8 +4,6 @@ A new interpreter is one file and one entry here, or an entry point of another p
 of other packages have no weights. This file imports none of them: the command line lists the names.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache

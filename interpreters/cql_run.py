@@ -3,8 +3,6 @@
 `interpreters.cql` trains the network; here its weights are played, without torch.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@ assembled from the previous lexemes and the speech of the block numbers.
 The first block of a recording has the given a_0; decisions begin with the second.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

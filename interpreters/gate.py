@@ -4,8 +4,6 @@ The paper gestures at every beat; people do not. From the inputs of the style in
 probability that a performer gestures on a block. If the gate is closed, the block takes a silent lexeme.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional

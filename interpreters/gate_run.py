@@ -1,7 +1,5 @@
 """The runner of the activity gate (`interpreters.gate`)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -21,8 +21,6 @@ dimension is scaled to the variance of the measured codes.
     z_i = g * mean of f(audio_1..j+1, speaker) over the blocks j of the unit up to i
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor, nn

@@ -1,7 +1,5 @@
 """The paper's style interpreter on arrays (RG 6.2, Eq. 19). `interpreters.lstm` trains it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

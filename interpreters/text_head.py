@@ -5,8 +5,6 @@ interpreter is therefore trained first, and this head learns the remainder. It h
 three blocks, the previous lexeme and the speaker.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional

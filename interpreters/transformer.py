@@ -4,8 +4,6 @@ The streams are concatenated in time, [U; A]: token j of the first is the audio 
 the second is the action a_j before it. Pre-norm layers with GELU and a feed-forward of four times the width.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import torch

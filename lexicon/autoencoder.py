@@ -1,7 +1,5 @@
 """The VQ-VAE over motion blocks: one latent vector, one lexeme per block (RG 5.1, Eq. 3 and 4)."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

@@ -1,7 +1,5 @@
 """The decoder of the paper's lexicon on arrays (RG 5.1): the motion of each lexeme. `lexicon.autoencoder` trains it."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Statistics of the lexicon: frequencies of the lexemes, transitions between them, and the silent lexemes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

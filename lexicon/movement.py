@@ -6,8 +6,6 @@ lexeme is the nearest of S codewords. Residual codebooks for each part (`Lexicon
 All codebooks are fitted by k-means, or encoder, lexemes and decoder are learned together (`MovementVqVae`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

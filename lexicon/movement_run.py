@@ -1,7 +1,5 @@
 """The runner of the lexicon of movements (`lexicon.movement`)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -12,8 +12,6 @@ training begins as a linear autoencoder. K-means places the lexemes after `warm_
 whatever draws or rates movements takes it in place of a codeword.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

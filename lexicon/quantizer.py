@@ -1,7 +1,5 @@
 """The codebook: nearest-neighbour quantisation with a straight-through gradient (RG Eq. 3 and 4)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -20,8 +20,6 @@ The receptive field of a code is much larger than 8 frames: code i depends on fr
 as many decoded ones. Recordings should therefore be encoded whole; a code decoded alone only approximates its motion.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

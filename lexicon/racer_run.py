@@ -1,7 +1,5 @@
 """The runner of RACER's codec (`lexicon.racer`): codes to motion."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

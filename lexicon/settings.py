@@ -1,7 +1,5 @@
 """Sizes and weights of the two codecs of motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -3,8 +3,6 @@
     python blender_addon.py RIG.glb|metarig|rigify SOUND PROGRAM FRAMES_PER_SECOND OUT.json
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import sys

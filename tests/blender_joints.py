@@ -3,8 +3,6 @@
     python blender_joints.py FILE FRAMES_PER_SECOND OUT.json [importer settings as JSON]
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -3,8 +3,6 @@
     python blender_shapes.py FILE FRAMES_PER_SECOND OUT.json
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

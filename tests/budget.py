@@ -4,8 +4,6 @@
 whenever code is taken away; it is raised only together with a reason in the commit.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import json

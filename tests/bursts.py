@@ -1,7 +1,5 @@
 """Recordings made by rule: bursts of noise of different loudness, and slow paths of arms and head."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,8 +1,6 @@
 """The property that every reader of files must have: damaged files give an error of one line, soon and in little space.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import warnings

@@ -1,7 +1,5 @@
 """Faces for the tests: posed ones, and the face of three spoken words."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path

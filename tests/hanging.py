@@ -1,7 +1,5 @@
 """A limit for what must never hang, far above what it takes on any processor."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Modules of JavaScript run by Node.js, for the tests that hold them against Python."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

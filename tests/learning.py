@@ -1,7 +1,5 @@
 """A short training, for tests of what a model can learn."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import torch

@@ -1,7 +1,5 @@
 """A stream that needs no models, to test what is around it: every frame tells its number by its first joint."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import threading

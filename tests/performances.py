@@ -1,7 +1,5 @@
 """A small performance made by rule, for the tests of what is written and shown; and the example recording."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Folders as data sets are published, written small: what the readers of BEAT, BEAT2 and TED are tested on."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Folders of exactly the layout in which Trinity, ZeroEGGS, MOCCA and Talking With Hands (by GENEA) are published, with
 short motions and clicks."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A small model trained by `gesticulator.training.fit`, in a test or by `torchrun ... tests/ranks.py FOLDER`."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A sample and a reading for every reader of files, and ways to damage a file: for tests and benchmarks/fuzz.py."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import io

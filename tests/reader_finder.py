@@ -1,7 +1,5 @@
 """Which functions of a source file read files or parse bytes or text, found by what they call, not by their names."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

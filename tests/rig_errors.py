@@ -1,7 +1,5 @@
 """How far the bones of a character point from ours, and how far feet are from where they should be."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from data_module.motion import kinematics, rotation

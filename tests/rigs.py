@@ -4,8 +4,6 @@ A rig is built as a body in our axes (Y up, facing +Z, left +X, metres), posed, 
 rest rotations and names of a tool. `Rig.truth` tells which node is which of our joints, so the search can be judged.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The runners of models that a test made, with the sizes that their weights have."""
 
-from __future__ import annotations
-
 import numpy as np
 from torch import nn
 

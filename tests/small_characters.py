@@ -4,8 +4,6 @@ All are a body of other proportions than ours, whose joints rest in axes drawn a
 and data that no tool knows. VRM 0.x allows no rest rotations, and has its characters face -Z.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path

@@ -6,8 +6,6 @@ are "and" (9.9 to 10.2 s) and "so" (10.5 to 10.75 s). EMPTY: a video without cli
 whose unpickling makes the folder `made_by_a_pickle`.
 """
 
-from __future__ import annotations
-
 import base64
 import zlib
 

@@ -1,7 +1,5 @@
 """The ablation runner on networks of no size: what a row trains and plays, what stands beside it, how a run goes on."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The clauses of the acceptance on motion, sound and lexicons whose verdict is known."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Lexeme accuracy by hand and against scikit-learn; what fools it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The actor-critic variant: whose turn it is, who learns in it, and that it begins as what was supervised."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

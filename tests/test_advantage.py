@@ -1,7 +1,5 @@
 """The policy of behaviour and advantage: known answers of its formulas, and what its critics can learn."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

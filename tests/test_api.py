@@ -1,7 +1,5 @@
 """The product as a programmer calls it: what may be given, what comes back, and what is refused."""
 
-from __future__ import annotations
-
 import io
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """Arrays from files of any origin: what numpy writes comes back, and what lies about itself costs no memory."""
 
-from __future__ import annotations
-
 import io
 import struct
 import tracemalloc

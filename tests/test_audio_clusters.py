@@ -1,7 +1,5 @@
 """Clusters of sound beside lexemes (RG Fig. 14): entropies by their definition, real ties and none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Which recordings a command names and which files it writes: names in, jobs out, without a model."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Batches: what is noted, what is done again, who does what; the manifest survives being killed. Ray where it is."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal

@@ -1,7 +1,5 @@
 """Onsets and beats: intervals whatever the sound, and no peeking into the future."""
 
-from __future__ import annotations
-
 import warnings
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The Blender add-on, in Blender and without a screen, with the program and the weights that are shipped."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

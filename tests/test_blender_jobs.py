@@ -1,7 +1,5 @@
 """Jobs in Blender, for which a plain Python stands in, with scripts that need no bpy; keys that its exporter keeps."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Blocks: what is cut and stretched comes back, exactly on the beats."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """A bound at its ends; what is skipped, undefined or read back."""
 
-from __future__ import annotations
-
 import json
 import math
 

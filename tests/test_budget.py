@@ -1,7 +1,5 @@
 """The repository keeps within the ceilings of budget.json."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The build command, end to end on the toy corpus: bit for bit, in any order, and never over others."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """A bundle on disk: whole, checked, and readable by those who come later."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """BVH: round trips, any order of channels, upc-pymotion as a second opinion, and every way a file can be broken."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Characters read from files, their joints named and found, and mappings kept in files."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

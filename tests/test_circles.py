@@ -3,8 +3,6 @@
 Imports inside functions, imports for type checking and modules that are imported by a literal name count as well.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Container, Iterator
 from graphlib import CycleError, TopologicalSorter

@@ -1,8 +1,6 @@
 """How far a hand is from a trunk, by known answers of an ellipse; hands of the default character outside its trunk and
 face and elbows off its back: known answers, speeds, the whole."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The one door: its verbs, what is said of those that are broken, and printing that never fails."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

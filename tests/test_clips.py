@@ -1,7 +1,5 @@
 """Clips for animation tools: reduced keys, loops, masks, layers, names."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Settings: presets, overrides, hashes, and the round trip to plain values."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

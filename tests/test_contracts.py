@@ -4,8 +4,6 @@ What a kind does beyond that is tested beside it: writers in `test_export`, inte
 sets on samples in `test_corpora`, metrics in `test_metric_contracts`.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 from dataclasses import replace

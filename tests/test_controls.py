@@ -1,7 +1,5 @@
 """Style editing: features of movements worked out by hand, averages against an oracle, what a command may ask."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

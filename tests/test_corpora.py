@@ -1,7 +1,5 @@
 """Every reader keeps the same contract; readers of files give what the files hold."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The files and tests that docs/coverage.md names exist."""
 
-from __future__ import annotations
-
 import ast
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """The Q-network sees what it may and no more; conservative Q-learning does what its equations say."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """How `--interpreter cql` chooses: sampled by default, arg max at temperature 0, with a warning."""
 
-from __future__ import annotations
-
 import warnings
 
 import pytest

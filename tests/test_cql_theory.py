@@ -8,8 +8,6 @@ The oracle is derived here. With pi_b the share of each action in a state's data
 Summed over a, softmax and pi_b cancel, so at the fixed point the mean of Q over the data is the mean of y.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Means over seeds and clips: the classical formulas, and intervals that hold the true mean as often as they say."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

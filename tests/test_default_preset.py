@@ -1,7 +1,5 @@
 """The shipped system at toy size: movements, a head that samples, 46 joints, and what stands around them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

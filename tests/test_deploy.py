@@ -1,7 +1,5 @@
 """Containers: the files agree with the program, and the container's command gets ready, answers and drains."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """Training in several processes started by torchrun: gradients of the whole batch, and the real command."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

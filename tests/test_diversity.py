@@ -1,7 +1,5 @@
 """Entropy, motion variance and the order of lexemes: hand cases, scipy, and what the chapter says fools them."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 

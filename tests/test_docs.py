@@ -1,7 +1,5 @@
 """Links lead somewhere, commands and options that pages show exist, and the README's figures are the stored ones."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import re

@@ -1,7 +1,5 @@
 """Edits on the page: the frames that come back are those of the whole plan rendered, bit for bit, and few are sent."""
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import copy

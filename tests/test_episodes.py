@@ -1,7 +1,5 @@
 """The offline data set of the Q-network: who acted, what it earned, and the windows that are cut from it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """What a user did wrong is one line, whatever the terminal can show."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """Every example does what its first line says, on a short recording and with the shipped weights."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import shutil

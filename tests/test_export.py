@@ -1,7 +1,5 @@
 """The performance, its plan, and the files that it is written to."""
 
-from __future__ import annotations
-
 import io
 import itertools
 import json

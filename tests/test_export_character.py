@@ -1,7 +1,5 @@
 """The user's own character in files: her file stays as it was, and every format shows the same places."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every format read back: by an independent reader, by the library of its makers, or by the inverse in data_module."""
 
-from __future__ import annotations
-
 import csv
 import sys
 from dataclasses import replace

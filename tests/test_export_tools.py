@@ -3,8 +3,6 @@
 Each part is skipped, with the reason, where its tool is not installed.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The figures for the eye: known answers, the definition's own program where it is at hand, and what fools them."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Arms as people's: known answers, and controls that each figure must refuse."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Posture, parts together, gesture units, stability: known answers, the definition's program, and what must fail."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from dataclasses import replace

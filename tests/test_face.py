@@ -1,7 +1,5 @@
 """The face: visemes of phones, lips from sound, blinks, brows and gaze, and the shapes of characters."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

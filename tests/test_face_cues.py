@@ -1,7 +1,5 @@
 """Expressions of the face at cues and marks, in files and streams; the body is the same with them and without."""
 
-from __future__ import annotations
-
 import argparse
 import warnings
 from dataclasses import replace

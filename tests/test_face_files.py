@@ -1,7 +1,5 @@
 """A face in files, read back from GLB, VRM and VRMA, and in a page on a GLB that is no VRM."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from pathlib import Path

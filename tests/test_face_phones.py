@@ -1,7 +1,5 @@
 """The mouth by the words: pronunciations, and their phones placed in what the lips network hears."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The face of the default figure in pages, and in the browser client."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

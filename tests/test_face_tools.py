@@ -1,7 +1,5 @@
 """Blend shapes of a face in USD and FBX, as the libraries of these formats read them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Features: known levels of known sounds, and nothing that depends on the company a window is in."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The Frechet gesture distance: scipy's root, Gaussians with a known distance, the papers' own network."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Fingers: names, the way onto the character and back, the vectors of 46 joints, and the relaxed hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

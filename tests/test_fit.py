@@ -1,7 +1,5 @@
 """The training loop: a run that was stopped and resumed is the run that was not."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The flow head: that it samples instead of averaging, obeys what it is given, and can be guided beyond it."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

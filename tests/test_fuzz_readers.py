@@ -6,8 +6,6 @@ good may be read. A new reader is a new entry of `READERS`: a test below finds e
 text by what it calls (`reader_finder`), runs every case, and names the readers that none of them ran.
 """
 
-from __future__ import annotations
-
 import sys
 import warnings
 from fnmatch import fnmatchcase

@@ -1,7 +1,5 @@
 """The activity gate learns when to gesture, streams as it trains, and opens as `activity` asks."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

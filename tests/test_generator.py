@@ -1,7 +1,5 @@
 """The generator: its equations, its gradients, and that it can learn."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,8 +1,6 @@
 """The bounds of the acceptance: motion that is known to be wrong misses those that are there for it, and a person does
 not."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

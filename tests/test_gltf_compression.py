@@ -1,7 +1,5 @@
 """Characters in files as they are: compressed, quantised, several in one, nodes with matrices."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The one reader of glTF: known answers of accessors, and everything that the rig's reader and the writer rely on."""
 
-from __future__ import annotations
-
 import base64
 import json
 import tracemalloc

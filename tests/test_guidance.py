@@ -1,7 +1,5 @@
 """Style guidance: what is asked is followed further than the models do, away from what they do unasked (RG 7.2.1)."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Turns of a head between utterances: where it looks, that it starts and stops without a jolt, and when it nods."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

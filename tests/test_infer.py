@@ -1,7 +1,5 @@
 """The main job, as a user calls it: files in, files out, the same bytes every time, and one line for bad input."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Every lexeme interpreter keeps the same contract; each also does its own job."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

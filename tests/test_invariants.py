@@ -1,7 +1,5 @@
 """Invariants of the whole that no test of a single module would see fail."""
 
-from __future__ import annotations
-
 import copy
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Two bones that reach a goal: by the law of cosines, in the plane that they bend in, and no farther than they are."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

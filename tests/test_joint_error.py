@@ -1,7 +1,5 @@
 """MAJE and MAD against plain loops and scikit-learn, and what they leave out."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

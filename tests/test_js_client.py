@@ -1,8 +1,6 @@
 """The npm package: its stream in a real browser against the server, its player beside the reference player, and
 poses through a data channel."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

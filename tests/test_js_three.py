@@ -1,7 +1,5 @@
 """The browser client with three.js: clips, poses of a stream and faces on characters."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

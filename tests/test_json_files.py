@@ -1,7 +1,5 @@
 """The one reader of JSON: what is not JSON, or would cost memory or a crash later, is named with its place."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

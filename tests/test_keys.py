@@ -1,7 +1,5 @@
 """Keyed random numbers: their distributions, their independence, and that nothing but the keys matters."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import special, stats

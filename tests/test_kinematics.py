@@ -1,7 +1,5 @@
 """Forward kinematics against hand calculation and against upc-pymotion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from pymotion.ops import skeleton as oracle

@@ -1,7 +1,5 @@
 """Hands of those who sit lie on their thighs and do not enter them: known answers, no jump."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The layers of the runners are those of torch in evaluation, for any sizes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

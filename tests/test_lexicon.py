@@ -1,7 +1,5 @@
 """The codebook and the VQ-VAE: invariants of quantisation, an independent oracle, and what a lexicon must do."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

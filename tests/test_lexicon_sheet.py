@@ -1,7 +1,5 @@
 """The contact sheet of a lexicon, and how its lexemes are told apart: latents, labels, neighbours."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

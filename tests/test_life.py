@@ -1,7 +1,5 @@
 """Idle life is smooth, small, never still and never periodic, and the same however it is asked for."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

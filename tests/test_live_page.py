@@ -1,7 +1,5 @@
 """The page of `gesticulator live` in a real browser, with a microphone that plays a file."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """A performance with rest and life: what a stream would give, by seed, and alive in silence and noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

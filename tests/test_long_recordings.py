@@ -1,7 +1,5 @@
 """Recordings are read in pieces, and are what they are as a whole."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

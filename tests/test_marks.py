@@ -1,7 +1,5 @@
 """Marks of gestures: never spoken, in any file, and each is a gesture at the word after it."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What words call for: cue phrases and their guards, the budget, and the gestures in files, plans and streams."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import lru_cache

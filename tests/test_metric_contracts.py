@@ -1,8 +1,6 @@
 """What every metric keeps: unit and direction as data, a number for a clip, a reason where there is none, and the
 direction itself on motion that is known to be worse."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The controls are what they say: real clips put to the wrong use, each in one known way."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from pathlib import Path

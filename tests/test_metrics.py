@@ -1,7 +1,5 @@
 """The example of every chapter holds, and figures of lexemes know a statue."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import pkgutil

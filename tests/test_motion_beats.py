@@ -1,7 +1,5 @@
 """Motion beats: known moments of known movements."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from bursts import turned

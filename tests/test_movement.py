@@ -1,7 +1,5 @@
 """Coordinates of movement and the lexicon over them: known dynamics, round trips, planted movements."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

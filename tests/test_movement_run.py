@@ -1,8 +1,6 @@
 """The runners of the movement system give what its torch modules give, block by block, for any sizes and for the
 shipped bundle."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

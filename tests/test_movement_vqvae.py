@@ -1,7 +1,5 @@
 """The lexicon of movements as a VQ-VAE: its loss by hand, the straight-through gradient, planted movements, bundles."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The mutants of formulas are what the tree holds: `benchmarks/mutants.py` tells whether tests kill them."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The repertoire of named gestures: apex at the cue, phases, sizes, mirror images, no seam, poses of a body."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The notebook of first steps: executed with the contents of the wheel, its stored outputs, and the page in it."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

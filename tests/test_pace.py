@@ -1,7 +1,5 @@
 """A stream that is late: a server is simulated, second by second, on a clock that is not real."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Installation: a tested version of every requirement, marked tests that exist, and the metadata of the build."""
 
-from __future__ import annotations
-
 import ast
 import importlib.metadata
 import json

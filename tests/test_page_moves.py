@@ -1,7 +1,5 @@
 """Gestures that are dragged along the timeline or moved with keys, and the palette."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal

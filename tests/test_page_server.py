@@ -1,7 +1,5 @@
 """The server behind the page: who may ask it, for what, and how much."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import threading

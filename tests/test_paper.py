@@ -1,7 +1,5 @@
 """Both papers in their own form: the presets `paper` and `paper-quick`, the shipped bundle, and bundles by name."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from collections.abc import Mapping

@@ -1,8 +1,6 @@
 """The runners of the paper's system give what its torch modules give, block by block, for any sizes and for the shipped
 bundles."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from hypothesis import given, settings

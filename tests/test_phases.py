@@ -1,7 +1,5 @@
 """Units and phases of a hand, on paths whose phases are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

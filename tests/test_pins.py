@@ -1,7 +1,5 @@
 """Pose pins: the motion goes through the place, smoothly, and is the same elsewhere."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The client's package: its licence, what it imports, and its own tests where Pipecat is installed."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os

@@ -1,7 +1,5 @@
 """From speech to a performance in Python: which path is taken, and what each option does to the blocks."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pitch of speech: known answers, another library, and what it must not depend on."""
 
-from __future__ import annotations
-
 import librosa
 import numpy as np
 import pytest

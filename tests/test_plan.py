@@ -1,7 +1,5 @@
 """Files of gesture plans: reading returns what was written, errors name the place, and the schema agrees."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

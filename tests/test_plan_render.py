@@ -1,7 +1,5 @@
 """A plan rendered: untouched stretches come back bit for bit, edits do what they say, knobs keep to the body."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

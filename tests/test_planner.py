@@ -1,7 +1,5 @@
 """The planner of gesture units: what blocks show, what it learns, and that its decisions are drawn."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The papers' figures: what is drawn are the numbers that were given."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Matched beats: by hand, against a maximum matching, and against chance."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

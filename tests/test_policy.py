@@ -1,7 +1,5 @@
 """Interpreters as policies: every quantity by hand, the policies on stand-ins."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from types import SimpleNamespace

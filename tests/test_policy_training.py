@@ -1,7 +1,5 @@
 """RACER's rows: what each kind learns from, that training repeats, and what it is judged by."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

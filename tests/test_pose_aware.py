@@ -1,7 +1,5 @@
 """The lexeme interpreter that sees the body, remembers a few blocks and mistrusts its past."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The preview page: what is in it. How it behaves in a browser is in test_viewer.py."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The quality of a bundle's models: which rows the tables have, and that each does what its name says."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """RACER's stages over a corpus: what the reward model is shown, and RACER's own form from store to motion."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

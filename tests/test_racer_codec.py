@@ -1,7 +1,5 @@
 """RACER's codec: the published layer table, the equations by hand, and the invariants of any codebook."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The readers of Trinity, ZeroEGGS, MOCCA and of any folder: files of just the published layout, and broken ones."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The readers of BEAT, BEAT2 and TED: real files, files of just the published layout, and broken ones."""
 
-from __future__ import annotations
-
 import itertools
 import shutil
 import warnings

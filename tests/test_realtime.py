@@ -1,8 +1,6 @@
 """Agents that speak by OpenAI's Realtime API, played by a server that speaks the documented format, beside our server
 with its models."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import importlib.util

@@ -1,7 +1,5 @@
 """The recipes of CONTRIBUTING.md: each is installed as a third-party package and run as it says."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

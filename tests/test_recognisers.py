@@ -1,7 +1,5 @@
 """Every recogniser's transcript: the same words give the same words and times, whatever program wrote them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Tables of plug-ins: ours and those of other packages, and what is said of broken, clashing and unknown ones."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Ten joints in space and back: bones point where they pointed, limbs turn as limbs do, and nothing flips."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from pathlib import Path

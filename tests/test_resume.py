@@ -1,7 +1,5 @@
 """Clients that come back: a connection that breaks and a server that is killed, in mid-sentence."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator

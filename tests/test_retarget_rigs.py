@@ -3,8 +3,6 @@
 The rigs come from `tests/rigs.py` (see `SEEDS`).
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 from pathlib import Path

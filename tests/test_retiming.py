@@ -1,7 +1,5 @@
 """A plan goes along when its sound is exported again: blocks stay as they were decided where their beats still fit."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The contrastive reward: its loss, its windows, the rewards of every lexeme, and that it learns what goes together."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rotations against scipy, and what scipy does not do: continuity, the removal of yaw, interpolation in bulk."""
 
-from __future__ import annotations
-
 import itertools
 import warnings
 

@@ -1,7 +1,5 @@
 """The same sound exported again is the same take, and two takes that parted come together again."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from itertools import combinations
 

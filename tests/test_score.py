@@ -1,7 +1,5 @@
 """Real, generated and foreign motion in a table: perfect input is perfect, controls are seen, any file is read."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -3,8 +3,6 @@
 A server's whole life is in `test_deploy.py`.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging

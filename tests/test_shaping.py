@@ -1,7 +1,5 @@
 """Shaping of finished poses, by hand: levels that blend between blocks, mirror images, gestures that are laid over."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

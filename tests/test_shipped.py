@@ -1,7 +1,5 @@
 """What is shipped: the bundle, the example and the stored figures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import performances

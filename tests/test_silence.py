@@ -1,7 +1,5 @@
 """Silence: noise of a room is silent, a quiet voice is not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter

@@ -1,7 +1,5 @@
 """Recorded speech as an environment: what it shows, what it pays and when it ends."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The modules of the API pages state and document what is public."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Any upper body is brought onto the character by its joints' names; poses, axes and units vary, the gesture stays."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Smaller gestures are no faster at any moment than those they are made of, whoever performs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

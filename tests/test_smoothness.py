@@ -1,7 +1,5 @@
 """Jerk and acceleration against circles and polynomials worked by hand; the histogram distance against scipy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from bursts import turned

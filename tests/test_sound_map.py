@@ -1,7 +1,5 @@
 """Two exports of one recording are aligned: what both have is found where it is, and nothing else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """What comes out on a character is measured: sound ones pass, and each kind of fault is refused with its reason."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

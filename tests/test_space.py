@@ -1,7 +1,5 @@
 """The page to try, `integrations/space`: a real voice in a real browser, its limits, and the memory that it takes."""
 
-from __future__ import annotations
-
 import os
 import re
 import socket

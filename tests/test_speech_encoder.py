@@ -1,7 +1,5 @@
 """The speech encoder against plain arithmetic, and its two training losses by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """What the models hear: sound and words on the right blocks, the same in training and in use."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Legs that stand: feet that do not slide, knees that bend forward, hips over the feet; and legs that sit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A standing lower body: feet that stay, knees that bend forward, hips that balance."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """What is measured on the training split: known answers, and what an absent joint does."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

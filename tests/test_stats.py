@@ -1,7 +1,5 @@
 """Intervals: known answers, an independent library, and what the older results were computed with."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Stores: the round trip, and every way a store can be wrong."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

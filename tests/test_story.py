@@ -1,7 +1,5 @@
 """An editor's story in a real browser: look, try, drag, search, undo, shape, pin, export, close the page and go on."""
 
-from __future__ import annotations
-
 import base64
 import gc
 import json

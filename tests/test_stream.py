@@ -1,7 +1,5 @@
 """A stream: the same frames as a file for any pieces, no jump at any seam, memory that stays, and an end to a word."""
 
-from __future__ import annotations
-
 import gc
 import tracemalloc
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Pages of strips: several systems at the same seconds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

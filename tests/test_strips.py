@@ -1,7 +1,5 @@
 """Strips: what is drawn lies where the motion says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from performances import perform

@@ -1,7 +1,5 @@
 """The user study: what raters see tells nothing about systems, and known answers give known figures."""
 
-from __future__ import annotations
-
 import base64
 import itertools
 import json

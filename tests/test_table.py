@@ -1,7 +1,5 @@
 """Tables: JSON that any program reads and that comes back, Markdown that renders, files whole or not at all."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """A window of training, a whole recording at once and a stream of blocks give the same scores of lexemes."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Alignment of a transcript: order, bounds, a second way to align as the oracle, and what if it fails."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

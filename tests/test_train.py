@@ -1,7 +1,5 @@
 """Training end to end on the tiny preset: stages, resuming, refusals, and what the models learned."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

@@ -1,7 +1,5 @@
 """Transcripts: every format by hand, what is broken is named, and real readings get the times they have."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

@@ -1,7 +1,5 @@
 """Words by a speech recogniser: what is heard in the example, and one line for what is missing."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from difflib import SequenceMatcher

@@ -1,7 +1,5 @@
 """Hands outside the trunk of a character of any shape: known answers, no jump on the way, the same on the page."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The glossary refuses what would break a stage further on."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

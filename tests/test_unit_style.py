@@ -1,7 +1,5 @@
 """The style of gesture units: what is measured on motion, what is heard, and that a unit has one code."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

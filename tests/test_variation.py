@@ -1,7 +1,5 @@
 """The same beats and lexemes in another manner: `--variation`."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The rule of verdicts: known answers on either side of each bound, and experiments that are as often right as said."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

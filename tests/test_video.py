@@ -1,7 +1,5 @@
 """Videos: decoded again they show the motion, at its time, with its sound, and nothing else."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

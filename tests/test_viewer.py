@@ -1,7 +1,5 @@
 """The preview page in a real browser: it loads, plays, edits, saves, and swaps the character."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import replace

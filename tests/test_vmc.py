@@ -1,7 +1,5 @@
 """VMC: python-osc reads the pose back, and forward kinematics in Unity's axes put every bone where ours do."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 from contextlib import suppress

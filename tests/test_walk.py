@@ -1,7 +1,5 @@
 """One BVH file imports nothing that it does not need: no training, no evaluation, no library for other tasks."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Where the stroke of a word falls by its sound, and how large its gesture is: made words with known answers."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

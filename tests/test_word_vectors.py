@@ -1,7 +1,5 @@
 """Word vectors: a direct computation as the oracle, frames found by hand, the flag of the empty word."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -7,8 +7,6 @@ motion is a gesture at every content word, whose stroke ends on the vowel; which
 its size on the loudness of the phrase. So there is something to learn for every stage, in seconds and without data.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A bundle with random weights, made in a moment: enough wherever it does not matter how well it moves."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path

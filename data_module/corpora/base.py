@@ -5,8 +5,6 @@ result is in metres and seconds, on the skeleton and at the frame rate of the so
 the same length.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

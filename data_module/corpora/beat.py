@@ -10,8 +10,6 @@ The split is the published one of the English part. Some recordings of the one-h
 half for test and the second for validation; here all of them are for test.
 """
 
-from __future__ import annotations
-
 import re
 import warnings
 from dataclasses import replace

@@ -8,8 +8,6 @@ DIR is `beat_english_v2.0.0` (or that of another language):
     textgrid/2_scott_0_1_1.TextGrid         optional: words and their times
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

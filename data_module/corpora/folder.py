@@ -8,8 +8,6 @@ the performer is the part of the names before the first "_" if several recording
 --speaker.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

@@ -13,8 +13,6 @@ The split is the published one: trn, val and tst. Fingers of recordings marked o
 measured; they are read as absent.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Mapping

@@ -12,8 +12,6 @@ so they count as guessed. The hand-labelled gesture beats of speaker01 are a sep
 they are not imported.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -6,8 +6,6 @@ tensors, which the batch references by number. Only this is read here; a pickled
 object.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ They may be side by side or in sibling folders (`Motion/NAME.bvh` and `Audio/NAM
 out and reported; the words of a take without text are unknown.
 """
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Mapping, Sequence

@@ -7,8 +7,6 @@ of 34 frames, and at the video's frame rate. Positions become rotations of the 1
 of bones matter. Nothing is unpickled (see `data_module.corpora.serialised`).
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

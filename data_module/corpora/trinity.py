@@ -10,8 +10,6 @@ The split is that of RG's released configuration: Recording_008 for validation, 
 the ten test sequences for test.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

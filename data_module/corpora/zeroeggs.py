@@ -10,8 +10,6 @@ every other recording, so that the training part is the published one. Mirrored 
 authors also use for training, are left out.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

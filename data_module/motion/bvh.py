@@ -4,8 +4,6 @@ In the file angles are degrees and lengths are in the unit of the file (by defau
 everything is radians and metres.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -8,8 +8,6 @@
 Spine and neck are chains of any length, from the hips up.
 """
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -1,8 +1,6 @@
 """Forward kinematics, from local rotations to joint positions, and transitions between motions (minimum jerk,
 inertialisation)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 

@@ -4,8 +4,6 @@ They are detected at the original frame rate and interpolated between frames: 0.
 frames at 20 fps.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

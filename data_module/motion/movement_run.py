@@ -1,7 +1,5 @@
 """The runner of the basis of movement (`data_module.motion.movement`), and the parts of a body."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -7,8 +7,6 @@ and the last movement, if it leads down to the rest, is the retraction. The apex
 deceleration. A hold is a raised hand under 0.15 m/s for 0.25 s between two movements.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from enum import IntEnum
 

@@ -12,8 +12,6 @@ or a tiny change moves the fingers by as little. It is a function of the arm's m
 gets the same fingers.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

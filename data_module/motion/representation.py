@@ -6,8 +6,6 @@ here: the elbow is a hinge, the head faces in the direction of the nose, and if 
 arm, the previous twist is kept.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ removal of yaw, and interpolation.
 Conversions agree with `scipy.spatial.transform.Rotation`, whose import takes four times as long as numpy's.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from data_module.types import Array

@@ -5,8 +5,6 @@ including the rotational root (RG 4.1.1; names as in the Trinity data set); `FIN
 finger; `WHOLE_BODY`, 54 with the legs, which is stored.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

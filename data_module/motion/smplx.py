@@ -5,8 +5,6 @@ has a separate licence and is not included: the offsets below are those of our c
 T-pose, Y up, facing +Z, the character's left at +X, which is also SMPL-X's rest pose.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from typing import Any

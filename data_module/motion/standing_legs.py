@@ -5,8 +5,6 @@ cosines gives the bend of the knee from the positions of hip and ankle, and the 
 toes.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 A recording is decoded piece by piece, so an hour of 48 kHz stereo is never in memory at its original rate.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import math

@@ -5,8 +5,6 @@ more, so a stream gives the same result as a file. The rule of the paper, which 
 "paper"; "even" ignores the sound and gives blocks of fixed length.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ with L in dB and R the 95th percentile of the band's levels in frames that are a
 equalisation cancel out, and so does what lies 39 dB below the voice: noise, dither, the artefacts of MP3.
 """
 
-from __future__ import annotations
-
 import base64
 import binascii
 from functools import lru_cache

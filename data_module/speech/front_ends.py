@@ -5,8 +5,6 @@ give the same features. Mel energies and the settings of the speech encoder are 
 `data_module.speech.learned_front_ends`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property

@@ -4,8 +4,6 @@ Networks normalise their input, so learned features do not contain loudness; bot
 the mel front end, onset strength and loudness. `front_end` builds every front end by name.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

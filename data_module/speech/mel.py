@@ -1,7 +1,5 @@
 """Mel bands: overlapping triangles over the spectrum, as narrow as hearing resolves it (Slaney's scale)."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -3,8 +3,6 @@
 Nothing depends on the loudest moment of the recording, so a stream gives the same result as a file.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from functools import lru_cache
 

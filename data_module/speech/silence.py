@@ -7,8 +7,6 @@ another level gives the same result; the absolute ones, `QUIETEST` and below, on
 first word and in a recording that is about 20 dB too low.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections import deque

@@ -4,8 +4,6 @@ Two stages train it on speech: `PredictiveCoding` predicts the next rows, and `T
 towards the words and pushes the others away (Eq. 1).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import torch

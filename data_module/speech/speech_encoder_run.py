@@ -1,8 +1,6 @@
 """The speech encoder on arrays: eight convolutions over samples (RG 4.1.3). `data_module.speech.speech_encoder` trains
 it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 

@@ -3,8 +3,6 @@
 Both are found from the samples around the word alone, and neither depends on the level of the whole recording.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence

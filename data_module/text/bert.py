@@ -1,7 +1,5 @@
 """BERT's encoder on arrays (Devlin et al. 2019): word pieces to a vector of each in its sentence."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 

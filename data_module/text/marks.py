@@ -4,8 +4,6 @@ A mark stands before the word at which its gesture is made. It is never spoken: 
 note its name. This module knows how marks are written; `gesticulator.directing.marks` knows which gestures there are.
 """
 
-from __future__ import annotations
-
 import re
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence

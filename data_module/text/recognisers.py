@@ -5,8 +5,6 @@ words, or parts that have words, or a text with its times. Times become seconds:
 milliseconds, ticks of 100 ns, or write "1.400s". Errors name the place in the JSON.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace

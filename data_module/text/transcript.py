@@ -5,8 +5,6 @@ from the aligner, for English, or are estimates; the result says which. Word tim
 refused. Marks of gestures (`data_module.text.marks`) are taken out of the text and noted on the word after them.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import os

@@ -8,8 +8,6 @@ word in <u>, <b>, <font> or <c> (whisper and whisperX with highlighted words, st
 before each word (WebVTT; rolling captions repeat the line above).
 """
 
-from __future__ import annotations
-
 import html
 import itertools
 import re

@@ -5,8 +5,6 @@ Decoding is a beam search without sampling, on one thread, so that one machine a
 words are those of the model's attention, and go through the same checks as those of a file.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import importlib.resources

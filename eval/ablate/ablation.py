@@ -1,7 +1,5 @@
 """The rows of both papers, and the cells that hold their figures: a finished cell is not made again."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

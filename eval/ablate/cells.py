@@ -5,8 +5,6 @@ A cell OUT/cells/ROW-SEED.json has "row", "seed" (0 for what has none), "split",
 (figures of all clips). A file is written whole or not at all, so a run that is stopped goes on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

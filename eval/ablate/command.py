@@ -18,8 +18,6 @@ do not show what another lexicon would do. The paper's figures stand beside ours
 other skeleton, another network for FGD.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 from pathlib import Path

@@ -5,8 +5,6 @@ which of its stages are trained again follows from the hashes of its settings. T
 (poses, regression); what the preset `default` has in its place is the row `flow`.
 """
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections.abc import Iterator

@@ -16,8 +16,6 @@ the work folder under the hash of its settings, so a row trains what its setting
 folder of the training command serves its finished stages.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -5,8 +5,6 @@ is appended to the history, and a reward model scores the trailing window. `Simu
 parallel, `Replay` stores them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -6,8 +6,6 @@ in which a control does as well as `ours` or better bears (!), and is named belo
 in that respect.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

@@ -23,8 +23,6 @@ perfect, by construction; it must order rising doses of damage instead (`out_of_
 What fools it: no correction is made for the number of claims. The power is of variances that three seeds tell badly.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections import Counter

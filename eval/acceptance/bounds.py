@@ -6,8 +6,6 @@ breaks the bound. A figure that cannot be measured (no store, no fingers) is ski
 neither holds nor fails and is not counted.
 """
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections.abc import Mapping, Sequence

@@ -18,8 +18,6 @@ are gestured for by one speaker, the default one or `--speaker`. The mean is jud
 metric's chapter.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -15,8 +15,6 @@ many lexemes are nearer than the one that was requested. What fools it: a lexico
 used alone; beside it stands the share that the most frequent lexeme would reach.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

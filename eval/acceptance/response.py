@@ -13,8 +13,6 @@ What fools them: a speaking rate alone makes strokes faster, so that amplitude i
 fast hand; a system that ignores the sound is perfectly stable.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping, Sequence

@@ -8,8 +8,6 @@ same sound as a tool might export it again; the same sound with other words. All
 What fools it: rate alone makes strokes faster, so that lively readings are also judged by their amplitude.
 """
 
-from __future__ import annotations
-
 import io
 import os
 from collections.abc import Callable, Mapping, Sequence

@@ -23,8 +23,6 @@ rising doses of damage instead (`DAMAGES`).
 Each takes clips and gives clips; the same seed gives the same clips. ValueError where there is nothing to choose from.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

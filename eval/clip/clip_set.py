@@ -1,7 +1,5 @@
 """The clips that several systems have in common, brought onto one frame rate and one length, so that they compare."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """Which recordings are looked at, and which stretch of each; the real take of GESTICULATOR_DATA."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Sequence

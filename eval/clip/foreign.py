@@ -13,8 +13,6 @@ the directions of bones are known, no turn of a limb about its length. Nor do th
 taken from the shoulders over the whole clip.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

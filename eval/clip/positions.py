@@ -1,7 +1,5 @@
 """Files of positions, of which only the directions of bones count: TED's joints in one array, or points by joint."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import replace

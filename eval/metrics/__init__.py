@@ -6,8 +6,6 @@ Values of one clip come from `eval.metrics.evaluate`; `gesticulator score` makes
     ('low', 'mm', 'MAJE, mean of coordinates, mm')
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from eval.table import Column

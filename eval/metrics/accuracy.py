@@ -26,8 +26,6 @@ What fools it:
     75.0
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -14,8 +14,6 @@ high level alone makes its own gestures depend on it; the performer's gestures a
     0.3466
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -17,8 +17,6 @@ compare sets of the same number of blocks.
     (0.6931, 0.6931, 2.0)
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import groupby

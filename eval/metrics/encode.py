@@ -4,8 +4,6 @@ Any motion can be encoded, not only the bundle's own. A performer whom the bundl
 clip's mean pose, and joints that the source lacks are at rest.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

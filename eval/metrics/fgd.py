@@ -28,8 +28,6 @@ Two sets of features, one moved by (3, 4):
     (0.0, 25.0)
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

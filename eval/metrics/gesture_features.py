@@ -13,8 +13,6 @@ to the turn of a limb about its own length and to where the speaker stands.
     (5, 54)
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Callable, Sequence

@@ -25,8 +25,6 @@ A joint that is 3 mm off along one axis, at rest:
     (1.0, 0.0)
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -23,8 +23,6 @@ One of two motion beats lies within 0.1 s of an onset:
     0.6
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -22,8 +22,6 @@ Good: near the speaker's own jerk and acceleration, neither above nor below, and
     (1.0, 0.0)
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@
 options, and `run(arguments)`, which gives the files that it wrote. A new one is a file and an entry here.
 """
 
-from __future__ import annotations
-
 from data_module.registry import Registry, RegistryEntry, Requirement, is_tool
 
 MATPLOTLIB = Requirement("matplotlib", "matplotlib", "figures")

@@ -9,8 +9,6 @@ paths of the hands since the pose before (the character's right hand red, the le
 that of the corpus recording, and then corpus and ours gesture to the same voice.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The results of `eval.score` and their tables: figures by part, the flags, and how to read them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -8,8 +8,6 @@ difference that both it and Tukey's test find. What fools all of it: raters who 
 answer to everything is named.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping, Sequence

@@ -14,8 +14,6 @@ is the ceiling, and one with the motion of other speech the floor: without both,
 without face and fingers rates only what it shows.
 """
 
-from __future__ import annotations
-
 import argparse
 import base64
 import hashlib

@@ -8,8 +8,6 @@ s^4 - 3 s^5), the polynomial of degree 5 that starts with value a, slope b and n
 three.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ Turns are added to the knots at playback, each a function of time that begins af
 motion never jumps. A turn is a (e((t - start) / rise) - e((t - end) / fall)) with e = `gesticulator.body.life.eased`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

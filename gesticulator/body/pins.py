@@ -11,8 +11,6 @@ by turning the whole arm and then bending the elbow in its plane, the head by le
 Frames outside of the ranges are the same bit for bit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 `Config.system` names the system that they belong to, one file in `gesticulator.systems`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated
 

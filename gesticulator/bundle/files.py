@@ -4,8 +4,6 @@ Everything read is checked first: the format, the content of the index, and size
 written to a temporary folder, which is synced and renamed.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -4,8 +4,6 @@ Blender is either a Python with the `bpy` wheel (this one, or another), or the p
 which takes half a second.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

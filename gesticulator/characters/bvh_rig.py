@@ -1,7 +1,5 @@
 """Characters in BVH files, and BVH files of their motion with the same joints, channels, units and axes."""
 
-from __future__ import annotations
-
 import os
 from io import StringIO
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`gesticulator character`: identify the joints of a character."""
 
-from __future__ import annotations
-
 import argparse
 
 from gesticulator.cli import Command

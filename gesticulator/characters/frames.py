@@ -7,8 +7,6 @@ character follows. Only the roll of a bone without a palm or a bent hinge is tak
 bound in, by the shortest rotation from a T-pose.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ The extra `compressed` installs the decoders. The file itself is not rewritten: 
 compressed parts.
 """
 
-from __future__ import annotations
-
 import importlib
 from typing import Any
 

@@ -5,8 +5,6 @@ sample of the skinned triangles with the weights of their corners. glTF uses met
 -Z, others +Z.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ between trunk and end: a choice is scored by names and by plausible bone lengths
 "LeftUpLeg" and a thigh above "LeftShin", and a bone without a known name is still found.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations

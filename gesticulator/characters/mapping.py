@@ -1,7 +1,5 @@
 """The mapping from our joints to the nodes of a character, and its file format."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections import Counter

@@ -5,8 +5,6 @@ part three times. So `character_labels` also reads the whole set of names of a c
 recognised by several names together, and the nodes that move a mesh.
 """
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from collections import Counter

@@ -1,7 +1,5 @@
 """Reads characters and their joint mappings from files, with one reader per suffix."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import cast

@@ -26,8 +26,6 @@ Letters: T frames, J joints of the source, N nodes of the target. World axes are
 left +X, metres) unless stated otherwise.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """Identifies limbs, head, fingers and facing from the hierarchy and positions of a character's nodes."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np

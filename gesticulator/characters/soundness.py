@@ -6,8 +6,6 @@ point, a mesh that follows its bones and does not tear. A fault prevents output;
 looks at the result.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import pairwise
 

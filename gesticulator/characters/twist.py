@@ -6,8 +6,6 @@ A be the forearm's rotation, H the hand's, and phi the part of A^-1 H, relative 
 forearm. A twist bone at share s of the distance from elbow to wrist turns by s phi about the forearm.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from data_module.motion import rotation

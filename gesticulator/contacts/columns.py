@@ -1,7 +1,5 @@
 """Trunk and head of the default character as elliptic columns, around which named gestures are led."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 

@@ -11,8 +11,6 @@ along the upward normal of the thigh alone: a direction out of a closed shape wo
 that passes through a thigh would jump. Its displacement changes at most 1.2 times as fast as the hand moves.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 

@@ -26,8 +26,6 @@ stopped when d has spread by `AHEAD`. Where the hand is still faster than withou
 well. A motion that ends where it began is smoothed as a loop; others keep the displacements at their ends.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`gesticulator plan` and `gesticulator gestures`: check gesture plans, list the names that they can use; no sound."""
 
-from __future__ import annotations
-
 import argparse
 import json
 

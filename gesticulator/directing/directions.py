@@ -1,7 +1,5 @@
 """From options, knobs, cues and plans to instructions for each block, and whether a plan fits its sound and bundle."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

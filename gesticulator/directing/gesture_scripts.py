@@ -4,8 +4,6 @@ Directions and places of a hand are (outwards from the body's middle, up, forwar
 A script is written for its main hand and, where both move, for the other one; a mirrored cue exchanges them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType

@@ -6,8 +6,6 @@ to turn further than a person's. A shape, such as "fist" or "victory", is a curl
 (in a fist), a spread between the fingers, and three angles of the thumb.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import dataclass

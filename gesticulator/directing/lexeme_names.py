@@ -7,8 +7,6 @@ the same name are numbered. The same bundle gives the same names. Names describe
 wave; gestures with a meaning are procedural (`gesticulator.directing.named_gestures`).
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@
 gesture that is added there has its marks at once.
 """
 
-from __future__ import annotations
-
 import difflib
 import warnings
 from bisect import bisect_left, bisect_right, insort

@@ -12,8 +12,6 @@ stroke. `^` and `$` stand for a boundary: the end of a sentence or a clause, or 
 themselves. A number in front of a pattern is its weight.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import re

@@ -5,8 +5,6 @@ before it and on those of the next seconds (`Level.apart`). A stream whose words
 does; one whose words come later leaves out what no longer fits.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence

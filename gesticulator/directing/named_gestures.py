@@ -8,8 +8,6 @@ seconds are relative to it. An envelope blends the poses in and out along the sh
 jump, and hands that would pass through the trunk are led around it.
 """
 
-from __future__ import annotations
-
 import functools
 import zlib
 from collections.abc import Sequence

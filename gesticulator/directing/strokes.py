@@ -14,8 +14,6 @@ seconds back.
 fraction of a stroke: the small movements on top.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple

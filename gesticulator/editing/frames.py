@@ -6,8 +6,6 @@ knot with those of the last rendering; the first and the last knot that differ b
 that of the whole plan, bit for bit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ elsewhere a beat on an onset moves to the onset that is nearest to it. In a paus
 inserted, so there it is put where the fewest blocks change.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

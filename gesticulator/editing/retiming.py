@@ -6,8 +6,6 @@ was. Between the blocks that are kept, the new sound is cut at its own beats, an
 edits are moved together: what was edited stays edited, what was not is replayed.
 """
 
-from __future__ import annotations
-
 import itertools
 from bisect import bisect_left
 from collections.abc import Sequence

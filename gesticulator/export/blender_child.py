@@ -8,8 +8,6 @@ FBX file, which IN.glb was made from, its own meshes and materials are written. 
 "gesticulator: ". The script imports nothing from this package: Blender has its own Python.
 """
 
-from __future__ import annotations
-
 import datetime
 import json
 import os

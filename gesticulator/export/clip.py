@@ -1,7 +1,5 @@
 """How a motion is laid out as a clip for animation tools: its name, its keys, its loop, its layer."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The face in files: tracks of glTF and VRM animations."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`.fbx`: the GLB converted by Blender; a character from FBX keeps the meshes and materials of its file."""
 
-from __future__ import annotations
-
 import tempfile
 import warnings
 from dataclasses import replace

@@ -5,8 +5,6 @@ figure straight from the front and the side (`VIEWS`), films use a camera. Legs 
 nothing below the hips, unless the motion's own legs are requested.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple

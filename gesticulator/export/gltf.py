@@ -3,8 +3,6 @@
 Lengths are metres, Y is up, quaternions are w last (glTF 2.0, section 3.4). Unknown content of a document is preserved.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Mapping, Sequence

@@ -8,8 +8,6 @@ are removed; each step is checked against all frames, so the bound is guaranteed
 Every `SPAN` frames all tracks have a key, and spans are reduced one by one, in bounded memory.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TypeAlias
 

@@ -1,7 +1,5 @@
 """`.npz`: SMPL-X poses at 30 frames per second, the format of the BEAT2 leaderboard."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The speech in a page: Ogg Vorbis with reproducible bytes, and the envelope that is drawn."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zlib

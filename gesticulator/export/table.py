@@ -1,7 +1,5 @@
 """`.csv`: one row per joint and frame, for spreadsheets, pandas or databases."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

@@ -4,8 +4,6 @@ One time code is one frame; metres, Y up. Joints are paths of names ("Hips/Spine
 become "_".
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import Any

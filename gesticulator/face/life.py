@@ -8,8 +8,6 @@
   the head moves.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

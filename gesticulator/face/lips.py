@@ -5,8 +5,6 @@ rows, a gated recurrent unit that remembers voice, level and noise, and a softma
 `gesticulator/assets/face` and are read with the first face.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Mapping, Sequence

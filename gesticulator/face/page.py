@@ -4,8 +4,6 @@ Every curve of `shapes.curves` is a sum of the numbers of `FaceMotion.values`, o
 constants, limited to 0 to 1. The constants are read off `curves`, so that the page needs no formulas.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

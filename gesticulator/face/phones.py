@@ -5,8 +5,6 @@ best path through all chains (Viterbi) is found with the network's weights as pr
 times, give or take `SLACK`. A word that the sound contradicts is left to the sound.
 """
 
-from __future__ import annotations
-
 import itertools
 import warnings
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """The parts of a glTF character that show a face: morph targets, VRM expressions, eye bones, a jaw bone."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -4,8 +4,6 @@
 shapes of a character stand for them, and `jaw_angles` is for a character with a jaw bone alone.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 

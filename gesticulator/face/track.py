@@ -4,8 +4,6 @@ The mouth follows the sound (`lips`); lids, brows and eyes move by themselves (`
 marks. The eyes hold their target while the body turns the head: the turn of the head is subtracted from the gaze.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterable, Sequence

@@ -4,8 +4,6 @@ Phones come as ARPABET (pocketsphinx). A phone of several sounds, such as a diph
 visemes.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from data_module.types import Array

@@ -48,6 +48,8 @@ CLOSE_SECONDS = 2.0
 """Time for a client to answer a close frame, seconds; then the connection is aborted."""
 _REASON_BYTES = 120
 """Bytes of the reason in a close frame; the limit is 123."""
+_COMMAND = 10
+"""Words for which a command counts: two thousand of them may wait, more than come at once."""
 _MOST_WAITING = 10_000
 """Most queued messages: a minute of 6 ms packets; bounds empty commands too."""
 _MESSAGES_PER_SECOND, _AT_ONCE = 500.0, 2.0
@@ -131,6 +133,7 @@ class Connection:
         self._waiting_idle = 0.0
         """Seconds of waits that are queued or being computed."""
         self._waiting_words = 0
+        """Words that are queued; each command counts as `_COMMAND` of them."""
         self._unread: deque[bytes | str | None] = deque()
         self.unread_bytes = 0
         self._changed = asyncio.Condition()
@@ -244,12 +247,12 @@ class Connection:
         if self.seconds > limits.stream_seconds:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"a stream takes {limits.stream_seconds:g} s of sound")
         waits = item.seconds if isinstance(item, _Command) else 0.0
-        self._waiting_words += len(item.message.get("words", ())) if isinstance(item, _Command) else 0
+        self._waiting_words += _COMMAND + len(item.message.get("words", ())) if isinstance(item, _Command) else 0
         # Waits count like audio: each second of them costs as much to compute.
         waiting = self.waiting_seconds + self._waiting_idle + seconds + waits
         if waiting > limits.waiting_seconds or len(self._waiting) >= _MOST_WAITING or self._waiting_words > MOST_WORDS:
             raise RefusedError(CloseCode.TOO_MUCH_SOUND, f"more than {limits.waiting_seconds:g} s of sound and waits, "
-                               f"{MOST_WORDS} words or {_MOST_WAITING} messages wait to be worked on")
+                               f"{MOST_WORDS} words, or {_MOST_WAITING} messages, wait to be worked on")
         self.server.metrics.sound_seconds.inc(seconds)
         self._pace.arrived(seconds)
         async with self._changed:
@@ -264,6 +267,8 @@ class Connection:
         # Read before `forget`: what was sent and not played can be taken back.
         self._taken_back = max(self._taken_back, self._pace.ahead)
         self._pace.forget()
+        if self.waiting_seconds < 1e-6:
+            return  # the queue is long where somebody only interrupts
         async with self._changed:
             # Commands and the other speaker's voice stay: they do not belong to the interrupted answer.
             self._waiting = deque(item for item in self._waiting if isinstance(item, _Command) or item.other_voice)
@@ -335,7 +340,7 @@ class Connection:
             item = self._waiting[0]
             if isinstance(item, _Command):
                 self._waiting.popleft()
-                self._waiting_words -= len(item.message.get("words", ()))
+                self._waiting_words -= _COMMAND + len(item.message.get("words", ()))
                 return item
             self._idling = None
             return self._piece(sample_rate)

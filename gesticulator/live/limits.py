@@ -1,7 +1,5 @@
 """Limits of a server, and where it listens and to whom."""
 
-from __future__ import annotations
-
 import errno
 import socket
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Metrics of a server, in the text format of Prometheus."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, disable_created_metrics

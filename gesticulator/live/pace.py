@@ -5,8 +5,6 @@ never more than it sent. Queued audio that must have been played already is late
 sent; a synthesiser that sent an answer at once has not, and its queued audio is not late.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

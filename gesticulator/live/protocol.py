@@ -88,14 +88,9 @@ class StreamRequest:
         """Whether late audio is processed at lower cost or skipped; by default only for low latency (microphones)."""
         return bool(self.options.get("keep_up", self.options.get("latency") == "low"))
 
-    @property
-    def sample_bytes(self) -> int:
-        """Bytes per sample."""
-        return 2 if self.format == "pcm16" else 4
-
     def samples(self, sound: bytes) -> Samples:
         """A binary message as float32 samples [n]; `RefusedError` for invalid audio."""
-        if len(sound) % self.sample_bytes:
+        if len(sound) % (2 if self.format == "pcm16" else 4):
             raise RefusedError(CloseCode.BAD_MESSAGE, f"{len(sound)} bytes are no whole number of "
                                f"{self.format} samples")
         if self.format == "pcm16":

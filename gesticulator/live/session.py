@@ -147,11 +147,10 @@ class Session:
         yield from (SessionAnswer() for _ in (self._stream.adding(later, 1) if later else ()))
 
     def _interrupt(self, at: float | None) -> list[StreamFrames]:
-        stream = self._stream
         try:
-            return list(stream.steps("interrupt", None if at is None else min(at, stream.time)))
+            return list(self._stream.steps("interrupt", None if at is None else min(at, self._stream.time)))
         except InputError:  # too long ago to take back: stop after what was sent
-            return list(stream.steps("interrupt", None))
+            return list(self._stream.steps("interrupt", None))
 
     def _add_words(self, entries: list[dict[str, Any]]) -> Work:
         if not self.request.options.get("text", False):

@@ -4,8 +4,6 @@ The server owns the plan. A page that changes it names the revision it started f
 page's edits is refused (`StaleError`). Whatever the file would lose is copied first, to a name that is free.
 """
 
-from __future__ import annotations
-
 import json
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Small moving figures of all lexemes and named gestures, to choose from by eye: the joints of head, trunk and arms."""
 
-from __future__ import annotations
-
 import base64
 from typing import Any
 

@@ -9,8 +9,6 @@ send requests to a local server; so a request must name this server as its host 
 machine does not), and a rendering must come from its own page and carry the page's token.
 """
 
-from __future__ import annotations
-
 import hmac
 import json
 import secrets

@@ -1,7 +1,5 @@
 """Consistency checks of gesture plans, which types cannot state: blocks tile the sound, times rise, names are known."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from itertools import chain, pairwise

@@ -5,8 +5,6 @@ whether its picture alone says little (`weak`), whether it may offend, and what 
 `gesticulator.directing.named_gestures`.
 """
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

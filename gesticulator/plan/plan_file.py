@@ -4,8 +4,6 @@ The classes of `gesticulator.plan.plan` say what a plan holds. msgspec reads val
 derives the schema from them; what types cannot say is in `gesticulator.plan.checks`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

@@ -1,7 +1,5 @@
 """`gesticulator train --data STORE --out BUNDLE`: all stages from a store to a bundle, resumable."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import os

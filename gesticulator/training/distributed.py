@@ -6,8 +6,6 @@ first process, then by the others, which read the files that it has left. In a s
 effect.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections.abc import Iterator

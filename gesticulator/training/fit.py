@@ -5,8 +5,6 @@ Every step is a function of (seed, step, process) alone: the batch, dropout and 
 with them. So a run that was stopped and resumed gives the same weights as an uninterrupted one.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

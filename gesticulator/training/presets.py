@@ -4,8 +4,6 @@ Values without a comment are those of the papers, or are explained at their fiel
 `settings` of the models).
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 from data_module.errors import InputError

@@ -14,8 +14,6 @@ Real people differ, and the anchors that the chapters quote are those of a few. 
 by the bounds of `gesticulator acceptance`.
 """
 
-from __future__ import annotations
-
 import math
 
 from data_module.types import Array, Motion

@@ -25,8 +25,6 @@ keeps most of them; with the left arm of another take it keeps all but left behi
     0.0
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

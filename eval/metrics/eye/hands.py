@@ -26,8 +26,6 @@ What fools them:
     1.0
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

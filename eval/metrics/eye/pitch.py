@@ -15,8 +15,6 @@ as pauses are unvoiced and left out; but a trunk that follows loudness gains, be
     2
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -33,8 +33,6 @@ A forearm at right angles to its upper arm:
     array([90.])
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

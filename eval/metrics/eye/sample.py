@@ -1,7 +1,5 @@
 """The figures for the eye of several clips together: means with intervals, and the distance of all windows at once."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -17,8 +17,6 @@ that the motion fits the sound.
     100.0
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -26,8 +26,6 @@ A hand that goes 30 cm there and back, once in 2 s:
     [1.0, 0.3]
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -18,8 +18,6 @@ raises travel and the power between 3 and 6 Hz together. A motion played backwar
     0.5
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -18,8 +18,6 @@ apart from its hands at all times is never in its torso: a frozen pose passes th
     1.0
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d

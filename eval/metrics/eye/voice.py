@@ -25,8 +25,6 @@ Half a second of voice after half a second without one:
     50
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Each is defined in a file of this package, with its name, requirements, settings
 them a system has stands in its file (`gesticulator.systems`). A new stage does not change the seed of any other.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 """The critics of the advantage interpreter, and their training data: each lexeme's reward and its effect on later
 ones."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any

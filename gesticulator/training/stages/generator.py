@@ -1,7 +1,5 @@
 """G, E_M, E_A and the style codes (RG 5.2, 5.3), with silent augmentation (RG 6.4.1)."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any, cast
 

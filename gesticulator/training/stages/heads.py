@@ -5,8 +5,6 @@ measured on the corpus' motion. The style codes (RG 6.3) are measured on the uni
 interpreter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ The style interpreter (RG 6.2) is trained on the generator's learned style codes
 measured on gesture units (`gesticulator.training.stages.heads`).
 """
 
-from __future__ import annotations
-
 from itertools import islice
 from typing import Any
 

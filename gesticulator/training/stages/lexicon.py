@@ -1,8 +1,6 @@
 """The lexicon of beat-aligned blocks (RG 5.1) or RACER's codec at a fixed rate (RACER 4.1), and the corpus labelled by
 it: lexemes, silent lexemes, and their frequencies (RG 6.4.1)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Statistics of the training split: means, deviations, bounds, resting poses, and normalisers of features."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

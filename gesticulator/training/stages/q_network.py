@@ -1,7 +1,5 @@
 """The Q-network, trained by conservative Q-learning on the offline episodes (RACER 4.3, Eq. 11)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """The reward models E_m and E_u (RACER 4.2), and the rewards for training policies."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -2,8 +2,6 @@
 The last node is the corpus with the features of the trained encoder.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeAlias

@@ -1,7 +1,5 @@
 """A complete training: all required stages from a store to a bundle, resumable."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import time

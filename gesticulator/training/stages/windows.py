@@ -1,7 +1,5 @@
 """Windows of blocks, the training data of most stages, optionally with inserted silence."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
