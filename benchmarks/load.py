@@ -190,14 +190,14 @@ def beside(url: str, kind: str, seconds: float, pairs: int) -> dict[str, Any]:
     ratio of the answers: medians over the pairs."""
     sound, rows = example_voice(seconds), []
     for _ in range(pairs):
-        for attacked in (False, True):
+        for attacks in (False, True):
             other = multiprocessing.Process(target=lambda: asyncio.run(attack(url, kind)), daemon=True)
-            if attacked:
+            if attacks:
                 other.start()
                 time.sleep(2.0)
             found = asyncio.run(load(url, 1, 0.0, HELLO, sound))
             rows.append([*percentiles(found.answers, 50, 99), found.passed])
-            if attacked:
+            if attacks:
                 other.kill()
                 other.join()
         print(kind, *np.round(rows[-2:], 3).tolist(), flush=True)

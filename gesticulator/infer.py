@@ -240,7 +240,7 @@ def music_note(speech: Speech) -> str | None:
     inner = levels[:, 2:-2]
     peaks = inner == np.lib.stride_tricks.sliding_window_view(levels, 5, axis=1).max(axis=-1)
     peaks &= inner > np.maximum(np.median(inner, axis=1, keepdims=True) + 10.0, loud := inner.max() - 40.0)
-    steady = np.lib.stride_tricks.sliding_window_view(peaks, 10, axis=0).all(axis=-1).any(axis=1)
+    steady = np.any(np.lib.stride_tricks.sliding_window_view(peaks, 10, axis=0).all(axis=-1), axis=1)
     share = steady.sum() / (inner.max(axis=1) > loud).sum()
     return None if share < 0.1 else f"{share:.0%} of it has steady tones, as music has; gestures follow speech alone"
 
