@@ -134,6 +134,18 @@ def test_broken_subtitles_are_named_by_line(tmp_path: Path) -> None:
     assert "has no words" in _refusal(tmp_path, "a.srt", good.replace("hello", "[Music]"))
 
 
+def test_words_without_times_lie_between_their_neighbours(tmp_path: Path) -> None:
+    """Recognisers leave out the times of what they could not place, such as "2014"."""
+    told = [{"word": "in", "start": 0.5, "end": 0.7}, {"word": "2014"}, {"word": "or"},
+            {"word": "then", "start": 1.3, "end": 1.6}, {"word": "end"}]
+    found = _read(tmp_path, "a.json", json.dumps(told))
+    assert found.guessed == 3 and found.words is not None
+    np.testing.assert_allclose([(w.start, w.end) for w in found.words],
+                               [(0.5, 0.7), (0.7, 1.0), (1.0, 1.3), (1.3, 1.6), (1.6, 1.9)])
+    _, timing = with_transcript(_noise(3.0), found)
+    assert timing.how == "given" and timing.guessed == 3 and "3 word times are estimates" in timing.note
+
+
 @pytest.mark.parametrize(("content", "said"), [
     ('{"words": [}', "line 1: is not valid JSON"),
     ('{"words": [{"word": "a", "start": "0:01", "end": 2}]}', "words[0].start: '0:01' is not a time"),
@@ -148,7 +160,9 @@ def test_broken_subtitles_are_named_by_line(tmp_path: Path) -> None:
     ('{"words": [{"word": "a", "start": -3, "end": -2}]}', "has no words"),
     ('{"segments": [{"text": "a", "start": 0, "end": 1}, {"text": "b"}]}', "segments[1]: has no times"),
     ('{"segments": [{"start": 0, "end": 1, "text": "a b", "words": [{"word": 5}]}]}', "segments[0].words[0]: has no w"),
-    ('{"tiers": {"words": {"entries": [[0, 1]]}}}', "entries[0]: is not an object with a word"),
+    ('{"tiers": {"words": {"entries": [[0, 1]]}}}', "has no tier of words"),
+    ('{"tiers": {"anna - words": {"entries": [[0, 1, "a"]]}, "bert - words": {"entries": [[0, 1, "b"]]}}}',
+     "several speakers (anna - words, bert - words)"),
     ("3", "neither words nor segments"), ("[" * 100000, "nested more than 100 deep"),
     ("9" * 5000, "a number of 5000 digits"),
 ])

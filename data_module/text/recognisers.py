@@ -17,7 +17,7 @@ from data_module.errors import InputError, shown
 from data_module.files import parse_json
 from data_module.text.alignment import written_words
 from data_module.text.marks import marked_text
-from data_module.text.transcript_formats import Content, Entry, filled, shared_in_cue
+from data_module.text.transcript_formats import Content, Entry, filled, shared_in_cue, spoken_tier
 
 __all__ = ["words_json"]
 
@@ -78,6 +78,8 @@ def words_json(source: str, text: str, speaker: str | None = None) -> Content:
     """Words or segments with times, or a text, of any recogniser. `InputError` for any other JSON."""
     joined = _NEXT_OBJECT.sub("},\n{", text)
     content = parse_json(text if joined == text else f"[{joined}]", source, "write it again")
+    if isinstance(content, Mapping) and isinstance(content.get("tiers"), Mapping):
+        return _tiers(source, content["tiers"], speaker)
     items = [item for item in content if isinstance(item, Mapping)] if isinstance(content, list) else []
     if len({str(item["audio_filepath"]) for item in items if "audio_filepath" in item}) > 1:
         raise InputError(source, "holds the words of several recordings", "leave those of one in it")
@@ -88,6 +90,17 @@ def words_json(source: str, text: str, speaker: str | None = None) -> Content:
     tokens = isinstance(content, Mapping) and "transcription" in content
     single = tokens or isinstance(content, list) or "chunks" in content or "word_segments" in content
     return _seconds_or_milliseconds(_content(source, segments, tokens, single))
+
+
+def _tiers(source: str, content: Mapping[str, Any], speaker: str | None) -> Content:
+    """The Montreal Forced Aligner's JSON: tiers of [start, end, word]."""
+    tiers = {}
+    for name, tier in content.items():
+        rows = tier.get("entries") if isinstance(tier, Mapping) else None
+        if isinstance(rows, list) and all(isinstance(row, list) and len(row) == 3 for row in rows):
+            tiers[name] = [_stripped(_entry(source, {"start": a, "end": b, "word": word}, f"tiers.{name}[{n}]"))
+                           for n, (a, b, word) in enumerate(rows)]
+    return Content(words=spoken_tier(source, tiers, speaker))
 
 
 # ---------------------------------------------------------------------------------------------------- the walk
