@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from generator.stillness import left_behind
 from gesticulator.sampling.loop import Keys
-from gesticulator.systems.movement import FADES, Offset, first_pose
+from gesticulator.systems.movement import FADES, Offset, first_pose, left_behind
 
 NAMES = ["Spine", "LeftArm", "RightArm"]
 REST = np.concatenate([np.full(3, 9.0), np.full(3, 2.0), np.full(3, -4.0)])

@@ -10,7 +10,7 @@ from runners import played_planner
 from scipy.stats import chisquare
 
 from gesticulator.bundle.features import SpeechBlock
-from gesticulator.systems.movement import HOLD, VOICE_RETURNS, phrasing
+from gesticulator.systems.movement import GOES_ON_PAUSING, HOLD, VOICE_RETURNS, phrasing
 from gesticulator.training.stages.heads import units_of
 from interpreters.base import BlockFeatures
 from interpreters.planner import UnitPlanner
@@ -117,7 +117,7 @@ def test_a_bias_moves_the_odds_of_a_phase_and_a_hold_needs_raised_hands() -> Non
             assert chisquare(counts, shares / shares.sum() * 2000).pvalue > 1e-3
 
 
-def test_a_pause_that_ends_prepares_and_one_that_goes_on_holds_as_speech_does() -> None:
+def test_a_pause_that_goes_on_holds_and_one_that_ends_prepares() -> None:
     quiet, voiced = np.ones(FRAMES, bool), np.zeros(FRAMES, bool)
     nothing = np.zeros((3 * FRAMES, 2), np.float32)
 
@@ -126,7 +126,7 @@ def test_a_pause_that_ends_prepares_and_one_that_goes_on_holds_as_speech_does() 
                              ahead)
         return {name: value for name, value in zip(PHASES, phrasing(speech), strict=True) if value}
 
-    assert of(quiet, quiet) == {"hold": HOLD}
+    assert of(quiet, quiet) == {"hold": HOLD + GOES_ON_PAUSING}
     assert of(quiet, voiced) == of(quiet, np.array([True, True, True, False])) == {
         "hold": HOLD, "preparation": VOICE_RETURNS}
     assert of(voiced, voiced) == of(voiced, quiet) == of(quiet, None) == {"hold": HOLD}

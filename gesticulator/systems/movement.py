@@ -26,19 +26,18 @@ from numpy.typing import NDArray
 
 from data_module.controls import Controls
 from data_module.layers_run import Floats, Tensors
-from data_module.motion.kinematics import fade_weights
+from data_module.motion.kinematics import fade_weights, minimum_jerk
 from data_module.motion.movement_run import PAST, BasisRunner
 from data_module.motion.skeletons import CHARACTERS
 from data_module.types import Array
 from generator.flow_run import Circumstances, FlowConditions, FlowRunner, alone
 from generator.settings import GeneratorWidths
-from generator.stillness import HELD, HOME, left_behind, share_at
 from gesticulator.body.life import SIDES
 from gesticulator.bundle.features import CONTROL_WIDTH, SpeechBlock, body_columns
 from gesticulator.sampling import loop
 from gesticulator.sampling.candidates import CandidateChooser
 from interpreters.base import BlockFeatures
-from interpreters.planner_run import CLASSES, PlannerRunner, UnitDecision, UnitStyleRunner
+from interpreters.planner_run import CLASSES, PHASES, PlannerRunner, UnitDecision, UnitStyleRunner
 from lexicon.movement_run import MovementLexiconRunner
 
 if TYPE_CHECKING:
@@ -166,12 +165,9 @@ def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Req
 
     # 4. The motion: candidates from the flow generator, of which one is kept.
     keys = request.keys or state.keys
-    offset = None if state.rest is None else state.generator.sampler.home
-    if state.offset is not None:
-        offset = offset + state.offset.at(speech.span.times)
-    # What does not fade is left out, as no candidate differs by it.
-    shift = None if state.offset is None else np.concatenate([state.past - state.generated,
-                                                              offset + state.generator.behind])
+    home = np.repeat(state.generator.sampler.home[None], bundle.frames, axis=0)
+    offset = None if state.rest is None else home if state.offset is None else home + state.offset.at(speech.span.times)
+    shift = None if offset is None else np.concatenate([state.past - state.generated, offset + state.generator.behind])
     block, code, generator = state.generator.sampler.sample(
         state.generator, BlockToSample(speech, features, lexeme, unit, keys, shift, request.fast,
                                        rest is not None and rest.rests_wholly),
@@ -179,17 +175,18 @@ def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Req
 
     # 5. What is shown: rest, idle motion, and the offset that joins it to what was shown before.
     if offset is not None:
-        share = HELD if held else share_at(state.keys.activity(speech.keyed_at))
+        waxes = minimum_jerk(np.clip((state.keys.activity(speech.keyed_at) + 1.0) / 1.5, 0.0, 1.0))
+        share = _HELD if held else _CALM_BY + (_LIVELY_BY - _CALM_BY) * float(waxes)
         moves = np.concatenate([state.past[-1:] - generator.behind, block + offset])
         behind = left_behind(generator.behind, np.diff(moves, axis=0), generator.sampler.chooser.ways(moves),
                              speech.durations[1], (generator.share, share), generator.sampler.arms)
         offset, generator = offset + behind, replace(generator, behind=behind[-1], share=share)
     past, motion = loop.shown(bundle, rest, block, offset)
-    fades = state.offset is not None and speech.end < state.offset.begin + FADES
+    faded = state.offset is None or state.offset.over(speech.end)
     record = loop.decided(speech, lexeme, scores, keys, rested.probability)
     after = replace(state, lexeme=lexeme, past=past, generated=past if offset is None else past - offset,
                     interpreter=interpreter, unguided=unguided, generator=generator, gate=rested.gate, unit=unit,
-                    rest=rest, until=speech.end, offset=state.offset if fades else None)
+                    rest=rest, until=speech.end, offset=None if faded else state.offset)
     return loop.BlockMotion(record, lexeme, motion, code, unit), after
 
 
@@ -202,15 +199,22 @@ def motion_of(bundle: Bundle, setup: loop.Setup, blocks: Sequence[loop.BlockMoti
 
 HOLD = 1.2
 """Added to the logit of a hold after a stroke: what is generated holds less than people do."""
+GOES_ON_PAUSING = 0.5
+"""Added to the logit of a hold in a pause that goes on: people hold at the ends of phrases."""
 VOICE_RETURNS = 4.0
 """Added to the logit of a preparation in a pause that ends in the next block: people prepare before they speak."""
 
 
 def phrasing(speech: SpeechBlock) -> loop.Scores:
     """[5] what is added to the planner's logits of the phases."""
-    returns = speech.quiet.mean() >= 0.5 and speech.ahead is not None and not speech.ahead.all()
-    # In the order of `PHASES`: preparation is the second, hold the fourth.
-    return np.array([0.0, VOICE_RETURNS * returns, 0.0, HOLD, 0.0])
+    bias = np.zeros(len(PHASES))
+    bias[PHASES.index("hold")] = HOLD
+    if speech.quiet.mean() >= 0.5 and speech.ahead is not None:
+        if speech.ahead.all():
+            bias[PHASES.index("hold")] += GOES_ON_PAUSING
+        else:
+            bias[PHASES.index("preparation")] = VOICE_RETURNS
+    return bias
 
 
 def decide_unit(bundle: Bundle, setup: loop.Setup, planner: PlannerState | None, speech: SpeechBlock,
@@ -273,6 +277,10 @@ class Offset:
         weights = np.stack([sinks, FADES * coasts]).astype(self.pose.dtype)[..., None]
         return weights[0] * self.pose + weights[1] * self.velocity
 
+    def over(self, time: float) -> bool:
+        """Whether it has faded at `time` seconds."""
+        return time >= self.begin + FADES
+
 
 def first_pose(chances: Array, posture: Array, names: Sequence[str], rest: Array) -> NDArray[np.float32]:
     """[D_m] h of a preparation, normalised: each arm is somewhere between the mean and the resting pose, or a little
@@ -330,8 +338,44 @@ def set_out(bundle: Bundle, setup: loop.Setup, state: loop.State, speech: Speech
                    # Without the blocks before, as at the start of a training window, but for the last decision and for
                    # how long speech or silence has lasted.
                    planner=None if state.planner is None else replace(state.planner, hidden=None),
-                   generator=FlowState(state.generator.sampler, place=state.generator.place,
-                                     style=state.generator.style, set_out=speech.start))
+                   generator=replace(state.generator, lstm=None, base=None, set_out=speech.start,
+                                     behind=np.zeros(1, np.float32)))
+
+
+# ---------------------------------------------------------------------------------------------- stillness and strokes
+
+# People's hands are nearly still or quick; what is generated moves at an even speed. So an arm makes the share k of a
+# generated movement dg of its pose, and catches up with what it stayed behind by, d, on the way of quick movements:
+#
+#     d <- exp(-min(a, 1)^2 q |dh| / c) d + (k - 1) dg,   k = a (k_0 + (1 - k_0) q)
+#
+# |dh| is the way of its hand, q rises from 0 to 1 with the hand's speed, and a with an activity that waxes and wanes
+# over seconds: in calm times people make small beats about one pose. Where the hands set out, d is 0 again.
+
+_HOME = (4.0, -9.0, -3.0, 7.0)
+"""Degrees from a generated arm to the shown one: the upper arm's exponential map and the bend of the elbow, of the
+right side. In the corpus hands are lower and nearer to each other than those of people who talk."""
+_SLOW, _QUICK, _LEAST = 0.08, 0.45, 0.65
+"""Speeds of a hand where q is 0 and 1, m/s; and k_0."""
+_CALM_BY, _LIVELY_BY, _HELD = 0.6, 1.2, 0.4
+"""a at an activity of -1 deviations or less, at 0.5 or more, and in a hold, in which people's hands still drift by one
+to three centimetres."""
+_CATCHES_UP = 0.25
+"""c, metres."""
+
+
+def left_behind(before: Floats, steps: Floats, ways: Array, seconds: float, shares: tuple[float, float], arms: Floats
+                ) -> Floats:
+    """[K, D_m] d in each frame of a block, from d before it. steps: [K, D_m] dg of each frame; ways: [K, 2] |dh|,
+    metres; seconds: of the block; shares: a at its start and end; arms: [2, D_m] 1 in the columns of that arm."""
+    quick = minimum_jerk(np.clip((ways * (len(steps) / seconds) - _SLOW) / (_QUICK - _SLOW), 0.0, 1.0))
+    share = np.linspace(*shares, len(steps) + 1)[1:, None]
+    keeps = np.exp(-np.minimum(share, 1.0) ** 2 * quick * ways / _CATCHES_UP).astype(np.float32) @ arms
+    missed = (share * (_LEAST + (1.0 - _LEAST) * quick) - 1.0).astype(np.float32) @ arms * steps
+    out = np.empty_like(steps)
+    for k in range(len(steps)):
+        out[k] = before = keeps[k] * before + missed[k]
+    return out
 
 
 # --------------------------------------------------------------------------------------------------- the flow generator
@@ -385,7 +429,7 @@ class FlowState:
     """The state of the sampler between two blocks. lstm: of the generator; base: [K, D_m] the extrapolation of the
     frames before the last block, to which its coefficients were added; both None after a fresh start. place: how long
     speech or silence has lasted. style: of the style interpreter, None without one. set_out: seconds at which the hands
-    last set out. share, behind: a, and d [D_m] or [1], of `generator.stillness`."""
+    last set out. share, behind: a, and d [D_m] or [1], of the section before."""
 
     sampler: FlowSampler
     lstm: tuple[Floats, Floats] | None = None
@@ -401,7 +445,7 @@ class FlowSampler:
     """Samples blocks of one speaker from the flow generator. It has no state of its own."""
 
     def __init__(self, bundle: Bundle, speaker: int, at_home: bool) -> None:
-        """at_home: the arms are brought to `HOME`; not where the places of the hands are controlled."""
+        """at_home: the arms are brought to `_HOME`; not where the places of the hands are controlled."""
         self.generator: FlowRunner = bundle.runners["generator"]
         self.lexicon: MovementLexiconRunner = bundle.runners["lexicon"]
         self.style: UnitStyleRunner | None = bundle.runners.get("style")
@@ -413,8 +457,11 @@ class FlowSampler:
         self.deviation = np.float32(NOISE) * self._by_part(TRUNK_NOISE, FINGER_NOISE)
         names = CHARACTERS[bundle.config.motion.joints].names
         self.arms = np.array([np.repeat([name.startswith(side) for name in names], 3) for side in SIDES], np.float32)
-        turns = np.radians([HOME.get(name, (0.0, 0.0, 0.0)) for name in names]).ravel() * at_home
-        self.home = (turns / bundle.statistics.deviation).astype(np.float32)
+        self.home = np.zeros(len(self.arms[0]), np.float32)
+        for side, sign in zip(SIDES if at_home else (), (1.0, -1.0), strict=False):
+            columns = 3 * names.index(side + "Arm") + np.array([0, 1, 2]), 3 * names.index(side + "ForeArm") + 1
+            self.home[np.append(*columns)] = np.radians(_HOME) * (1.0, sign, sign, sign)
+        self.home /= bundle.statistics.deviation.astype(np.float32)
 
     def _by_part(self, trunk: float, fingers: float = 1.0) -> Floats:
         """[n] factors on the coefficients: `trunk` for torso and head, `fingers` for fingers, 1 for the arms."""
