@@ -22,7 +22,7 @@ RATE, FRAMES = 16000, 10
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """Lexeme, timing and controls alone."""
-    for name in ("BODY", "TOGETHER", "PITCH", "NATURAL"):
+    for name in ("SEAM", "BODY", "TOGETHER", "PITCH", "NATURAL"):
         monkeypatch.setattr(candidates, name, 0.0)
     return monkeypatch
 

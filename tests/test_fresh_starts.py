@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from gesticulator.sampling.loop import Keys
-from gesticulator.systems.movement import FADES, Offset, first_pose, left_behind
+from gesticulator.systems.movement import FADES, Offset, first_pose
 
 NAMES = ["Spine", "LeftArm", "RightArm"]
 REST = np.concatenate([np.full(3, 9.0), np.full(3, 2.0), np.full(3, -4.0)])
@@ -32,10 +32,10 @@ def test_an_offset_begins_with_the_pose_and_velocity_shown_and_ends_at_rest(begi
 
 def test_first_poses_lie_between_the_speakers_pose_and_rest_each_arm_for_itself() -> None:
     keys = Keys(1)
-    poses = np.stack([first_pose(keys.uniform(4.0 * n, 2), keys.posture(4.0 * n), NAMES, REST) for n in range(2000)])
+    poses = np.stack([first_pose(keys.uniform(0.2 * n, 2), keys.posture(0.2 * n), NAMES, REST) for n in range(2000)])
     shares = poses[:, [3, 6]] / REST[[3, 6]]
-    assert shares.min() > -1.0 and shares.max() < 0.4
-    assert stats.kstest(shares.ravel(), stats.uniform(-1.0, 1.4).cdf).pvalue > 0.01
+    assert shares.min() > -0.45 and shares.max() < 0.55
+    assert stats.kstest(shares.ravel(), stats.uniform(-0.45, 1.0).cdf).pvalue > 0.01
     assert abs(stats.spearmanr(*shares.T).statistic) < 0.1
 
 
@@ -56,17 +56,3 @@ def test_what_the_sound_decides_does_not_depend_on_its_level_and_hardly_on_a_lit
     assert Keys(3).of_voice(spectra[0] + 0.01 * rng.normal(size=40), 4) == pytest.approx(numbers[0], abs=0.2)
     assert Keys(3).of_voice(np.zeros(40), 4) == pytest.approx(np.ones(4)), "digital silence"
     assert np.abs(Keys(4).of_voice(spectra[0], 4) - numbers[0]).max() > 0.1, "another seed"
-
-
-def test_a_slow_arm_stays_behind_a_quick_one_catches_up_and_a_trunk_does_neither() -> None:
-    steps, arms = np.full((12, 3), 0.1), np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    ways = np.tile([0.001, 0.04], (12, 1))  # 2 cm and 80 cm a second
-    begun = np.array([0.0, 0.0, 1.0])
-    behind = left_behind(begun, steps, ways, 0.6, (1.0, 1.0), arms)
-    assert (behind[:, 0] == 0).all()
-    assert behind[:, 1] == pytest.approx(-0.35 * 0.1 * np.arange(1, 13)), "it makes .65 of a slow movement"
-    assert behind[:, 2] == pytest.approx(np.exp(-0.04 / 0.25 * np.arange(1, 13))), "25 cm for a factor of e"
-    held = left_behind(begun, steps, ways, 0.6, (0.4, 0.4), arms)
-    assert held[-1, 1] == pytest.approx(-(1.0 - 0.65 * 0.4) * 1.2), "a hold makes .4 of that"
-    half = left_behind(begun, steps[:6], ways[:6], 0.3, (1.0, 1.0), arms)
-    assert half == pytest.approx(behind[:6]), "by time, not by block"

@@ -264,11 +264,12 @@ def test_absent_joints_stay_absent() -> None:
         assert not rest.alive(rest.step(gestures(span.times)))[:, spine].any()
 
 
-def test_hands_that_are_asked_to_be_still_are_and_leave_the_trunk_alone() -> None:
+@pytest.mark.parametrize("held", [True, False])
+def test_a_hold_keeps_the_arms_about_where_they_stopped_and_leaves_the_trunk_alone(held: bool) -> None:
     rest, spine = Rest(statistics(), ROTATIONS, 0, 1.0, seed=1), 3 * CHARACTER.index("Spine")
     last, shown, asked = np.zeros(D), [], spans([], 4.0)
     for span in asked:
-        rest.analyse(span, still=np.ones(K, bool) if span.start >= 1.99 else None)
+        rest.analyse(span, still=np.ones(K, bool) if span.start >= 1.99 else None, held=held)
         # A generator continues from what was shown.
         path = gestures(np.concatenate([[span.start], span.times]))
         path[:, spine] = np.sin(np.concatenate([[span.start], span.times]))
@@ -279,4 +280,9 @@ def test_hands_that_are_asked_to_be_still_are_and_leave_the_trunk_alone() -> Non
     assert poses[awake, spine] == pytest.approx(np.sin(times[awake]), abs=0.1), "the trunk goes on"
     poses[:, spine], stopped = 0.0, (times > 2.0 + LONGEST_STOP) & (times < 3.5)
     at = positions_of(from_vector(statistics().denormalise(poses, 0), 25.0))[stopped][:, HANDS[0]]
-    assert np.linalg.norm(np.ptp(at, axis=0)) < 1e-9
+    free = positions_of(from_vector(statistics().denormalise(gestures(times), 0), 25.0))[stopped][:, HANDS[0]]
+    drifts = np.linalg.norm(np.ptp(at, axis=0))
+    if held:
+        assert 0.05 < drifts / np.linalg.norm(np.ptp(free, axis=0)) < 0.5
+    else:
+        assert drifts < 1e-9, "hands that are asked to be still are"

@@ -16,6 +16,7 @@ from gesticulator import Gesticulator
 from gesticulator.bundle.bundle import Bundle, load
 from gesticulator.bundle.config import with_settings
 from gesticulator.bundle.files import bundle_folder
+from gesticulator.systems import movement
 from gesticulator.training.stages.heads import style_of
 
 RATE = 20.0
@@ -55,8 +56,9 @@ def rendered(bundle: Bundle, speech: Speech, code: tuple[float, ...], *settings:
 
 @pytest.mark.parametrize("dimension", [0, 3])
 def test_contrast_takes_what_is_heard_further(
-        bundle: Bundle, speech: Speech, dimension: int) -> None:
+        bundle: Bundle, speech: Speech, dimension: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a code of speed, or of reach, that is high in one rendering and low in another."""
+    monkeypatch.setattr(movement, "WAXING", 0.0)
     apart = []
     for contrast in (0.0, 2.0):
         measured = [style_of(rendered(bundle, speech, tuple(sign * 1.5 * np.eye(4)[dimension]),

@@ -41,7 +41,7 @@ WAKES = 0.2
 """Least duration of sound that ends a pause, seconds: clicks and lip noises do not."""
 LEAD = 0.4
 """Seconds before the voice at which the body wakes: the preparation of a gesture precedes its word."""
-HOLD = 0.56
+HOLD = 0.7
 """Seconds from the start of the rest until the hands retract: they stop, and hold the end of their gesture."""
 SINKING = 0.4
 """Greatest speed of a hand on its way to rest, m/s: a retraction, a little slower than the gestures (a hand's mean
@@ -50,6 +50,9 @@ BREAKS_OFF = 0.18
 """Duration of the stop after an interruption, seconds: within 0.3 s of the word, including motion already generated."""
 STILL_HOLD, STILL_SINKING = 1.6, 0.065
 """The same seconds and greatest speed where the hands are asked to hold still."""
+HELD_MOVES, HELD_RETURNS, _HELD_EASES = 0.22, 0.8, 0.3
+"""Share of the generated movement that a held hand makes, and seconds in which that fades and sets in: a hand that a
+person holds drifts by one to three centimetres."""
 LETS_DOWN, HANGS = 0.24, 1.15
 """Seconds after an interrupting word at which the hands start down, still slow at 0.3 s, and at which they hang: as
 late as a limit of 1.2 s allows after smoothing, because a raised hand has 0.4 m to travel."""
@@ -242,14 +245,16 @@ class RestingPart:
         self._stop: _Stop | None = _Stop(_ALWAYS, rest, np.zeros_like(rest), rest, np.ones_like(rest), rest, 1.0, HOLD)
         self._join: _Join | None = None
         self._last = [(-1.0, rest), (0.0, rest)]
+        self._drift = np.zeros_like(rest)
 
-    def step(self, times: Array, generated: Array, rests: Flags, hold_still: bool = False) -> Array:
+    def step(self, times: Array, generated: Array, rests: Flags, hold_still: bool = False, moves: float = 0.0) -> Array:
         """[K, D] a generated block [K, D] at `times` [K] with rest applied in the frames `rests` [K].
-        hold_still: a rest that begins in this block was asked for, so the hands hold still instead of retracting."""
+        hold_still: a rest that begins in this block was asked for, so the hands hold still instead of retracting;
+        moves: the share of the generated movement that is still made at rest."""
         out = np.empty_like(generated)
         for k, time in enumerate(times):
             if rests[k] and self._stop is None:
-                self._stop, self._join = self._stopping(hold_still), None
+                self._stop, self._join, self._drift = self._stopping(hold_still), None, np.zeros_like(self.rest)
             elif not rests[k] and self._stop is not None and (k == 0 or times[-1] - self._last[1][0] >= _LEAST_FADE):
                 # A generator that uses its past starts from the frame before; one that ignores it is extrapolated.
                 before = generated[k - 1] if k else 2.0 * generated[0] - generated[1]
@@ -259,7 +264,12 @@ class RestingPart:
                 jump = self._velocity() - (generated[k] - before) / (float(time) - now)
                 self._join, self._stop = _Join(now, float(times[-1]), pose - before, jump), None
             if self._stop is not None:
-                out[k] = self._stop.at(float(time))
+                now, pose = self._last[1]
+                eased = moves * min((time - self._stop.begin) / _HELD_EASES, 1.0)
+                # It fades, so that what is held stays about where it stopped.
+                self._drift = (math.exp((now - time) / HELD_RETURNS) * self._drift
+                               + eased * (generated[k] - (generated[k - 1] if k else pose)))
+                out[k] = self._stop.at(float(time)) + self._drift
             else:
                 out[k] = generated[k] if self._join is None else generated[k] + self._join.at(float(time))
             self._last = [self._last[1], (float(time), out[k])]
@@ -269,7 +279,7 @@ class RestingPart:
     def break_off(self, last: list[tuple[float, Array]], word: float) -> None:
         """Stop and go to rest at once from the last two times and poses (later motion is discarded). word: time of the
         interruption in seconds, a little earlier."""
-        self._last, self._join = last, None
+        self._last, self._join, self._drift = last, None, np.zeros_like(self.rest)
         now, pose = last[1]
         # The speed falls as v (1 - t / T)^2, whose integral is v T / 3.
         stopped = np.clip(pose + self._velocity() * BREAKS_OFF / 3.0, *self.bounds)
@@ -382,7 +392,7 @@ class Rest:
         self._life = LifeLayer(seed, statistics, representation, speaker, [columns for columns, _ in self._parts])
         self._pauses, self._phrases = Pauses(), Phrases(activity, seed)
         self._rests: list[Flags] = []
-        self._asked = False
+        self._asked, self._moves = False, 0.0
         self._span: Span | None = None
 
     def fork(self) -> Rest:
@@ -409,9 +419,9 @@ class Rest:
         self._parts = other.fork()._parts
         self._life.stand_as(other._life)
 
-    def analyse(self, span: Span, score: float = math.nan, still: Flags | None = None) -> bool:
+    def analyse(self, span: Span, score: float = math.nan, still: Flags | None = None, held: bool = False) -> bool:
         """Analyse a block; True if the hands rest for half of it or more. score: the gate's probability; still: [K]
-        frames in which the hands must rest."""
+        frames in which the hands must rest; held: they hold a gesture there, and so are not quite still."""
         pause = self._pauses.step(span)
         gestured = self._phrases.step(span, pause, score)
         self._span = span
@@ -419,6 +429,7 @@ class Rest:
         hands = pause if gestured else np.ones_like(pause)
         self._rests = [pause, hands, hands if still is None else hands | still]
         self._asked = still is not None and bool(still.any())
+        self._moves = HELD_MOVES if held and not hands.any() else 0.0
         return bool(self._rests[-1].mean() >= 0.5)
 
     @property
@@ -429,7 +440,7 @@ class Rest:
     def rest(self, span: Span) -> None:
         """Instead of `analyse`, for a block without sound: rest throughout."""
         # A new `Pauses` starts at rest, as after a long silence.
-        self._pauses, self._span, self._asked = Pauses(), span, False
+        self._pauses, self._span, self._asked, self._moves = Pauses(), span, False, 0.0
         # Nothing is heard, so nothing is decided: a phrase begins anew afterwards.
         self._rests = [np.ones(len(span.quiet), bool)] * len(self._parts)
 
@@ -450,7 +461,8 @@ class Rest:
         assert self._span is not None, "analyse comes first"
         out = np.empty_like(generated, dtype=np.float64)
         for (columns, part), rests in zip(self._parts, self._rests, strict=True):
-            out[:, columns] = part.step(self._span.times, generated[:, columns].astype(np.float64), rests, self._asked)
+            out[:, columns] = part.step(self._span.times, generated[:, columns].astype(np.float64), rests,
+                                        self._asked, self._moves)
         return out
 
     def alive(self, block: NDArray[np.floating]) -> Array:

@@ -2,7 +2,7 @@
 a small change of pose or sound rarely changes the choice.
 
 The terms are the distance of the movement to the lexeme to play, -2 log(d / d_0) with d_0 that to its nearest lexeme;
-braking in time with the onsets (`in_time`); hands in the body (`depth`); a head that moves when the
+braking in time with the onsets (`in_time`); the seam (`jolt`); hands in the body (`depth`); a head that moves when the
 hands do (`apart_from_hands`); a trunk that goes with the pitch (`with_pitch`); and the distance of height, speed and
 radius of the hands from their controls, in standard deviations; and how far an arm goes beyond what people's do
 (`beyond`).
@@ -70,7 +70,7 @@ _SHIFTS, _STAYS = np.linspace(-1.0, 1.0, 7), 0.1
 """Shares of the most shift of a block's middle that are tried; and what the whole of it must be worth in timing."""
 
 
-LEXEME, BODY, TOGETHER, PITCH, CONTROLS, NATURAL = 2.0, 16.0, 1.0, 1.5, 2.0, 2.0
+LEXEME, SEAM, BODY, TOGETHER, PITCH, CONTROLS, NATURAL = 2.0, 0.25, 16.0, 1.0, 1.5, 2.0, 2.0
 """The weights of the terms, relative to timing; chosen on the validation split."""
 
 
@@ -127,6 +127,8 @@ class CandidateChooser:
         score -= TOGETHER * apart_from_hands(poses[..., self._head], hands, times)
         if speech.pitch is not None:
             score += PITCH * with_pitch(poses[..., self._trunk], times, speech.pitch)
+        # Bounded, because a block that begins at rest has a large ratio and nothing wrong.
+        score -= SEAM * jolt(hands, times)
         if control is not None:
             score -= CONTROLS * self._control_error(hands, times, control)
         return int(score.argmax())
@@ -146,12 +148,6 @@ class CandidateChooser:
         times = self._times(speech, motion.poses.shape[1] - _BEFORE)
         nearest = _to_face(motion.places[:, _BEFORE:]).min((1, 2))
         return bool(not beyond(motion.shown, times).all() and (nearest >= _BEFORE_FACE).any())
-
-    def ways(self, frames: Floating) -> Array:
-        """[T - 1, 2] metres that the hands go between frames [T, D_m]."""
-        poses = self._statistics.denormalise(frames.astype(np.float64), self._speaker)
-        hands = self._places(poses[None])[0, :, :2]
-        return np.asarray(np.linalg.norm(np.diff(hands, axis=0), axis=-1))
 
     def _poses(self, past: Floating, blocks: Floating, shift: Floating | None = None) -> Array:
         """[C, T, D_m] as of `CandidateMotion`; see `motion` for the arguments."""
@@ -318,3 +314,13 @@ def with_pitch(trunk: Array, times: Array, pitch: Array) -> Array:
     turns = trunk[:, _BEFORE - 1:].reshape(*trunk[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
     speed = np.linalg.norm(np.diff(turns, axis=1), axis=-1) / np.diff(times[_BEFORE - 1:])
     return np.asarray(((speed - speed.mean(0)) / _TRUNK_TURNS * pitch).mean(1))
+
+
+def jolt(hands: Array, times: Array) -> Array:
+    """[C] the hands' acceleration at the start of each block over the mean within it, at most 2; arguments as of
+    `apart_from_hands`."""
+    velocity = np.diff(hands, axis=1) / np.diff(times)[:, None, None]
+    between = 0.5 * (times[2:] - times[:-2])
+    acceleration = np.linalg.norm(np.diff(velocity, axis=1) / between[:, None, None], axis=-1).sum(-1)
+    at, inside = acceleration[:, _BEFORE - 2], acceleration[:, _BEFORE - 1:]
+    return np.asarray(np.minimum(at / (inside.mean(1) + 1.0), 2.0))

@@ -95,9 +95,8 @@ class Keys:
         return _gumbel(self._normal(_PLAN, time, count))
 
     def uniform(self, time: float, count: int) -> Array:
-        """[count] numbers in (0, 1) for the preparation that begins at `time` seconds. They change over seconds: people
-        prepare several strokes from one home."""
-        return np.exp(_log_normal(self._normal(_POSE, time, count, _LEANS)))
+        """[count] numbers in (0, 1) for the preparation that begins at `time` seconds."""
+        return np.exp(_log_normal(self._normal(_POSE, time, count)))
 
     def activity(self, time: float) -> float:
         """A standard normal number that changes over seconds: how lively the gestures are at `time`."""
@@ -343,16 +342,19 @@ class Resting:
     rest: Rest | None
 
 
-def resting(bundle: Bundle, setup: Setup, state: State, request: Request, features: BlockFeatures) -> Resting:
-    """Decide whether the hands rest: by the gate, by pauses and phrases, and where it is requested."""
-    closed, probability, gate, still = setup.activity == 0, math.nan, state.gate, request.still
+def resting(bundle: Bundle, setup: Setup, state: State, request: Request, features: BlockFeatures, held: bool = False
+            ) -> Resting:
+    """Decide whether the hands rest: by the gate, by pauses and phrases, and where it is requested; held: they hold a
+    gesture throughout."""
+    closed, probability, gate = setup.activity == 0, math.nan, state.gate
+    still = np.ones(bundle.frames, bool) if held else request.still
     if gate is not None:
         probability, gate = bundle.runners["gate"].step(gate, features)
         closed = closed or probability < 1 - setup.activity
     if state.rest is None:
         return Resting(closed or (still is not None and bool(still.mean() >= 0.5)), probability, gate, None)
     rest = state.rest.fork()
-    return Resting(rest.analyse(request.speech.span, probability, still), probability, gate, rest)
+    return Resting(rest.analyse(request.speech.span, probability, still, held), probability, gate, rest)
 
 
 def scores_of(bundle: Bundle, setup: Setup, state: State, features: BlockFeatures) -> tuple[Scores, Any, Any]:

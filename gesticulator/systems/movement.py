@@ -24,9 +24,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.controls import Controls
 from data_module.layers_run import Floats, Tensors
-from data_module.motion.kinematics import fade_weights, minimum_jerk
+from data_module.motion.kinematics import fade_weights
 from data_module.motion.movement_run import PAST, BasisRunner
 from data_module.motion.skeletons import CHARACTERS
 from data_module.types import Array
@@ -125,7 +124,7 @@ def style_runner(sizes: Sizes, reads: bool, tensors: Tensors) -> UnitStyleRunner
 def begin(bundle: Bundle, setup: loop.Setup, text: bool, keys: loop.Keys) -> loop.State:
     """The state before the first block: the body at rest, nothing planned, nothing sampled."""
     state = loop.at_rest(bundle, setup, text, keys)
-    sampler = FlowSampler(bundle, setup.speaker, setup.controls == Controls())
+    sampler = FlowSampler(bundle, setup.speaker)
     style_state = None if sampler.style is None else sampler.style.start(setup.speaker)
     planner = bundle.runners["planner"].start(setup.speaker) if "planner" in bundle.parts else None
     return replace(state, planner=planner,
@@ -137,9 +136,7 @@ def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Req
     """The next block, and the state after it."""
     speech = request.speech
     if abs(speech.start - state.until) > loop.CONTIGUOUS:  # an offset does not fade while nothing is seen
-        state = replace(state, offset=None)
-    if state.offset is None and state.rest is not None:
-        state = replace(state, generated=state.past - state.generator.sampler.home - state.generator.behind)
+        state = replace(state, generated=state.past, offset=None)
     if speech.number == 0 and speech.start == 0.0 and state.rest and not state.rest.begins_at_rest(speech.span):
         state = begun(bundle, setup, state, speech)
     features = loop.features_of(bundle, request, state.generated)
@@ -154,33 +151,25 @@ def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Req
     # 2. Rest: whether they move at all.
     # A requested gesture is shown whatever the phase: only silent lexemes can be held.
     held = unit is not None and unit.holds and (request.lexeme is None or request.lexeme in bundle.silent)
-    rested = loop.resting(bundle, setup, state, request, features)
+    rested = loop.resting(bundle, setup, state, request, features, held)
     rest = rested.rest
 
     # 3. The lexeme: which movement, given the phase.
     scores, interpreter, unguided = loop.scores_of(bundle, setup, state, features)
     scores = within_phase(bundle, scores, unit)
-    quiet = rested.closed or held or (features.silent and bundle.config.silence.mask)
+    quiet = rested.closed or (features.silent and bundle.config.silence.mask)
     lexeme = loop.choose(setup, request, scores, bundle.silent if quiet else None)
 
     # 4. The motion: candidates from the flow generator, of which one is kept.
     keys = request.keys or state.keys
-    home = np.repeat(state.generator.sampler.home[None], bundle.frames, axis=0)
-    offset = None if state.rest is None else home if state.offset is None else home + state.offset.at(speech.span.times)
-    shift = None if offset is None else np.concatenate([state.past - state.generated, offset + state.generator.behind])
+    offset = None if state.offset is None else state.offset.at(speech.span.times)
+    shift = None if offset is None else np.concatenate([state.past - state.generated, offset])
     block, code, generator = state.generator.sampler.sample(
         state.generator, BlockToSample(speech, features, lexeme, unit, keys, shift, request.fast,
                                        rest is not None and rest.rests_wholly),
         state.generated)
 
     # 5. What is shown: rest, idle motion, and the offset that joins it to what was shown before.
-    if offset is not None:
-        waxes = minimum_jerk(np.clip((state.keys.activity(speech.keyed_at) + 1.0) / 1.5, 0.0, 1.0))
-        share = _HELD if held else _CALM_BY + (_LIVELY_BY - _CALM_BY) * float(waxes)
-        moves = np.concatenate([state.past[-1:] - generator.behind, block + offset])
-        behind = left_behind(generator.behind, np.diff(moves, axis=0), generator.sampler.chooser.ways(moves),
-                             speech.durations[1], (generator.share, share), generator.sampler.arms)
-        offset, generator = offset + behind, replace(generator, behind=behind[-1], share=share)
     past, motion = loop.shown(bundle, rest, block, offset)
     faded = state.offset is None or state.offset.over(speech.end)
     record = loop.decided(speech, lexeme, scores, keys, rested.probability)
@@ -254,7 +243,7 @@ FADES = 0.6
 """T, seconds: as long as a preparation takes."""
 AFRESH = 1.6
 """Seconds of strokes after which the next one is prepared anew."""
-_LOWEST, _HIGHEST = 0.4, -1.0
+_LOWEST, _HIGHEST = 0.55, -0.45
 """How far towards the resting pose an arm's first pose may be, as a share of the way from the mean pose."""
 _BEGINS = 0.6
 """Deviation from there where a performance begins, in deviations of the arms' joints: people begin anywhere."""
@@ -310,11 +299,10 @@ def begun(bundle: Bundle, setup: loop.Setup, state: loop.State, speech: SpeechBl
     deviations = math.sqrt(12.0) * (numbers[2:] - 0.5)
     pose = _first_of(bundle, setup, numbers[:2], deviations[:3])
     pose[arms] += _BEGINS * deviations[3:].astype(np.float32)
-    pose += state.generator.sampler.home
     rest = state.rest.fork()
     rest.begin_in(pose.astype(np.float64))
     past = np.repeat(pose[None], frames, axis=0)
-    return replace(state, past=past, rest=rest)
+    return replace(state, past=past, generated=past, rest=rest)
 
 
 def sets_out(state: loop.State, speech: SpeechBlock, unit: UnitDecision | None) -> bool:
@@ -332,50 +320,13 @@ def set_out(bundle: Bundle, setup: loop.Setup, state: loop.State, speech: Speech
     first = _first_of(bundle, setup, state.keys.uniform(time, len(SIDES)), state.keys.posture(time))
     lexeme = bundle.rest_lexeme(setup.speaker)
     interpreter = setup.interpreter.start(setup.speaker, lexeme)
-    return replace(state, offset=Offset(speech.start, past[-1] - first - state.generator.sampler.home, velocity),
+    return replace(state, offset=Offset(speech.start, past[-1] - first, velocity),
                    generated=np.repeat(first[None], len(past), axis=0), lexeme=lexeme, interpreter=interpreter,
                    unguided=interpreter,
                    # Without the blocks before, as at the start of a training window, but for the last decision and for
                    # how long speech or silence has lasted.
                    planner=None if state.planner is None else replace(state.planner, hidden=None),
-                   generator=replace(state.generator, lstm=None, base=None, set_out=speech.start,
-                                     behind=np.zeros(1, np.float32)))
-
-
-# ---------------------------------------------------------------------------------------------- stillness and strokes
-
-# People's hands are nearly still or quick; what is generated moves at an even speed. So an arm makes the share k of a
-# generated movement dg of its pose, and catches up with what it stayed behind by, d, on the way of quick movements:
-#
-#     d <- exp(-min(a, 1)^2 q |dh| / c) d + (k - 1) dg,   k = a (k_0 + (1 - k_0) q)
-#
-# |dh| is the way of its hand, q rises from 0 to 1 with the hand's speed, and a with an activity that waxes and wanes
-# over seconds: in calm times people make small beats about one pose. Where the hands set out, d is 0 again.
-
-_HOME = (4.0, -9.0, -3.0, 7.0)
-"""Degrees from a generated arm to the shown one: the upper arm's exponential map and the bend of the elbow, of the
-right side. In the corpus hands are lower and nearer to each other than those of people who talk."""
-_SLOW, _QUICK, _LEAST = 0.08, 0.45, 0.65
-"""Speeds of a hand where q is 0 and 1, m/s; and k_0."""
-_CALM_BY, _LIVELY_BY, _HELD = 0.6, 1.2, 0.4
-"""a at an activity of -1 deviations or less, at 0.5 or more, and in a hold, in which people's hands still drift by one
-to three centimetres."""
-_CATCHES_UP = 0.25
-"""c, metres."""
-
-
-def left_behind(before: Floats, steps: Floats, ways: Array, seconds: float, shares: tuple[float, float], arms: Floats
-                ) -> Floats:
-    """[K, D_m] d in each frame of a block, from d before it. steps: [K, D_m] dg of each frame; ways: [K, 2] |dh|,
-    metres; seconds: of the block; shares: a at its start and end; arms: [2, D_m] 1 in the columns of that arm."""
-    quick = minimum_jerk(np.clip((ways * (len(steps) / seconds) - _SLOW) / (_QUICK - _SLOW), 0.0, 1.0))
-    share = np.linspace(*shares, len(steps) + 1)[1:, None]
-    keeps = np.exp(-np.minimum(share, 1.0) ** 2 * quick * ways / _CATCHES_UP).astype(np.float32) @ arms
-    missed = (share * (_LEAST + (1.0 - _LEAST) * quick) - 1.0).astype(np.float32) @ arms * steps
-    out = np.empty_like(steps)
-    for k in range(len(steps)):
-        out[k] = before = keeps[k] * before + missed[k]
-    return out
+                   generator=replace(state.generator, lstm=None, base=None, set_out=speech.start))
 
 
 # --------------------------------------------------------------------------------------------------- the flow generator
@@ -392,8 +343,14 @@ TRUNK_GUIDANCE = 0.3
 """Share of all guidance that torso and head get: full guidance makes their large turns larger than people's."""
 TRUNK_NOISE, FINGER_NOISE = 0.85, 1.58
 """Factors on the noise of torso and head, and of the fingers."""
+LIVELY_NOISE = 0.08
+"""How much more noise the arms have the livelier the style code is: its natural logarithm, per unit of liveliness."""
+WAXING = 0.8
+"""Deviation of the style codes' own rise and fall over seconds."""
+LIVELINESS = (1.0, 0.5, 0.5, 0.0)
+"""The direction of a style code (`interpreters.planner_run.CODE`) in which gestures become livelier."""
 _OUTWARDS = (0.0, 0.0, 0.0, 1.0)
-"""The direction of a style code (`interpreters.planner_run.CODE`) in which hands are farther from the body."""
+"""The direction of a style code in which hands are farther from the body."""
 FAST_STEPS = 2
 """Steps of the Adams method for a block at lower cost; a single step would give the mean instead of a sample."""
 _CALM = 0.5
@@ -429,7 +386,7 @@ class FlowState:
     """The state of the sampler between two blocks. lstm: of the generator; base: [K, D_m] the extrapolation of the
     frames before the last block, to which its coefficients were added; both None after a fresh start. place: how long
     speech or silence has lasted. style: of the style interpreter, None without one. set_out: seconds at which the hands
-    last set out. share, behind: a, and d [D_m] or [1], of the section before."""
+    last set out."""
 
     sampler: FlowSampler
     lstm: tuple[Floats, Floats] | None = None
@@ -437,15 +394,12 @@ class FlowState:
     place: Circumstances = field(default_factory=Circumstances)
     style: UnitStyleState | None = None
     set_out: float = 0.0
-    share: float = 1.0
-    behind: Floats = field(default_factory=lambda: np.zeros(1, np.float32))
 
 
 class FlowSampler:
     """Samples blocks of one speaker from the flow generator. It has no state of its own."""
 
-    def __init__(self, bundle: Bundle, speaker: int, at_home: bool) -> None:
-        """at_home: the arms are brought to `_HOME`; not where the places of the hands are controlled."""
+    def __init__(self, bundle: Bundle, speaker: int) -> None:
         self.generator: FlowRunner = bundle.runners["generator"]
         self.lexicon: MovementLexiconRunner = bundle.runners["lexicon"]
         self.style: UnitStyleRunner | None = bundle.runners.get("style")
@@ -455,13 +409,6 @@ class FlowSampler:
         self.share = self._by_part(TRUNK_GUIDANCE)
         self.trunk = self._by_part(0.0, 1.0) == 0.0
         self.deviation = np.float32(NOISE) * self._by_part(TRUNK_NOISE, FINGER_NOISE)
-        names = CHARACTERS[bundle.config.motion.joints].names
-        self.arms = np.array([np.repeat([name.startswith(side) for name in names], 3) for side in SIDES], np.float32)
-        self.home = np.zeros(len(self.arms[0]), np.float32)
-        for side, sign in zip(SIDES if at_home else (), (1.0, -1.0), strict=False):
-            columns = 3 * names.index(side + "Arm") + np.array([0, 1, 2]), 3 * names.index(side + "ForeArm") + 1
-            self.home[np.append(*columns)] = np.radians(_HOME) * (1.0, sign, sign, sign)
-        self.home /= bundle.statistics.deviation.astype(np.float32)
 
     def _by_part(self, trunk: float, fingers: float = 1.0) -> Floats:
         """[n] factors on the coefficients: `trunk` for torso and head, `fingers` for fingers, 1 for the arms."""
@@ -489,23 +436,23 @@ class FlowSampler:
         after = replace(state, lstm=lstm, base=base, place=place, style=style_state)
         if block.hidden:  # the state had to advance, but no block is needed
             return base * self.generator.present, style.code, after
-        return self._sampled(block, past, base, context, gains), style.code, after
+        return self._sampled(block, past, base, context, gains, style.code), style.code, after
 
-    def _sampled(self, block: BlockToSample, past: Floats, base: Floats, context: Floats, gains: list[float]
-                 ) -> Floats:
+    def _sampled(self, block: BlockToSample, past: Floats, base: Floats, context: Floats, gains: list[float],
+                 code: Floats) -> Floats:
         """[K, D_m] the best of several candidates, moved in time to the onsets of the sound."""
         speech, steps = block.speech, FLOW_STEPS
         pull = np.array(gains, np.float32)[:, None] * self.share
         if block.fast:
             # One candidate, few steps, no guidance.
             context, pull, steps = context[:1], pull[:0], FAST_STEPS
-            _, only = self._drawn(base, context, pull, steps, self._noise(block, 1))
+            _, only = self._drawn(base, context, pull, steps, self._noise(block, 1, code))
             if self.chooser.natural(speech, self.chooser.motion(past, only, block.shift)):
                 return only[0]
         # What is requested of the hands can only be followed by a choice among different arms; otherwise all candidates
         # share the arms of the first. A choice of arms would turn every small change of sound into another gesture.
         same = block.features.control is None
-        noise = self._noise(block, CANDIDATES)
+        noise = self._noise(block, CANDIDATES, code)
         coefficients, blocks = self._drawn(base, context, pull, steps, noise, same)
         motion = self.chooser.motion(past, blocks, block.shift)
         if not self.chooser.natural(speech, motion):
@@ -533,20 +480,26 @@ class FlowSampler:
         return coefficients, (base + self.generator.basis.expand(coefficients)) * self.generator.present
 
     def _style(self, state: UnitStyleState | None, block: BlockToSample) -> tuple[_Style, UnitStyleState | None]:
-        """The style code of the block's unit: as the voice has it, and as far out as the settings say; empty without a
-        style interpreter."""
+        """The style code of the block's unit: as the voice has it, as activity waxes and wanes by itself, and as far
+        out as the settings say; empty without a style interpreter."""
         if self.style is None or state is None:
             none = np.zeros(0, np.float32)
             return _Style(none, none), None
         voiced, state = self.style.step(state, block.features, block.unit is not None and block.unit.rests)
-        code = voiced
+        waxing = WAXING * block.keys.activity(block.speech.keyed_at)
+        code = voiced + waxing * np.array(LIVELINESS, np.float32)
         if block.features.control is None:  # controls say how far out the hands are
             code = code + self.settings.reach * np.array(_OUTWARDS, np.float32)
         return _Style(code, code - self.settings.contrast * voiced), state
 
-    def _noise(self, block: BlockToSample, candidates: int) -> Floats:
-        """[C, n] the noise of C candidates of a block."""
-        return block.keys.noise(block.speech.keyed_at, (candidates, self.generator.basis.width)) * self.deviation
+    def _noise(self, block: BlockToSample, candidates: int, code: Floats) -> Floats:
+        """[C, n] the noise of C candidates of a block. code: [d_z] the style code."""
+        noise = block.keys.noise(block.speech.keyed_at, (candidates, self.generator.basis.width)) * self.deviation
+        if self.style is None:
+            return noise
+        direction = np.array(LIVELINESS, np.float32)
+        liveliness = code @ direction / (direction @ direction)
+        return np.where(self.trunk, noise, noise * np.exp(LIVELY_NOISE * liveliness))
 
     def _conditions(self, block: BlockToSample, style: _Style) -> tuple[dict[str, Any], list[float]]:
         """The 1 + G conditions of the flow head that differ (`FlowConditions`): the full one, and one without each of
