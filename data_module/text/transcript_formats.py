@@ -200,7 +200,10 @@ def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
         start = _clock(clock[:4])
         if cues and len(clock) == 4:
             cues[-1] = replace(cues[-1], end=max(start, cues[-1].start or 0.0))
-        end = start + _UNTIMED * len(line.split())
+        # The last line of LRC has no end: its words are counted from the last time in it.
+        inner = [*_INNER.finditer(line)]
+        known, rest = (_clock(inner[-1].groups()), line[inner[-1].end():]) if inner else (start, line)
+        end = known + _UNTIMED * len(written_words(marked_text(_plain(rest))[0]))
         if len(clock) > 4:
             end = _clock(clock[5:]) + (start if clock[4] else 0.0)
         number, at = number + text.count("\n", at, match.start(3)), match.start(3)
