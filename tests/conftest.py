@@ -237,6 +237,15 @@ def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
     return line
 
 
+@pytest.fixture(scope="session")
+def three_js() -> Path:
+    """The folder tests/js with three.js and three-vrm, which `.ci/run` installs. Skips without, and says why."""
+    folder = Path(__file__).resolve().parent / "js"
+    if not (folder / "node_modules" / "three").is_dir():
+        pytest.skip("three.js is not installed: npm ci --prefix tests/js")
+    return folder
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """A headless Chromium; the test is skipped, with the reason, where there is none."""

@@ -76,11 +76,9 @@ def test_khronos_finds_no_fault(files: tuple[dict[str, Path], dict[str, Performa
 # ---------------------------------------------------------------------------------------------------- three.js
 
 @pytest.fixture(scope="module")
-def page(browser: Any, files: tuple[dict[str, Path], dict[str, Performance]]) -> Iterator[Any]:
+def page(browser: Any, files: tuple[dict[str, Path], dict[str, Performance]], three_js: Path) -> Iterator[Any]:
     """A page of three.js with three-vrm, without a network: what it loads comes from the disk."""
-    if not (JS / "node_modules" / "three").is_dir():
-        pytest.skip("three.js is not installed: npm ci --prefix tests/js")
-    with package_page(browser, "play.html", JS, files[0]["ours16.glb"].parent, JS) as window:
+    with package_page(browser, "play.html", three_js, files[0]["ours16.glb"].parent, three_js) as window:
         yield window
 
 

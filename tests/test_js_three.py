@@ -32,7 +32,7 @@ from gesticulator.performance import Performance
 from gesticulator.stream import StreamFrames
 
 ROOT = Path(__file__).resolve().parents[1]
-FOLDER, JS = ROOT / "integrations" / "gesticulator-client" / "src", Path(__file__).resolve().parent / "js"
+FOLDER = ROOT / "integrations" / "gesticulator-client" / "src"
 FPS, FRAMES = 25.0, (0, 10, 21)
 TIMES = [frame / FPS for frame in FRAMES]
 VRMS = {"vrm0": "0.x", "vrm1": "1.0"}
@@ -58,12 +58,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Performance, P
 
 
 @pytest.fixture(scope="module")
-def page(browser: Any, made: tuple[Path, Performance, Performance]) -> Iterator[Any]:
+def page(browser: Any, made: tuple[Path, Performance, Performance], three_js: Path) -> Iterator[Any]:
     """A page without a network: what it loads comes from the disk."""
-    if not (JS / "node_modules" / "three").is_dir():
-        pytest.skip("three.js is not installed: npm ci --prefix tests/js")
-
-    with package_page(browser, "package_page.html", FOLDER, made[0], JS) as window:
+    with package_page(browser, "package_page.html", FOLDER, made[0], three_js) as window:
         yield window
 
 
@@ -125,12 +122,10 @@ def test_an_additive_layer_over_an_idle_clip_is_the_gesture(page: Any, made: tup
     assert checked > 40
 
 
-def test_the_plain_receiver_shows_the_poses_of_a_real_server(browser: Any, tmp_path: Path) -> None:
+def test_the_plain_receiver_shows_the_poses_of_a_real_server(browser: Any, three_js: Path, tmp_path: Path) -> None:
     """examples/three.html: each bone of three.js stands where our kinematics have it in the frame that is heard."""
-    if not (JS / "node_modules" / "three").is_dir():
-        pytest.skip("three.js is not installed: npm ci --prefix tests/js")
     (tmp_path / "node_modules").mkdir()
-    for name, folder in (("three", JS / "node_modules" / "three"), ("gesticulator-client", FOLDER.parent)):
+    for name, folder in (("three", three_js / "node_modules" / "three"), ("gesticulator-client", FOLDER.parent)):
         (tmp_path / "node_modules" / name).symlink_to(folder)
     shutil.copy(FOLDER.parent / "examples" / "three.html", tmp_path / "index.html")
     site = ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=str(tmp_path)))
@@ -190,12 +185,9 @@ def talk(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FaceMotion, li
 
 
 @pytest.fixture(scope="module")
-def face_page(browser: Any, talk: tuple[Path, FaceMotion, list[VisemeSpan]]) -> Iterator[Any]:
+def face_page(browser: Any, talk: tuple[Path, FaceMotion, list[VisemeSpan]], three_js: Path) -> Iterator[Any]:
     """A page without a network: what it loads comes from the disk."""
-    if not (JS / "node_modules" / "@pixiv" / "three-vrm-animation").is_dir():
-        pytest.skip("three-vrm is not installed: npm ci --prefix tests/js")
-
-    with package_page(browser, "face_page.html", FOLDER, talk[0], JS) as window:
+    with package_page(browser, "face_page.html", FOLDER, talk[0], three_js) as window:
         yield window
 
 

@@ -49,7 +49,7 @@ class LiveLink:
         return json.dumps({self.subject: bones}, separators=(",", ":")).encode("ascii")
 
     def send(self, rotations: NDArray[np.float32], root_position: NDArray[np.float32]) -> None:
-        """Send a pose, such as `PosePlayer.pose_at` gives it. That nobody receives it is no error."""
+        """Send a pose, such as `PosePlayer.pose_at` gives it; it is no error if no program receives it."""
         self._socket.sendto(self.packet(rotations, root_position), self._address)
 
     def close(self) -> None:
