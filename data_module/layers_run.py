@@ -186,8 +186,10 @@ class Lstm:
             rows = np.empty((*inputs.shape[:2], self._width), np.float32)
             for time in range(inputs.shape[1]):
                 # The order of the gates in the weights: input, forget, cell, output.
-                enter, forget, new, leave = np.split(inputs[:, time] + again(h), 4, axis=-1)
-                c = sigmoid(forget) * c + sigmoid(enter) * np.tanh(new)
+                gates = inputs[:, time] + again(h)
+                enter, forget = _parts(sigmoid(gates[:, :2 * self._width]), self._width)
+                new, leave = _parts(gates[:, 2 * self._width:], self._width)
+                c = forget * c + enter * np.tanh(new)
                 rows[:, time] = h = sigmoid(leave) * np.tanh(c)
             ends.append((h, c))
         return rows, (np.stack([h for h, _ in ends]), np.stack([c for _, c in ends]))
@@ -207,10 +209,15 @@ class Gru:
         out = np.empty((*inputs.shape[:2], self._width), np.float32)
         for time in range(inputs.shape[1]):
             # The order of the gates in the weights: reset, update, new.
-            (r_in, z_in, n_in), (r, z, n) = (np.split(part, 3, axis=-1) for part in (inputs[:, time], self._again(h)))
-            update = sigmoid(z_in + z)
-            out[:, time] = h = (1 - update) * np.tanh(n_in + sigmoid(r_in + r) * n) + update * h
+            into, again, both = inputs[:, time], self._again(h), 2 * self._width
+            reset, update = _parts(sigmoid(into[:, :both] + again[:, :both]), self._width)
+            out[:, time] = h = (1 - update) * np.tanh(into[:, both:] + reset * again[:, both:]) + update * h
         return out, h
+
+
+def _parts(x: Floats, width: int) -> tuple[Floats, Floats]:
+    """Two parts of `width` columns; `numpy.split` takes ten times as long."""
+    return x[..., :width], x[..., width:]
 
 
 def _recurrent(tensors: Tensors, layer: int, width_in: int, gates: int, width: int) -> tuple[Dense, Dense]:
@@ -258,9 +265,11 @@ def side_by_side(parts: Sequence[Floats]) -> Floats:
 
 def normed(x: Floats, axes: int = 1, epsilon: float = EPSILON) -> Floats:
     """(x - mean) / sqrt(variance + epsilon) over the last `axes` axes."""
-    over = tuple(range(-axes, 0))
-    centred = x - x.mean(over, keepdims=True)
-    return centred / np.sqrt(np.square(centred).mean(over, keepdims=True) + np.float32(epsilon))
+    over, count = tuple(range(-axes, 0)), np.float32(math.prod(x.shape[-axes:]))
+    # A sum over a count is what `numpy.mean` gives, in half of its time.
+    centred = x - np.add.reduce(x, over, keepdims=True) / count
+    variance = np.add.reduce(np.square(centred), over, keepdims=True) / count
+    return centred / np.sqrt(variance + np.float32(epsilon))
 
 
 def sigmoid(x: Floats) -> Floats:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,11 +78,28 @@ LEXEME, SEAM, BODY, TOGETHER, PITCH, CONTROLS, NATURAL = 2.0, 0.25, 16.0, 1.0, 1
 class CandidateMotion:
     """The motion of C candidates over T frames: the last `_BEFORE` before a block, and those of the block. poses: [C,
     T, D_m] radians or metres; places: [C, T, 8, 3] positions over the hips, metres, of hands, elbows and shoulders (the
-    right one first), the chest and the head; shown: the places with the shift that is shown."""
+    right one first), the chest and the head; shown: the places with the shift that is shown; times: [T] seconds."""
 
     poses: Array
     places: Array
     shown: Array
+    times: Array
+
+    # Each is asked for when candidates are judged and again when one is chosen.
+    @cached_property
+    def behind(self) -> Array:
+        """`behind_trunk` in the block."""
+        return behind_trunk(self.places[:, _BEFORE:])
+
+    @cached_property
+    def to_face(self) -> Array:
+        """`_to_face` in the block."""
+        return _to_face(self.places[:, _BEFORE:])
+
+    @cached_property
+    def beyond(self) -> Array:
+        """`beyond` of what is shown."""
+        return beyond(self.shown, self.times, self.behind if self.shown is self.places else None)
 
 
 class CandidateChooser:
@@ -103,25 +120,30 @@ class CandidateChooser:
         # Local rotations are independent, and only a quarter of the joints moves the hands.
         self._arms = chains(skeleton, self._joints) if self._representation.name == "rotations" else None
 
-    def motion(self, past: Floating, blocks: Floating, shift: Floating | None = None) -> CandidateMotion:
+    def motion(self, speech: SpeechBlock, past: Floating, blocks: Floating, shift: Floating | None = None
+               ) -> CandidateMotion:
         """The motion of candidates. past: [P, D_m] features of the motion up to the block's start; blocks: [C, K, D_m]
         the candidates; shift: [P + K, D_m] that is added to what is shown (`systems.movement.Offset`), or None."""
-        poses = self._poses(past, blocks)
+        frames = self._frames(past, blocks)
+        count, times = len(blocks), self._times(speech, blocks.shape[1])
+        if shift is not None:
+            # As further candidates: kinematics of few frames cost by the call.
+            frames = np.concatenate([frames, frames + shift[-frames.shape[1]:]])
+        poses = self._poses(frames)
         places = self._places(poses)
-        return CandidateMotion(poses, places, places if shift is None else self._places(
-            self._poses(past, blocks, shift)))
+        own = places[:count]
+        return CandidateMotion(poses[:count], own, own if shift is None else places[count:], times)
 
     def choose(self, speech: SpeechBlock, motion: CandidateMotion, apart: Floating, control: Floating | None = None
                ) -> int:
         """The index of the best candidate; the first of equals. motion: of C candidates; apart: [C] squared distance of
         each to the lexeme to play over that to its nearest lexeme; control: rows [K, 2 F], or None."""
-        poses, places = motion.poses, motion.places
-        times = self._times(speech, poses.shape[1] - _BEFORE)
+        poses, places, times = motion.poses, motion.places, motion.times
         hands = places[:, :, :2]
         score = -LEXEME * np.log(apart.astype(np.float64))
         # Only this is about what is shown: by a shift, two takes that parted would choose differently while it fades.
-        score -= NATURAL * beyond(motion.shown, times)
-        score -= BODY * depth(places[:, _BEFORE:])
+        score -= NATURAL * motion.beyond
+        score -= BODY * depth(places[:, _BEFORE:], motion.behind, motion.to_face)
         if len(speech.onsets) > 0:
             score += in_time(hands, times, speech.start, speech.onsets)
         score -= TOGETHER * apart_from_hands(poses[..., self._head], hands, times)
@@ -139,22 +161,24 @@ class CandidateChooser:
         if not len(speech.onsets):
             return block
         blocks = retimings(len(block), RETIMING) @ np.concatenate([past[-2:], block])
-        hands = self._places(self._poses(past, blocks))[:, :, :2]
+        hands = self._places(self._poses(self._frames(past, blocks)))[:, :, :2]
         worth = in_time(hands, self._times(speech, len(block)), speech.start, speech.onsets) - _STAYS * np.abs(_SHIFTS)
         return np.asarray(blocks[int(worth.argmax())], dtype=block.dtype)
 
-    def natural(self, speech: SpeechBlock, motion: CandidateMotion) -> bool:
+    @staticmethod
+    def natural(motion: CandidateMotion) -> bool:
         """Whether arms stay within what people do in some candidate, and are not before the face in one."""
-        times = self._times(speech, motion.poses.shape[1] - _BEFORE)
-        nearest = _to_face(motion.places[:, _BEFORE:]).min((1, 2))
-        return bool(not beyond(motion.shown, times).all() and (nearest >= _BEFORE_FACE).any())
+        nearest = motion.to_face.min((1, 2))
+        return bool(not motion.beyond.all() and (nearest >= _BEFORE_FACE).any())
 
-    def _poses(self, past: Floating, blocks: Floating, shift: Floating | None = None) -> Array:
-        """[C, T, D_m] as of `CandidateMotion`; see `motion` for the arguments."""
+    @staticmethod
+    def _frames(past: Floating, blocks: Floating) -> Floating:
+        """[C, T, D_m] features; see `motion` for the arguments."""
         # Frames before the block give the speeds at its start.
-        frames = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
-        if shift is not None:
-            frames = frames + shift[-frames.shape[1]:]
+        return np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
+
+    def _poses(self, frames: Floating) -> Array:
+        """[C, T, D_m] as of `CandidateMotion`, of features."""
         poses = self._statistics.denormalise(frames.reshape(-1, frames.shape[-1]), self._speaker)
         return np.asarray(poses.reshape(frames.shape))
 
@@ -190,15 +214,17 @@ class CandidateChooser:
         return np.asarray((np.abs((measured - levels.mean) / levels.spread - target) * given).sum(-1))
 
 
-def beyond(places: Array, times: Array) -> Array:
+def beyond(places: Array, times: Array, behind: Array | None = None) -> Array:
     """[C] by how much the arms of each block go beyond people's, 0 for not: the sum of what speed, swivel of the elbow,
     accelerations of wrist and elbow, and place behind the trunk exceed their limits by.
-    places: [C, T, 8, 3] as of `CandidateMotion`, at times [T] seconds."""
+    places: [C, T, 8, 3] as of `CandidateMotion`, at times [T] seconds; behind: `behind_trunk` in the block, if known.
+    """
     velocity = np.diff(places[:, :, :4], axis=1) / np.diff(times)[:, None, None]
     between = 0.5 * (times[2:] - times[:-2])
     acceleration = np.linalg.norm(np.diff(velocity, axis=1) / between[:, None, None], axis=-1)[:, _BEFORE - 2:]
     most = (acceleration / np.repeat(_ACCELERATES, 2)).max(1)
-    behind = (behind_trunk(places[:, _BEFORE:]).max((1, 2)) - _BEHIND[0]) / _BEHIND[1]
+    behind = behind_trunk(places[:, _BEFORE:]) if behind is None else behind
+    behind = (behind.max((1, 2)) - _BEHIND[0]) / _BEHIND[1]
     wrist, elbow, shoulder = (np.swapaxes(places[:, _BEFORE - 1:, k:k + 2], 1, 2) for k in (0, 2, 4))
     turns, off = swivel(shoulder, elbow, wrist)
     clear = (off > _BENT) & (np.linalg.norm(wrist - shoulder, axis=-1) > _REACHES)
@@ -223,18 +249,19 @@ def swivel(shoulder: Array, elbow: Array, wrist: Array) -> tuple[Array, Array]:
     return np.arctan2(sine, (carried * after).sum(-1)), np.asarray(np.linalg.norm(out, axis=-1))
 
 
-def depth(places: Array) -> Array:
+def depth(places: Array, behind: Array | None = None, to_face: Array | None = None) -> Array:
     """[C] how deep wrists and elbows are in the trunk, wrists in the sphere of a folded arm, and forearms in that of
     the face, and how far arms are behind the trunk (`behind_trunk`), as shares of the radii, summed over the joints and
-    averaged over the frames. places: as of `CandidateMotion`."""
+    averaged over the frames. places: as of `CandidateMotion`; behind, to_face: of these places, if known."""
     chest = places[:, :, 6:7]
     share = np.clip((places[:, :, :4] * chest).sum(-1) / np.maximum((chest * chest).sum(-1), 1e-9), 0.0, 1.0)
     away = np.linalg.norm(places[:, :, :4] - share[..., None] * chest, axis=-1)
     radii = np.repeat(_RADII, 2)
     # A wrist at its own shoulder is a pose that people hardly take.
     folded = 1.0 - np.linalg.norm(places[:, :, :2] - places[:, :, 4:6], axis=-1) / _FOLDED
-    near_face = 1.0 - _to_face(places) / _FACE
-    shares = [1.0 - away / radii, folded, near_face, behind_trunk(places) / _RADII[0]]
+    near_face = 1.0 - (_to_face(places) if to_face is None else to_face) / _FACE
+    behind = behind_trunk(places) if behind is None else behind
+    shares = [1.0 - away / radii, folded, near_face, behind / _RADII[0]]
     return np.asarray(sum(np.maximum(each, 0.0).sum(-1) for each in shares).mean(-1))
 
 
