@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
@@ -112,10 +112,15 @@ class Conv:
 
     def __call__(self, rows: Floats) -> Floats:
         """[..., T, D] to [..., T', N]."""
+        *leading, count, width = rows.shape
         if self._padding:
-            rows = np.pad(rows, [(0, 0)] * (rows.ndim - 2) + [(self._padding,) * 2, (0, 0)])
-        windows = np.lib.stride_tricks.sliding_window_view(rows, self._reach, axis=-2)
-        windows = windows[..., ::self._stride, :, ::self._dilation]
+            inside, count = rows, count + 2 * self._padding
+            rows = np.zeros((*leading, count, width), np.float32)
+            rows[..., self._padding:count - self._padding, :] = inside
+        # [..., T', D, kernel]: a few slices take a third of the time of NumPy's view of windows.
+        starts = range(0, self._reach, self._dilation)
+        last = count - self._reach + 1
+        windows = np.stack([rows[..., start:start + last:self._stride, :] for start in starts], -1)
         return self._map(windows.reshape(*windows.shape[:-2], -1))
 
 
@@ -259,8 +264,12 @@ def attention(query: Floats, key: Floats, value: Floats, heads: int, mask: Float
 
 def side_by_side(parts: Sequence[Floats]) -> Floats:
     """Concatenate parts [..., D], whose leading axes broadcast, to [..., sum D]."""
-    leading = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
-    return np.concatenate([np.broadcast_to(part, (*leading, part.shape[-1])) for part in parts], -1)
+    ends = [0, *accumulate(part.shape[-1] for part in parts)]
+    out = np.empty((*np.broadcast_shapes(*(part.shape[:-1] for part in parts)), ends[-1]), np.float32)
+    # Written in place: `numpy.broadcast_to` takes longer than the copy.
+    for part, first, last in zip(parts, ends[:-1], ends[1:], strict=True):
+        out[..., first:last] = part
+    return out
 
 
 def normed(x: Floats, axes: int = 1, epsilon: float = EPSILON) -> Floats:
