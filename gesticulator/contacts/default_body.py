@@ -19,6 +19,7 @@ that sits (`gesticulator.contacts.lap`) are a third surface, from which hands ar
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -37,6 +38,9 @@ if TYPE_CHECKING:
 
 STEEPEST = 1.2
 """Largest slope of the front of the trunk: with 3, a hand that shot past the hip was thrown ahead at 4.7 m/s."""
+_RATIO = STEEPEST * limbs.OURS[0] / limbs.OURS[1]
+_EDGE = limbs.OURS[0] * _RATIO / math.hypot(1.0, _RATIO)
+"""Metres across at which the ellipse of the trunk is as steep."""
 OTHER_SIDE = (0.115, 0.07, 0.35)
 """Where the front leaves the trunk on the side of the other hand: metres across, metres ahead, and slope from there on.
 A hand there is beside the other arm, not behind the back."""
@@ -214,12 +218,14 @@ class _Body:
         across, along, ahead = self._from_hips(point)
         return self.axes[:, 2] * limbs.soft(shirt_at(across * sign, along, self.length) - ahead, over)[..., None]
 
-    def _from_hips(self, point: Array) -> Array:
-        """[3, ..., T] metres across, along and ahead of a point [..., T, 3]."""
-        return np.moveaxis(np.matmul(self.axes, point[..., None])[..., 0], -1, 0)
+    def _from_hips(self, point: Array) -> tuple[Array, Array, Array]:
+        """[..., T] metres across, along and ahead of a point [..., T, 3]."""
+        local = np.matmul(self.axes, point[..., None])
+        return local[..., 0, 0], local[..., 1, 0], local[..., 2, 0]
 
     def _off_face(self, point: Array) -> Array:
-        x, y, z = np.moveaxis(np.matmul((point - self.face)[..., None, :], self.head)[..., 0, :], -1, 0)
+        local = np.matmul((point - self.face)[..., None, :], self.head)
+        x, y, z = local[..., 0, 0], local[..., 0, 1], local[..., 0, 2]
         return self.head[..., 2] * limbs.soft(face_front(np.sqrt(x * x + y * y)) - z)[..., None]
 
 
@@ -227,11 +233,9 @@ def trunk_front(across: Array) -> Array:
     """Metres by which the front of the trunk is ahead of its middle, at metres across it (the hand's side: > 0)."""
     width, depth = limbs.OURS
     # The ellipse up to where its slope is the steepest, then its tangent.
-    edge = STEEPEST * width / depth
-    edge = width * edge / np.hypot(1.0, edge)
-    ellipse = depth * np.sqrt(1.0 - np.clip(across / width, -1.0, edge / width) ** 2)
+    ellipse = depth * np.sqrt(1.0 - np.clip(across / width, -1.0, _EDGE / width) ** 2)
     # Beyond the edge the slope stays, so that a hanging hand beside the hip is not thrown ahead.
-    own = ellipse - STEEPEST * np.maximum(across - edge, 0.0)
+    own = ellipse - STEEPEST * np.maximum(across - _EDGE, 0.0)
     begins, height, slope = OTHER_SIDE
     return np.asarray(np.where(across > -begins, own, np.maximum(ellipse, height + slope * (across + begins))))
 

@@ -15,6 +15,7 @@ are placed (`data_module.speech.onsets`); evaluation of timing uses two other de
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -23,8 +24,9 @@ from numpy.typing import NDArray
 
 from data_module import controls
 from data_module.motion.kinematics import chains, positions_of_some
+from data_module.motion.representation import Representation
 from data_module.motion.rotation import cross, from_exponential_map
-from data_module.types import Array, Motion
+from data_module.types import Array, Motion, Skeleton
 from gesticulator.body.life import HEAD
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, representation_of
@@ -102,6 +104,28 @@ class CandidateMotion:
         return beyond(self.shown, self.times, self.behind if self.shown is self.places else None)
 
 
+class _Places:
+    """Positions of some joints."""
+
+    def __init__(self, representation: Representation, skeleton: Skeleton, joints: Sequence[int]) -> None:
+        """skeleton: of the representation; joints: their indices in it."""
+        self._representation, self._joints = representation, list(joints)
+        # Local rotations are independent, and only a quarter of the joints moves the hands.
+        self._chains = chains(skeleton, joints) if representation.name == "rotations" else None
+
+    def __call__(self, frames: Array) -> Array:
+        """[C, T, joints, 3] metres over the hips, of poses [C, T, D_m]."""
+        poses = frames.reshape(-1, frames.shape[-1])
+        if self._chains is None:
+            places = positions_of_some(self._representation.motion(poses, 1.0), self._joints)
+        else:
+            skeleton, joints = self._chains
+            rotations = from_exponential_map(poses.reshape(len(poses), -1, 3)[:, joints])
+            places = positions_of_some(Motion(skeleton, rotations, np.zeros((len(poses), 3)), 1.0),
+                                       [joints.index(joint) for joint in self._joints])
+        return places.reshape(*frames.shape[:2], len(self._joints), 3)
+
+
 class CandidateChooser:
     """Chooses among the candidates of a block for one speaker."""
 
@@ -112,13 +136,11 @@ class CandidateChooser:
         # The joint above the shoulders, by whatever name the skeleton has for it.
         chest = skeleton.parents[skeleton.index("RightShoulder")]
         # The chest stands on the way to a hand: it costs nothing more. The head is at the end of three joints.
-        self._joints = [skeleton.index(side + part) for part in ("Hand", "ForeArm", "Arm")
-                        for side in ("Right", "Left")]
-        self._joints += [chest, skeleton.index("Head")]
+        arms = [skeleton.index(side + part) for part in ("Hand", "ForeArm", "Arm") for side in ("Right", "Left")]
+        self._places = _Places(self._representation, skeleton, [*arms, chest, skeleton.index("Head")])
+        self._hands = _Places(self._representation, skeleton, arms[:2])
         self._head = np.flatnonzero(np.repeat([name in HEAD for name in skeleton.names], 3))
         self._trunk = np.flatnonzero(np.repeat([name in _TRUNK for name in skeleton.names], 3))
-        # Local rotations are independent, and only a quarter of the joints moves the hands.
-        self._arms = chains(skeleton, self._joints) if self._representation.name == "rotations" else None
 
     def motion(self, speech: SpeechBlock, past: Floating, blocks: Floating, shift: Floating | None = None
                ) -> CandidateMotion:
@@ -161,7 +183,7 @@ class CandidateChooser:
         if not len(speech.onsets):
             return block
         blocks = retimings(len(block), RETIMING) @ np.concatenate([past[-2:], block])
-        hands = self._places(self._poses(self._frames(past, blocks)))[:, :, :2]
+        hands = self._hands(self._poses(self._frames(past, blocks)))
         worth = in_time(hands, self._times(speech, len(block)), speech.start, speech.onsets) - _STAYS * np.abs(_SHIFTS)
         return np.asarray(blocks[int(worth.argmax())], dtype=block.dtype)
 
@@ -181,18 +203,6 @@ class CandidateChooser:
         """[C, T, D_m] as of `CandidateMotion`, of features."""
         poses = self._statistics.denormalise(frames.reshape(-1, frames.shape[-1]), self._speaker)
         return np.asarray(poses.reshape(frames.shape))
-
-    def _places(self, frames: Array) -> Array:
-        """[C, T, 8, 3] as of `CandidateMotion`, from poses [C, T, D_m]."""
-        poses = frames.reshape(-1, frames.shape[-1])
-        if self._arms is None:
-            places = positions_of_some(self._representation.motion(poses, 1.0), self._joints)
-        else:
-            skeleton, joints = self._arms
-            rotations = from_exponential_map(poses.reshape(len(poses), -1, 3)[:, joints])
-            places = positions_of_some(Motion(skeleton, rotations, np.zeros((len(poses), 3)), 1.0),
-                                       [joints.index(joint) for joint in self._joints])
-        return places.reshape(*frames.shape[:2], len(self._joints), 3)
 
     @staticmethod
     def _times(speech: SpeechBlock, frames: int) -> Array:
