@@ -209,7 +209,7 @@ def remove_yaw(q: Array) -> Array:
 def between(a: Array, b: Array, otherwise: Array | None = None) -> Array:
     """[..., 4] the shortest rotations from directions a to b, [..., 3] each. Opposite ones have none: half a turn about
     `otherwise` [..., 3], or about any axis perpendicular to them."""
-    a, b = (way / np.linalg.norm(way, axis=-1, keepdims=True) for way in (a, b))
+    a, b = (way / np.sqrt(np.vecdot(way, way))[..., None] for way in (a, b))
     if otherwise is None:
         otherwise = cross(a, np.where(np.abs(a[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
     # For an angle t about n, (1 + cos t, n sin t) is the quaternion (cos t/2, n sin t/2) up to its length.

@@ -147,7 +147,7 @@ def _tipped(turn: Array, hand: tuple[Array, Array], body: _Body, sign: float) ->
     axis = rotation.cross(before, after)
     sine = length(axis)
     # The arctangent is exact for small angles, where an arccosine loses half of its digits.
-    angle = np.minimum(np.arctan2(sine, np.sum(before * after, axis=-1, keepdims=True)), FARTHEST_TIP)
+    angle = np.minimum(np.arctan2(sine, limbs.dot(before, after)), FARTHEST_TIP)
     tipped = rotation.from_exponential_map(axis / np.maximum(sine, 1e-9) * angle)
     turn = turn.copy()
     turn[at] = rotation.to_matrix(tipped) @ turn[at]
@@ -210,7 +210,7 @@ class _Body:
 
     def at_shoulder(self, hand: Array, shoulder: Array, sign: float) -> Array:
         """[T, 1] how much a hand [T, 3] is at its shoulder [T, 3] and beside the trunk, 0 to 1."""
-        across = sign * np.sum(self.axes[:, 0] * hand, axis=-1, keepdims=True)
+        across = sign * limbs.dot(self.axes[:, 0], hand)
         return np.asarray((1.0 - _ramp(length(hand - shoulder), FOLDED)) * _ramp(across, BESIDE))
 
     def out_of_trunk(self, point: Array, sign: Sign, over: float) -> Array:
@@ -233,7 +233,7 @@ def trunk_front(across: Array) -> Array:
     """Metres by which the front of the trunk is ahead of its middle, at metres across it (the hand's side: > 0)."""
     width, depth = limbs.OURS
     # The ellipse up to where its slope is the steepest, then its tangent.
-    ellipse = depth * np.sqrt(1.0 - np.clip(across / width, -1.0, _EDGE / width) ** 2)
+    ellipse = depth * np.sqrt(1.0 - np.minimum(np.maximum(across / width, -1.0), _EDGE / width) ** 2)
     # Beyond the edge the slope stays, so that a hanging hand beside the hip is not thrown ahead.
     own = ellipse - STEEPEST * np.maximum(across - _EDGE, 0.0)
     begins, height, slope = OTHER_SIDE
@@ -266,5 +266,5 @@ def face_front(radius: Array) -> Array:
 
 def _ramp(values: Array, ends: tuple[float, float]) -> Array:
     """0 below the first of two ends, 1 above the second, without a kink."""
-    share = np.clip((values - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0)
-    return np.asarray(share ** 2 * (3.0 - 2.0 * share))
+    share = np.minimum(np.maximum((values - ends[0]) / (ends[1] - ends[0]), 0.0), 1.0)
+    return np.asarray(share * share * (3.0 - 2.0 * share))

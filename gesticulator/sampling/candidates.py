@@ -66,6 +66,8 @@ _TRUNK = "Spine", "Spine1", "Spine2", "Spine3", "Chest"
 """Joints from hips to chest, of those that a body may have."""
 _TRUNK_TURNS = 0.25
 """s_0 of the trunk, rad/s."""
+_SIDES = np.array([-1.0, 1.0, -1.0, 1.0])
+"""Of wrists and elbows, the right one first: to the right the place across the trunk is negative."""
 RETIMING = 0.08
 """Share of a block's length by which its middle may come earlier or later."""
 _SHIFTS, _STAYS = np.linspace(-1.0, 1.0, 7), 0.1
@@ -231,15 +233,15 @@ def beyond(places: Array, times: Array, behind: Array | None = None) -> Array:
     """
     velocity = np.diff(places[:, :, :4], axis=1) / np.diff(times)[:, None, None]
     between = 0.5 * (times[2:] - times[:-2])
-    acceleration = np.linalg.norm(np.diff(velocity, axis=1) / between[:, None, None], axis=-1)[:, _BEFORE - 2:]
+    acceleration = _lengths(np.diff(velocity, axis=1) / between[:, None, None])[:, _BEFORE - 2:]
     most = (acceleration / np.repeat(_ACCELERATES, 2)).max(1)
     behind = behind_trunk(places[:, _BEFORE:]) if behind is None else behind
     behind = (behind.max((1, 2)) - _BEHIND[0]) / _BEHIND[1]
     wrist, elbow, shoulder = (np.swapaxes(places[:, _BEFORE - 1:, k:k + 2], 1, 2) for k in (0, 2, 4))
     turns, off = swivel(shoulder, elbow, wrist)
-    clear = (off > _BENT) & (np.linalg.norm(wrist - shoulder, axis=-1) > _REACHES)
+    clear = (off > _BENT) & (_lengths(wrist - shoulder) > _REACHES)
     turned = np.abs(turns) / np.diff(times[_BEFORE - 1:]) * (clear[..., 1:] & clear[..., :-1])
-    shares = [np.linalg.norm(velocity[:, _BEFORE - 1:], axis=-1).max((1, 2)) / FASTEST, 1.0 + behind,
+    shares = [_lengths(velocity[:, _BEFORE - 1:]).max((1, 2)) / FASTEST, 1.0 + behind,
               turned.max((1, 2)) / _SWIVELS, most[:, :2].max(1), most[:, 2:].max(1)]
     return np.asarray(sum(np.maximum(share - 1.0, 0.0) for share in shares))
 
@@ -248,15 +250,20 @@ def swivel(shoulder: Array, elbow: Array, wrist: Array) -> tuple[Array, Array]:
     """[..., T - 1] radians that an elbow turns about the line from its shoulder to its wrist from frame to frame, and
     [..., T] metres that it is off that line; places [..., T, 3]."""
     line, upper = wrist - shoulder, elbow - shoulder
-    line = line / np.maximum(np.linalg.norm(line, axis=-1, keepdims=True), 1e-9)
-    out = upper - (upper * line).sum(-1, keepdims=True) * line
+    line = line / np.maximum(_lengths(line), 1e-9)[..., None]
+    out = upper - np.vecdot(upper, line)[..., None] * line
     one, other, before, after = line[..., :-1, :], line[..., 1:, :], out[..., :-1, :], out[..., 1:, :]
     # Carried along by the smallest rotation from line to line.
-    axis, cosine = cross(one, other), (one * other).sum(-1, keepdims=True)
+    axis, cosine = cross(one, other), np.vecdot(one, other)[..., None]
     carried = (cosine * before + cross(axis, before)
-               + axis * (axis * before).sum(-1, keepdims=True) / np.maximum(1.0 + cosine, 1e-6))
-    sine = (cross(carried, after) * other).sum(-1)
-    return np.arctan2(sine, (carried * after).sum(-1)), np.asarray(np.linalg.norm(out, axis=-1))
+               + axis * np.vecdot(axis, before)[..., None] / np.maximum(1.0 + cosine, 1e-6))
+    sine = np.vecdot(cross(carried, after), other)
+    return np.arctan2(sine, np.vecdot(carried, after)), _lengths(out)
+
+
+def _lengths(vectors: Array) -> Array:
+    """[...] of vectors [..., 3]; `numpy.linalg.norm` takes twice as long."""
+    return np.asarray(np.sqrt(np.vecdot(vectors, vectors)))
 
 
 def depth(places: Array, behind: Array | None = None, to_face: Array | None = None) -> Array:
@@ -264,11 +271,11 @@ def depth(places: Array, behind: Array | None = None, to_face: Array | None = No
     the face, and how far arms are behind the trunk (`behind_trunk`), as shares of the radii, summed over the joints and
     averaged over the frames. places: as of `CandidateMotion`; behind, to_face: of these places, if known."""
     chest = places[:, :, 6:7]
-    share = np.clip((places[:, :, :4] * chest).sum(-1) / np.maximum((chest * chest).sum(-1), 1e-9), 0.0, 1.0)
-    away = np.linalg.norm(places[:, :, :4] - share[..., None] * chest, axis=-1)
+    share = np.clip(np.vecdot(places[:, :, :4], chest) / np.maximum(np.vecdot(chest, chest), 1e-9), 0.0, 1.0)
+    away = _lengths(places[:, :, :4] - share[..., None] * chest)
     radii = np.repeat(_RADII, 2)
     # A wrist at its own shoulder is a pose that people hardly take.
-    folded = 1.0 - np.linalg.norm(places[:, :, :2] - places[:, :, 4:6], axis=-1) / _FOLDED
+    folded = 1.0 - _lengths(places[:, :, :2] - places[:, :, 4:6]) / _FOLDED
     near_face = 1.0 - (_to_face(places) if to_face is None else to_face) / _FACE
     behind = behind_trunk(places) if behind is None else behind
     shares = [1.0 - away / radii, folded, near_face, behind / _RADII[0]]
@@ -279,12 +286,11 @@ def behind_trunk(places: Array) -> Array:
     """[C, T, 4] metres by which each wrist is behind the front of the trunk and each elbow behind its back, negative
     ahead of them; places: as of `CandidateMotion`."""
     chest, right, left = places[:, :, 6], places[:, :, 4], places[:, :, 5]
-    up = chest / np.maximum(np.linalg.norm(chest, axis=-1, keepdims=True), 1e-9)
-    across = left - right - ((left - right) * up).sum(-1, keepdims=True) * up
-    across = across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
-    axes = np.stack([across, up, cross(across, up)], axis=-2)
-    x, y, z = np.moveaxis(np.einsum("ctij,cthj->cthi", axes, places[:, :, :4]), -1, 0)
-    x, height = x * np.tile([-1.0, 1.0], 2), 0.5 * ((left + right) * up).sum(-1)[..., None]
+    up = chest / np.maximum(_lengths(chest), 1e-9)[..., None]
+    across = left - right - np.vecdot(left - right, up)[..., None] * up
+    across = across / np.maximum(_lengths(across), 1e-9)[..., None]
+    x, y, z = (np.vecdot(axis[:, :, None], places[:, :, :4]) for axis in (across, up, cross(across, up)))
+    x, height = x * _SIDES, 0.5 * np.vecdot(left + right, up)[..., None]
     surfaces = np.concatenate([front_at(x[..., :2], y[..., :2], height), back_at(x[..., 2:], y[..., 2:], height)], -1)
     return np.asarray(surfaces - z)
 
@@ -294,8 +300,8 @@ def _to_face(places: Array) -> Array:
     face = places[:, :, 7:] + np.array(_FACE_AT)
     hands, elbows = places[:, :, :2], places[:, :, 2:4]
     arms = (1.0 + _HAND) * (hands - elbows)
-    along = ((face - elbows) * arms).sum(-1) / np.maximum((arms * arms).sum(-1), 1e-9)
-    return np.asarray(np.linalg.norm(elbows + np.clip(along, 0.0, 1.0)[..., None] * arms - face, axis=-1))
+    along = np.vecdot(face - elbows, arms) / np.maximum(np.vecdot(arms, arms), 1e-9)
+    return _lengths(elbows + np.clip(along, 0.0, 1.0)[..., None] * arms - face)
 
 
 @cache
@@ -323,7 +329,7 @@ def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:
     b(t) = max(0, -ds/dt), s the summed speed of both hands [C, T, 2, 3], metres at times [T], and w(t) a Gaussian of
     the time to the nearest onset. b_0 keeps blocks that hardly move from scoring high."""
     seconds = np.diff(times)
-    speed = np.linalg.norm(np.diff(hands, axis=1), axis=-1).sum(-1) / seconds
+    speed = _lengths(np.diff(hands, axis=1)).sum(-1) / seconds
     between = 0.5 * (times[1:] + times[:-1])
     braking = np.maximum(-np.diff(speed, axis=1) / np.diff(between), 0.0)
     counts = times[1:-1] > start + _SEAM
@@ -340,8 +346,8 @@ def apart_from_hands(head: Array, hands: Array, times: Array) -> Array:
     metres at times [T] seconds, the frames before the block and those of the block."""
     seconds = times[-1] - times[_BEFORE - 1]
     turns = head[:, _BEFORE - 1:].reshape(*head[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
-    turned = np.linalg.norm(np.diff(turns, axis=1), axis=-1).sum(1) / seconds
-    moved = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1).mean(-1).sum(1) / seconds
+    turned = _lengths(np.diff(turns, axis=1)).sum(1) / seconds
+    moved = _lengths(np.diff(hands[:, _BEFORE - 1:], axis=1)).mean(-1).sum(1) / seconds
     return np.asarray(np.abs(np.log(turned / _HEAD_TURNS + _LEAST) - np.log(moved / _HANDS_MOVE + _LEAST)))
 
 
@@ -349,7 +355,7 @@ def with_pitch(trunk: Array, times: Array, pitch: Array) -> Array:
     """[C] how far the trunk of each block turns faster than in the other blocks where the pitch [K] is high, and slower
     where it is low. trunk: [C, T, 3 n] rotations of the joints from hips to chest as exponential maps."""
     turns = trunk[:, _BEFORE - 1:].reshape(*trunk[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
-    speed = np.linalg.norm(np.diff(turns, axis=1), axis=-1) / np.diff(times[_BEFORE - 1:])
+    speed = _lengths(np.diff(turns, axis=1)) / np.diff(times[_BEFORE - 1:])
     return np.asarray(((speed - speed.mean(0)) / _TRUNK_TURNS * pitch).mean(1))
 
 
@@ -358,6 +364,6 @@ def jolt(hands: Array, times: Array) -> Array:
     `apart_from_hands`."""
     velocity = np.diff(hands, axis=1) / np.diff(times)[:, None, None]
     between = 0.5 * (times[2:] - times[:-2])
-    acceleration = np.linalg.norm(np.diff(velocity, axis=1) / between[:, None, None], axis=-1).sum(-1)
+    acceleration = _lengths(np.diff(velocity, axis=1) / between[:, None, None]).sum(-1)
     at, inside = acceleration[:, _BEFORE - 2], acceleration[:, _BEFORE - 1:]
     return np.asarray(np.minimum(at / (inside.mean(1) + 1.0), 2.0))
