@@ -276,8 +276,8 @@ def normed(x: Floats, axes: int = 1, epsilon: float = EPSILON) -> Floats:
     """(x - mean) / sqrt(variance + epsilon) over the last `axes` axes."""
     over, count = tuple(range(-axes, 0)), np.float32(math.prod(x.shape[-axes:]))
     # A sum over a count is what `numpy.mean` gives, in half of its time.
-    centred = x - np.add.reduce(x, over, keepdims=True) / count
-    variance = np.add.reduce(np.square(centred), over, keepdims=True) / count
+    centred: Floats = np.subtract(x, np.divide(np.add.reduce(x, over, keepdims=True), count, dtype=np.float32))
+    variance: Floats = np.divide(np.add.reduce(np.square(centred), over, keepdims=True), count, dtype=np.float32)
     return centred / np.sqrt(variance + np.float32(epsilon))
 
 

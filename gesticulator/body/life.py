@@ -280,7 +280,7 @@ def _mixing(joints: list[str], rest: Array) -> Array:
 
 # ---------------------------------------------------------------------------------------------------- over the poses
 
-def _followed(gain: float, slope: float, targets: list[float], seconds: float) -> list[tuple[float, float]]:
+def _followed(gain: float, slope: float, targets: Sequence[float], seconds: float) -> list[tuple[float, float]]:
     """A gain and its slope after each of the frames of some seconds in which it follows a target, critically damped."""
     # Closed form of the critically damped oscillator: exact for any frame duration.
     out, fade = [], math.exp(-seconds / _GAIN_TAU)
@@ -331,7 +331,7 @@ class LifeLayer:
         # Full at rest or where the head stands still, whichever is more.
         wanted = _FAINT + (1.0 - _FAINT) * np.maximum(stands, np.array(rests))
         # Number by number: an array of three parts takes longer.
-        followed = [_followed(*before, targets, seconds) for before, targets in zip(
+        followed = [_followed(gain, slope, targets, seconds) for (gain, slope), targets in zip(
             self._gains.tolist(), wanted.tolist(), strict=True)]
         self.gains = np.swapaxes(followed, 0, 1)
         self._gains = self.gains[-1]

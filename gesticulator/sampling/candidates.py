@@ -196,12 +196,12 @@ class CandidateChooser:
         return bool(not motion.beyond.all() and (nearest >= _BEFORE_FACE).any())
 
     @staticmethod
-    def _frames(past: Floating, blocks: Floating) -> Floating:
+    def _frames(past: Floating, blocks: Floating) -> Array:
         """[C, T, D_m] features; see `motion` for the arguments."""
         # Frames before the block give the speeds at its start.
-        return np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
+        return np.asarray(np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1))
 
-    def _poses(self, frames: Floating) -> Array:
+    def _poses(self, frames: Array) -> Array:
         """[C, T, D_m] as of `CandidateMotion`, of features."""
         poses = self._statistics.denormalise(frames.reshape(-1, frames.shape[-1]), self._speaker)
         return np.asarray(poses.reshape(frames.shape))
