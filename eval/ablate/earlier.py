@@ -85,8 +85,8 @@ def claims_with(claims: Table, name: str, folder: Path) -> Table:
         other = by_claim.get((row["where"], row["claim"]))
         taken = other is not None and _lacks(row) and not _lacks(other)
         # What no table carries is of no run: it names its source.
-        own = name if "paper" in row else None
-        rows[number] = {RUN: run, **other} if taken and other else {**row, RUN: own}
+        its_run = name if "paper" in row else None
+        rows[number] = {RUN: run, **other} if taken and other else {**row, RUN: its_run}
     count = {reading: {word: Counter(word_of(str(row[reading])) for row in rows.values())[word] for word in WORDS}
              for reading in ("published", "valid")}
     return replace(claims, columns={**claims.columns, RUN: Column("run")}, rows=rows, notes=[counted(count)],
