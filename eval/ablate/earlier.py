@@ -99,7 +99,7 @@ def _lacks(row: Any) -> bool:
 
 def word_of(verdict: str) -> str:
     """The word of `WORDS` with which a verdict begins, behind the column that it is by where it names one."""
-    found = _WORD.search(verdict)
-    if found is None:
+    match = _WORD.search(verdict)
+    if match is None:
         raise ValueError(f"no verdict in {verdict!r}")
-    return found[1]
+    return match[1]
