@@ -38,8 +38,7 @@ if TYPE_CHECKING:
 
 STEEPEST = 1.2
 """Largest slope of the front of the trunk: with 3, a hand that shot past the hip was thrown ahead at 4.7 m/s."""
-_RATIO = STEEPEST * limbs.OURS[0] / limbs.OURS[1]
-_EDGE = limbs.OURS[0] * _RATIO / math.hypot(1.0, _RATIO)
+_EDGE = STEEPEST * limbs.OURS[0] ** 2 / math.hypot(limbs.OURS[1], STEEPEST * limbs.OURS[0])
 """Metres across at which the ellipse of the trunk is as steep."""
 OTHER_SIDE = (0.115, 0.07, 0.35)
 """Where the front leaves the trunk on the side of the other hand: metres across, metres ahead, and slope from there on.
@@ -93,8 +92,8 @@ def cleared(motion: Motion, sits: bool = False) -> Motion:
         if frames.any():
             # Most motions are clear, and are returned as they came.
             rotations = motion.rotations.copy() if rotations is None else rotations
-            _bend_arm(rotations, motion.skeleton, (pose.at(frames), body.at(frames)), (side, sign),
-                      np.flatnonzero(frames))
+            posed, at = (pose.at(frames), body.at(frames)), np.flatnonzero(frames)
+            _bend_arm(rotations, motion.skeleton, posed, (side, sign), at)
     return motion if rotations is None else replace(motion, rotations=rotations)
 
 
@@ -102,8 +101,7 @@ def _bend_arm(rotations: Array, skeleton: Skeleton, posed: tuple[limbs.Pose, _Bo
               at: NDArray[np.int64]) -> None:
     """Bend an arm in `rotations` [T, J, 4] at the frames `at`, where it is in the body; posed: the pose and the body in
     these frames."""
-    (name, sign), (pose, body) = side, posed
-    places = pose.places
+    (name, sign), (pose, body), places = side, posed, posed[0].places
     shoulder, wrist = places[name + "Arm"], places[name + "Hand"]
     bones = upper, lower = places[name + "ForeArm"] - shoulder, wrist - places[name + "ForeArm"]
     # The hand does not turn with the arm.
@@ -181,12 +179,12 @@ class _Body:
     @classmethod
     def of(cls, pose: limbs.Pose, sits: bool) -> _Body:
         trunk, head = limbs.trunk_axes(pose.places["Neck"], pose.turns["Spine3"]), pose.turns["Head"]
-        thighs: tuple[Thigh, ...] = ()
-        if sits:
-            from gesticulator.contacts.lap import thighs_of
+        body = cls(trunk.axes, trunk.length, head, pose.places["Head"] + head @ HEAD_MIDDLE, ())
+        if not sits:
+            return body
+        from gesticulator.contacts.lap import thighs_of
 
-            thighs = thighs_of(pose)
-        return cls(trunk.axes, trunk.length, head, pose.places["Head"] + head @ HEAD_MIDDLE, thighs)
+        return replace(body, thighs=thighs_of(pose))
 
     def at(self, frames: NDArray[np.bool_]) -> _Body:
         """The body in some of its frames."""

@@ -15,22 +15,21 @@ are placed (`data_module.speech.onsets`); evaluation of timing uses two other de
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_module import controls
 from data_module.motion.kinematics import chains, positions_of_some
-from data_module.motion.representation import Representation
 from data_module.motion.rotation import cross, from_exponential_map
-from data_module.types import Array, Motion, Skeleton
+from data_module.types import Array, Motion
 from gesticulator.body.life import HEAD
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, representation_of
 from gesticulator.contacts.default_body import back_at, front_at
+from gesticulator.contacts.limbs import lengths
 
 Floating = NDArray[np.floating]
 
@@ -82,50 +81,15 @@ LEXEME, SEAM, BODY, TOGETHER, PITCH, CONTROLS, NATURAL = 2.0, 0.25, 16.0, 1.0, 1
 class CandidateMotion:
     """The motion of C candidates over T frames: the last `_BEFORE` before a block, and those of the block. poses: [C,
     T, D_m] radians or metres; places: [C, T, 8, 3] positions over the hips, metres, of hands, elbows and shoulders (the
-    right one first), the chest and the head; shown: the places with the shift that is shown; times: [T] seconds."""
+    right one first), the chest and the head; times: [T] seconds; behind, to_face: `behind_trunk` and `_to_face` in the
+    block; beyond: [C] `beyond` of the places with the shift that is shown."""
 
     poses: Array
     places: Array
-    shown: Array
     times: Array
-
-    # Each is asked for when candidates are judged and again when one is chosen.
-    @cached_property
-    def behind(self) -> Array:
-        """`behind_trunk` in the block."""
-        return behind_trunk(self.places[:, _BEFORE:])
-
-    @cached_property
-    def to_face(self) -> Array:
-        """`_to_face` in the block."""
-        return _to_face(self.places[:, _BEFORE:])
-
-    @cached_property
-    def beyond(self) -> Array:
-        """`beyond` of what is shown."""
-        return beyond(self.shown, self.times, self.behind if self.shown is self.places else None)
-
-
-class _Places:
-    """Positions of some joints."""
-
-    def __init__(self, representation: Representation, skeleton: Skeleton, joints: Sequence[int]) -> None:
-        """skeleton: of the representation; joints: their indices in it."""
-        self._representation, self._joints = representation, list(joints)
-        # Local rotations are independent, and only a quarter of the joints moves the hands.
-        self._chains = chains(skeleton, joints) if representation.name == "rotations" else None
-
-    def __call__(self, frames: Array) -> Array:
-        """[C, T, joints, 3] metres over the hips, of poses [C, T, D_m]."""
-        poses = frames.reshape(-1, frames.shape[-1])
-        if self._chains is None:
-            places = positions_of_some(self._representation.motion(poses, 1.0), self._joints)
-        else:
-            skeleton, joints = self._chains
-            rotations = from_exponential_map(poses.reshape(len(poses), -1, 3)[:, joints])
-            places = positions_of_some(Motion(skeleton, rotations, np.zeros((len(poses), 3)), 1.0),
-                                       [joints.index(joint) for joint in self._joints])
-        return places.reshape(*frames.shape[:2], len(self._joints), 3)
+    behind: Array
+    to_face: Array
+    beyond: Array
 
 
 class CandidateChooser:
@@ -138,25 +102,24 @@ class CandidateChooser:
         # The joint above the shoulders, by whatever name the skeleton has for it.
         chest = skeleton.parents[skeleton.index("RightShoulder")]
         # The chest stands on the way to a hand: it costs nothing more. The head is at the end of three joints.
-        arms = [skeleton.index(side + part) for part in ("Hand", "ForeArm", "Arm") for side in ("Right", "Left")]
-        self._places = _Places(self._representation, skeleton, [*arms, chest, skeleton.index("Head")])
-        self._hands = _Places(self._representation, skeleton, arms[:2])
+        self._joints = [skeleton.index(side + part) for part in ("Hand", "ForeArm", "Arm")
+                        for side in ("Right", "Left")]
+        self._joints += [chest, skeleton.index("Head")]
         self._head = np.flatnonzero(np.repeat([name in HEAD for name in skeleton.names], 3))
         self._trunk = np.flatnonzero(np.repeat([name in _TRUNK for name in skeleton.names], 3))
+        # Local rotations are independent, and only a quarter of the joints moves the hands.
+        self._arms = chains(skeleton, self._joints) if self._representation.name == "rotations" else None
 
     def motion(self, speech: SpeechBlock, past: Floating, blocks: Floating, shift: Floating | None = None
                ) -> CandidateMotion:
         """The motion of candidates. past: [P, D_m] features of the motion up to the block's start; blocks: [C, K, D_m]
         the candidates; shift: [P + K, D_m] that is added to what is shown (`systems.movement.Offset`), or None."""
-        frames = self._frames(past, blocks)
-        count, times = len(blocks), self._times(speech, blocks.shape[1])
-        if shift is not None:
-            # As further candidates: kinematics of few frames cost by the call.
-            frames = np.concatenate([frames, frames + shift[-frames.shape[1]:]])
-        poses = self._poses(frames)
-        places = self._places(poses)
-        own = places[:count]
-        return CandidateMotion(poses[:count], own, own if shift is None else places[count:], times)
+        poses, times, count = self._poses(past, blocks, shift), self._times(speech, blocks.shape[1]), len(blocks)
+        both = self._places(poses)
+        places, shown = both[:count], both[-count:]
+        behind = behind_trunk(places[:, _BEFORE:])
+        return CandidateMotion(poses[:count], places, times, behind, _to_face(places[:, _BEFORE:]),
+                               beyond(shown, times, behind if shift is None else None))
 
     def choose(self, speech: SpeechBlock, motion: CandidateMotion, apart: Floating, control: Floating | None = None
                ) -> int:
@@ -185,7 +148,7 @@ class CandidateChooser:
         if not len(speech.onsets):
             return block
         blocks = retimings(len(block), RETIMING) @ np.concatenate([past[-2:], block])
-        hands = self._hands(self._poses(self._frames(past, blocks)))
+        hands = self._places(self._poses(past, blocks))[:, :, :2]
         worth = in_time(hands, self._times(speech, len(block)), speech.start, speech.onsets) - _STAYS * np.abs(_SHIFTS)
         return np.asarray(blocks[int(worth.argmax())], dtype=block.dtype)
 
@@ -195,16 +158,28 @@ class CandidateChooser:
         nearest = motion.to_face.min((1, 2))
         return bool(not motion.beyond.all() and (nearest >= _BEFORE_FACE).any())
 
-    @staticmethod
-    def _frames(past: Floating, blocks: Floating) -> Array:
-        """[C, T, D_m] features; see `motion` for the arguments."""
+    def _poses(self, past: Floating, blocks: Floating, shift: Floating | None = None) -> Array:
+        """[C, T, D_m] as of `CandidateMotion`, and with a shift those with it after them; see `motion` for the
+        arguments."""
         # Frames before the block give the speeds at its start.
-        return np.asarray(np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1))
-
-    def _poses(self, frames: Array) -> Array:
-        """[C, T, D_m] as of `CandidateMotion`, of features."""
+        frames: Array = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
+        if shift is not None:
+            # As further candidates: kinematics of few frames cost by the call.
+            frames = np.concatenate([frames, frames + shift[-frames.shape[1]:]])
         poses = self._statistics.denormalise(frames.reshape(-1, frames.shape[-1]), self._speaker)
         return np.asarray(poses.reshape(frames.shape))
+
+    def _places(self, frames: Array) -> Array:
+        """[C, T, 8, 3] as of `CandidateMotion`, from poses [C, T, D_m]."""
+        poses = frames.reshape(-1, frames.shape[-1])
+        if self._arms is None:
+            places = positions_of_some(self._representation.motion(poses, 1.0), self._joints)
+        else:
+            skeleton, joints = self._arms
+            rotations = from_exponential_map(poses.reshape(len(poses), -1, 3)[:, joints])
+            places = positions_of_some(Motion(skeleton, rotations, np.zeros((len(poses), 3)), 1.0),
+                                       [joints.index(joint) for joint in self._joints])
+        return places.reshape(*frames.shape[:2], len(self._joints), 3)
 
     @staticmethod
     def _times(speech: SpeechBlock, frames: int) -> Array:
@@ -233,15 +208,15 @@ def beyond(places: Array, times: Array, behind: Array | None = None) -> Array:
     """
     velocity = np.diff(places[:, :, :4], axis=1) / np.diff(times)[:, None, None]
     between = 0.5 * (times[2:] - times[:-2])
-    acceleration = _lengths(np.diff(velocity, axis=1) / between[:, None, None])[:, _BEFORE - 2:]
+    acceleration = lengths(np.diff(velocity, axis=1) / between[:, None, None])[:, _BEFORE - 2:]
     most = (acceleration / np.repeat(_ACCELERATES, 2)).max(1)
     behind = behind_trunk(places[:, _BEFORE:]) if behind is None else behind
     behind = (behind.max((1, 2)) - _BEHIND[0]) / _BEHIND[1]
     wrist, elbow, shoulder = (np.swapaxes(places[:, _BEFORE - 1:, k:k + 2], 1, 2) for k in (0, 2, 4))
     turns, off = swivel(shoulder, elbow, wrist)
-    clear = (off > _BENT) & (_lengths(wrist - shoulder) > _REACHES)
+    clear = (off > _BENT) & (lengths(wrist - shoulder) > _REACHES)
     turned = np.abs(turns) / np.diff(times[_BEFORE - 1:]) * (clear[..., 1:] & clear[..., :-1])
-    shares = [_lengths(velocity[:, _BEFORE - 1:]).max((1, 2)) / FASTEST, 1.0 + behind,
+    shares = [lengths(velocity[:, _BEFORE - 1:]).max((1, 2)) / FASTEST, 1.0 + behind,
               turned.max((1, 2)) / _SWIVELS, most[:, :2].max(1), most[:, 2:].max(1)]
     return np.asarray(sum(np.maximum(share - 1.0, 0.0) for share in shares))
 
@@ -250,7 +225,7 @@ def swivel(shoulder: Array, elbow: Array, wrist: Array) -> tuple[Array, Array]:
     """[..., T - 1] radians that an elbow turns about the line from its shoulder to its wrist from frame to frame, and
     [..., T] metres that it is off that line; places [..., T, 3]."""
     line, upper = wrist - shoulder, elbow - shoulder
-    line = line / np.maximum(_lengths(line), 1e-9)[..., None]
+    line = line / np.maximum(lengths(line), 1e-9)[..., None]
     out = upper - np.vecdot(upper, line)[..., None] * line
     one, other, before, after = line[..., :-1, :], line[..., 1:, :], out[..., :-1, :], out[..., 1:, :]
     # Carried along by the smallest rotation from line to line.
@@ -258,12 +233,7 @@ def swivel(shoulder: Array, elbow: Array, wrist: Array) -> tuple[Array, Array]:
     carried = (cosine * before + cross(axis, before)
                + axis * np.vecdot(axis, before)[..., None] / np.maximum(1.0 + cosine, 1e-6))
     sine = np.vecdot(cross(carried, after), other)
-    return np.arctan2(sine, np.vecdot(carried, after)), _lengths(out)
-
-
-def _lengths(vectors: Array) -> Array:
-    """[...] of vectors [..., 3]; `numpy.linalg.norm` takes twice as long."""
-    return np.asarray(np.sqrt(np.vecdot(vectors, vectors)))
+    return np.arctan2(sine, np.vecdot(carried, after)), lengths(out)
 
 
 def depth(places: Array, behind: Array | None = None, to_face: Array | None = None) -> Array:
@@ -272,10 +242,10 @@ def depth(places: Array, behind: Array | None = None, to_face: Array | None = No
     averaged over the frames. places: as of `CandidateMotion`; behind, to_face: of these places, if known."""
     chest = places[:, :, 6:7]
     share = np.clip(np.vecdot(places[:, :, :4], chest) / np.maximum(np.vecdot(chest, chest), 1e-9), 0.0, 1.0)
-    away = _lengths(places[:, :, :4] - share[..., None] * chest)
+    away = lengths(places[:, :, :4] - share[..., None] * chest)
     radii = np.repeat(_RADII, 2)
     # A wrist at its own shoulder is a pose that people hardly take.
-    folded = 1.0 - _lengths(places[:, :, :2] - places[:, :, 4:6]) / _FOLDED
+    folded = 1.0 - lengths(places[:, :, :2] - places[:, :, 4:6]) / _FOLDED
     near_face = 1.0 - (_to_face(places) if to_face is None else to_face) / _FACE
     behind = behind_trunk(places) if behind is None else behind
     shares = [1.0 - away / radii, folded, near_face, behind / _RADII[0]]
@@ -286,9 +256,9 @@ def behind_trunk(places: Array) -> Array:
     """[C, T, 4] metres by which each wrist is behind the front of the trunk and each elbow behind its back, negative
     ahead of them; places: as of `CandidateMotion`."""
     chest, right, left = places[:, :, 6], places[:, :, 4], places[:, :, 5]
-    up = chest / np.maximum(_lengths(chest), 1e-9)[..., None]
+    up = chest / np.maximum(lengths(chest), 1e-9)[..., None]
     across = left - right - np.vecdot(left - right, up)[..., None] * up
-    across = across / np.maximum(_lengths(across), 1e-9)[..., None]
+    across = across / np.maximum(lengths(across), 1e-9)[..., None]
     x, y, z = (np.vecdot(axis[:, :, None], places[:, :, :4]) for axis in (across, up, cross(across, up)))
     x, height = x * _SIDES, 0.5 * np.vecdot(left + right, up)[..., None]
     surfaces = np.concatenate([front_at(x[..., :2], y[..., :2], height), back_at(x[..., 2:], y[..., 2:], height)], -1)
@@ -301,7 +271,7 @@ def _to_face(places: Array) -> Array:
     hands, elbows = places[:, :, :2], places[:, :, 2:4]
     arms = (1.0 + _HAND) * (hands - elbows)
     along = np.vecdot(face - elbows, arms) / np.maximum(np.vecdot(arms, arms), 1e-9)
-    return _lengths(elbows + np.clip(along, 0.0, 1.0)[..., None] * arms - face)
+    return lengths(elbows + np.clip(along, 0.0, 1.0)[..., None] * arms - face)
 
 
 @cache
@@ -329,7 +299,7 @@ def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:
     b(t) = max(0, -ds/dt), s the summed speed of both hands [C, T, 2, 3], metres at times [T], and w(t) a Gaussian of
     the time to the nearest onset. b_0 keeps blocks that hardly move from scoring high."""
     seconds = np.diff(times)
-    speed = _lengths(np.diff(hands, axis=1)).sum(-1) / seconds
+    speed = lengths(np.diff(hands, axis=1)).sum(-1) / seconds
     between = 0.5 * (times[1:] + times[:-1])
     braking = np.maximum(-np.diff(speed, axis=1) / np.diff(between), 0.0)
     counts = times[1:-1] > start + _SEAM
@@ -346,8 +316,8 @@ def apart_from_hands(head: Array, hands: Array, times: Array) -> Array:
     metres at times [T] seconds, the frames before the block and those of the block."""
     seconds = times[-1] - times[_BEFORE - 1]
     turns = head[:, _BEFORE - 1:].reshape(*head[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
-    turned = _lengths(np.diff(turns, axis=1)).sum(1) / seconds
-    moved = _lengths(np.diff(hands[:, _BEFORE - 1:], axis=1)).mean(-1).sum(1) / seconds
+    turned = lengths(np.diff(turns, axis=1)).sum(1) / seconds
+    moved = lengths(np.diff(hands[:, _BEFORE - 1:], axis=1)).mean(-1).sum(1) / seconds
     return np.asarray(np.abs(np.log(turned / _HEAD_TURNS + _LEAST) - np.log(moved / _HANDS_MOVE + _LEAST)))
 
 
@@ -355,7 +325,7 @@ def with_pitch(trunk: Array, times: Array, pitch: Array) -> Array:
     """[C] how far the trunk of each block turns faster than in the other blocks where the pitch [K] is high, and slower
     where it is low. trunk: [C, T, 3 n] rotations of the joints from hips to chest as exponential maps."""
     turns = trunk[:, _BEFORE - 1:].reshape(*trunk[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
-    speed = _lengths(np.diff(turns, axis=1)) / np.diff(times[_BEFORE - 1:])
+    speed = lengths(np.diff(turns, axis=1)) / np.diff(times[_BEFORE - 1:])
     return np.asarray(((speed - speed.mean(0)) / _TRUNK_TURNS * pitch).mean(1))
 
 
@@ -364,6 +334,6 @@ def jolt(hands: Array, times: Array) -> Array:
     `apart_from_hands`."""
     velocity = np.diff(hands, axis=1) / np.diff(times)[:, None, None]
     between = 0.5 * (times[2:] - times[:-2])
-    acceleration = _lengths(np.diff(velocity, axis=1) / between[:, None, None]).sum(-1)
+    acceleration = lengths(np.diff(velocity, axis=1) / between[:, None, None]).sum(-1)
     at, inside = acceleration[:, _BEFORE - 2], acceleration[:, _BEFORE - 1:]
     return np.asarray(np.minimum(at / (inside.mean(1) + 1.0), 2.0))
