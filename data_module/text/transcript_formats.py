@@ -217,7 +217,7 @@ def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
             cues[-1] = replace(cues[-1], end=end)
         else:
             cues.append(cue)
-    return _of_cues(cues)
+    return content_of(cues)
 
 
 TIMED_LINES = {
@@ -230,7 +230,7 @@ TIMED_LINES = {
 """By suffix: the time of a line, that of its end where it has one, and the text."""
 
 
-def _of_cues(cues: Sequence[Entry]) -> Content:
+def content_of(cues: Sequence[Entry]) -> Content:
     # One time inside a line is enough: the first word of each line has the time of its cue.
     if any(_INNER.search(cue.text) for cue in cues):
         return Content(words=tuple(_timed_inside(cues)))
