@@ -3,7 +3,9 @@
     gesticulator ablate --data STORE --work DIR [--only NAME ...] [--preset NAME] [--seeds 3]
                         [--system NAME=DIR ...] [--out docs/results/ablation]
     gesticulator ablate --list                          every row, table and figure
-    gesticulator ablate --tables [--out DIR]            the tables and claims again, from the cells that are there
+    gesticulator ablate --tables [--out DIR] [--earlier DIR]
+                                                        the tables and claims again, from the cells that are there, with
+                                                        what an earlier run has and this one lacks
 
 What there is (`--list`): the rows of rows.toml, each a few settings on top of a preset; RACER's rows (`racer-NAME`),
 which share the lexicon and the two reward models of the row `q-network`; and the figures (`figure-N`,
@@ -59,6 +61,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add("--system", action="append", default=[], metavar="NAME=DIR", dest="systems",
         help="another system's motion for the test recordings, with the same file names")
     add("--out", default="docs/results/ablation", metavar="DIR", help="output folder for the cells and table.json, .md")
+    add("--earlier", metavar="DIR", help="with --tables: the results of an earlier run (DIR/table.json and claims.json "
+        "beside DIR), from which what this run lacks is taken")
     add("--list", action="store_true", help="list every row, table and figure and exit")
     add("--tables", action="store_true", help="write the tables and claims again from OUT/cells and exit")
     add("--quiet", action="store_true", help="print no progress bars")
@@ -89,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.tables:
         from eval.ablate.tables import redraw
 
-        redraw(Path(arguments.out))
+        redraw(Path(arguments.out), Path(arguments.earlier) if arguments.earlier else None)
         return 0
     systems = _checked(arguments)
     # Imported here: --list and --tables need not wait for torch.

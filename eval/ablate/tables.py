@@ -14,6 +14,7 @@ from typing import Any
 
 from data_module.errors import InputError
 from eval.ablate.cells import Cells, CellStore, summaries
+from eval.ablate.earlier import claims_with, facts_of, run_name, tables_with
 from eval.ablate.rows import (
     COLUMNS,
     CONTROLS,
@@ -145,22 +146,27 @@ def about_table(facts: Mapping[str, Any]) -> Table:
 
 
 def write(cells: Cells, facts: Mapping[str, Any], out: Path, about: Provenance,
-          decided: Provenance | None = None) -> None:
+          decided: Provenance | None = None, earlier: Path | None = None) -> None:
     """OUT/table.json and claims.json beside OUT, each with its Markdown.
 
     facts: "preset", "store", "refused" and "rows", the summaries of the cells. about: where the cells come from;
-    decided: where the verdicts do, if they are of another commit.
+    decided: where the verdicts do, if they are of another commit; earlier: the results of an earlier run, which has
+    what this one lacks (`eval.ablate.earlier`).
     """
     rows: Rows = facts["rows"]
     # RACER's table has no line where none of its rows was run.
     titles = [title for title in TABLES if title != "RACER Table 2" or any(map(is_racer, rows))]
-    save([corpus_table(facts, about), about_table(facts), *(paper_table(title, rows, cells) for title in titles),
-          *filter(lambda table: table.rows, (curve_table(rows), parts_table(rows)))],
-         out / "table.json", about)
-    save([corpus_table(facts, about), claims_table(cells)], out.parent / "claims.json", decided or about)
+    shown = [*(paper_table(title, rows, cells) for title in titles),
+             *filter(lambda table: table.rows, (curve_table(rows), parts_table(rows)))]
+    claims = claims_table(cells)
+    if earlier is not None:
+        shown = tables_with(shown, earlier)
+        claims = claims_with(claims, run_name(about, dict(facts)), earlier)
+    save([corpus_table(facts, about), about_table(facts), *shown], out / "table.json", about)
+    save([corpus_table(facts, about), claims], out.parent / "claims.json", decided or about)
 
 
-def redraw(out: Path) -> None:
+def redraw(out: Path, earlier: Path | None = None) -> None:
     """The tables and claims from the cells that are there; what they are of is read from table.json.
 
     InputError without either.
@@ -170,5 +176,5 @@ def redraw(out: Path) -> None:
         raise InputError(out, "holds no cells", "run the rows first")
     # Cells carry figures alone; preset, store and provenance are those of the run that made them.
     tables, about = load_with_provenance(out / "table.json")
-    facts = next(table.facts for table in tables if "store" in table.facts)
-    write(cells, {**facts, "rows": summaries(cells)}, out, about, Provenance.now(COMMAND))
+    facts = facts_of(tables, out / "table.json")
+    write(cells, {**facts, "rows": summaries(cells)}, out, about, Provenance.now(COMMAND), earlier)

@@ -55,6 +55,8 @@ from eval.table import Column, Table
 HOLDS, REVERSED, NO_EFFECT, UNDECIDED, NO_TEST = "holds", "reversed", "no effect", "undecided", "no valid test"
 INERT = "inert"
 WORDS = (HOLDS, REVERSED, NO_EFFECT, INERT, NO_TEST, UNDECIDED)
+CLAIMS = "Claims"
+"""The title of the table of claims."""
 NOT_RUN = "(not run)"
 COLLAPSED = math.log(2)
 """Nats of lexemes in a recording below which a policy has collapsed: fewer than two lexemes would give it."""
@@ -309,9 +311,14 @@ def claims_table(cells: Cells) -> Table:
         *map(_row_elsewhere, ELSEWHERE), strict=True)
     count = {reading: {word: Counter(decision.word for decision in of)[word] for word in WORDS}
              for reading, of in (("published", published), ("valid", valid))}
-    counted = {reading: ", ".join(f"{number} {word}" for word, number in words.items() if number)
-            for reading, words in count.items()}
-    return Table("Claims", _COLUMNS, {str(number): row for number, row in enumerate(rows, 1)}, "", [
-        f"As published: {counted['published']}. Valid: {counted['valid']}. Differences are paired, with 95 % "
-        "intervals over seeds and clips; the margin is half of the paper's effect; seeds and clips that would decide "
-        "are for 80 % power. The papers' figures are of other data: compare the order."], {"count": count})
+    return Table(CLAIMS, _COLUMNS, {str(number): row for number, row in enumerate(rows, 1)}, "", [counted(count)],
+                 {"count": count})
+
+
+def counted(count: Mapping[str, Mapping[str, int]]) -> str:
+    """How often each word is the verdict, by reading and word, and how to read the table."""
+    words = {reading: ", ".join(f"{number} {word}" for word, number in by_word.items() if number)
+             for reading, by_word in count.items()}
+    return (f"As published: {words['published']}. Valid: {words['valid']}. Differences are paired, with 95 % "
+            "intervals over seeds and clips; the margin is half of the paper's effect; seeds and clips that would "
+            "decide are for 80 % power. The papers' figures are of other data: compare the order.")
