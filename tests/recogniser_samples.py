@@ -358,8 +358,7 @@ def ttml_syllables(words: Words) -> str:
                          for word in halves)
         lines.append(f'<p begin="{_clock(part[0][1], ".")}" end="{_clock(part[-1][2], ".")}">{spans}</p>')
     return ('<tt xmlns="http://www.w3.org/ns/ttml" xmlns:p="http://www.w3.org/ns/ttml#parameter" '
-            f'p:tickRate="10000000"><body><div begin="{_clock(words[0][1], ".")}" end="{_clock(words[-1][2], ".")}">'
-            + "".join(lines) + "</div></body></tt>")
+            'p:tickRate="10000000"><body><div>' + "".join(lines) + "</div></body></tt>")
 
 
 def ass_coloured(words: Words) -> str:

@@ -108,7 +108,9 @@ def test_textgrids_are_read_as_praatio_reads_and_writes_them(tmp_path_factory: p
 @given(drawn=PIECES)
 def test_subtitles_are_read_as_pysubs2_reads_and_writes_them(tmp_path_factory: pytest.TempPathFactory,
                                                              drawn: list[tuple[list[str], int, int]]) -> None:
-    """Whole files, that is: a line with a broken time it leaves out or reads aloud, and we refuse."""
+    """Whole files, that is. Neither it nor praatio takes the place of our readers: a file that is cut off or has a
+    broken time reads as a whole one there, without a word; pysubs2 takes the names of WebVTT's cues for speech, and
+    knows no SBV, no LRC, and no frames and words in TTML."""
     pysubs2 = pytest.importorskip("pysubs2")
     folder, lines = tmp_path_factory.mktemp("subs"), _lines(drawn)
     file = pysubs2.SSAFile()

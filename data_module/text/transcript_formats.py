@@ -3,10 +3,6 @@
 Each reader takes the text of a file and returns its words, or cues if there are no word times. Errors name the line.
 Marks of gestures stay in the texts; `data_module.text.transcript` takes them out.
 
-Why not pysubs2 and praatio: a file that is cut off or has a broken time reads as a whole one there, without a word;
-pysubs2 takes the names of WebVTT's cues for speech and knows neither SBV nor LRC. On whole files all agree
-(tests/test_transcript.py).
-
 Recognisers write the times of words into subtitles in two ways: a cue for each word, with the whole line in it and the
 word in <u>, <b>, <font> or <c> (whisper and whisperX with highlighted words, stable-ts); or a time in angle brackets
 before each word (WebVTT; rolling captions repeat the line above).
