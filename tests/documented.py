@@ -138,7 +138,7 @@ def run(example: Example, folder: Path) -> str:
         late = threading.Timer(SECONDS, process.kill)
         late.start()
         for line in process.stdout:
-            if "ready" in line or "Ctrl C" in line:
+            if re.search(r"\bready\b", line):  # not the address of /readyz, which comes before
                 break
         late.cancel()
         time.sleep(1.0)
