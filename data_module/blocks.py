@@ -144,6 +144,15 @@ def _keep_zeros(inside: Samples, out: Samples, shortest: int) -> None:
         out[math.ceil(start * scale):math.floor(stop * scale)] = 0.0
 
 
+def windows_of(stretched: Samples) -> Samples:
+    """Previous, current and next block of each block, [N, 3 * L] for stretched speech [N, L]. Before the first block
+    and after the last there are zeros. The result is a read-only view: it costs the memory of one copy of `stretched`,
+    not of three."""
+    count, length = stretched.shape
+    flat = np.concatenate([np.zeros(length, stretched.dtype), stretched.ravel(), np.zeros(length, stretched.dtype)])
+    return np.lib.stride_tricks.sliding_window_view(flat, 3 * length)[::length][:count]
+
+
 def normalise_motion(motion: Motion, blocks: Blocks, representation: Representation = ROTATIONS) -> Array:
     """Motion of the character at the frames of the blocks, [N, K, D_m] in this representation.
 

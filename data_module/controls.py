@@ -8,6 +8,7 @@ recording, because normalising a block changes speeds.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -17,21 +18,30 @@ from numpy.typing import ArrayLike, NDArray
 from data_module.errors import InputError
 from data_module.motion import skeletons
 from data_module.motion.kinematics import positions_of
-from data_module.types import Array, Motion
+from data_module.types import Array, Blocks, Motion
 
 __all__ = ["Controls", "Curve", "Levels", "measure"]
 
 FEATURES = ("height", "speed", "radius")
 """Right hand over the hips (m), mean speed of both hands (m/s), mean horizontal distance of both hands from the
 vertical axis through the root (m)."""
+UNITS = {"height": "m", "speed": "m/s", "radius": "m"}
 LEVELS = ("low", "mid", "high")
 QUANTILES = (0.15, 0.5, 0.85)
 WINDOW = 4.0
 """Seconds (RG 7.2.1)."""
 
 _HANDS = ("RightHand", "LeftHand")
+LIMITS = {"height": (-1.5, 2.0), "speed": (0.0, 20.0), "radius": (0.0, 2.0)}
+"""Smallest and greatest values of the features: no body does more."""
+# Spreads from the mean beyond which a value is far from the training data.
+_FAR = 3.0
 # Spread below which a feature counts as constant, in its unit.
 _LEAST_SPREAD = 1e-3
+
+
+class ControlWarning(UserWarning):
+    """A control value is valid, but far from the training data."""
 
 
 def per_frame(motion: Motion) -> Array:
@@ -65,6 +75,14 @@ def _averaged(values: Array, half: int) -> Array:
     at = np.arange(len(values))
     first, last = np.maximum(at - half, 0), np.minimum(at + half + 1, len(values))
     return (sums[last] - sums[first]) / (last - first)[:, None]
+
+
+def at_knots(values: Array, fps: float, blocks: Blocks) -> Array:
+    """Features [T, D], frame t at t / fps seconds, at the K frames of every block, [N, K, D]: the C_i of Eq. 20. Linear
+    between frames; beyond the last frame its values are held."""
+    times = np.arange(len(values)) / fps
+    sampled = np.stack([np.interp(blocks.knot_times, times, column) for column in values.T], axis=-1)
+    return sampled.reshape(len(blocks), blocks.frames, -1)
 
 
 @dataclass(frozen=True)
@@ -153,3 +171,29 @@ class Controls:
             if value is not None:
                 out[:, index] = value.at(times) if isinstance(value, Curve) else value
         return out, np.array([value is not None for value in self._targets])
+
+
+# ------------------------------------------------------------------------------------------ the command line
+
+def parse(flag: str, text: str, feature: str, levels: Levels) -> float:
+    """The target of a feature from "low", "mid" or "high", or a number in its unit. `InputError` names the flag. A
+    value far from the training data gives a `ControlWarning` and is used."""
+    plain = text.strip()
+    if plain.lower() in LEVELS:
+        return levels.value(feature, plain.lower())
+    try:
+        number, (low, high) = float(plain), LIMITS[feature]
+    except ValueError:
+        raise InputError(f"{flag} {text!r}", f"is neither a level nor a number ({UNITS[feature]})",
+                         f"give {', '.join(LEVELS)} or a number such as {levels.value(feature, 'mid'):.2f}") from None
+    if not low <= number <= high:  # also NaN
+        raise InputError(f"{flag} {plain}", f"is not a possible {feature} of a hand",
+                         f"give {UNITS[feature]} from {low:g} to {high:g}")
+    index = FEATURES.index(feature)
+    if abs(number - levels.mean[index]) > _FAR * levels.spread[index]:
+        # Attributed to this module, because commands show only the warnings of our packages.
+        warnings.warn(ControlWarning(
+            f"{flag} {plain}: a {feature} of {number:g} {UNITS[feature]} is far from the training data (low "
+            f"{levels.value(feature, 'low'):.2f}, high {levels.value(feature, 'high'):.2f}); expect less"),
+            stacklevel=1)
+    return number

@@ -10,7 +10,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from data_module.controls import FEATURES, Controls, Curve
+from data_module.controls import FEATURES, Controls, Curve, parse
 from data_module.errors import InputError, shown
 from data_module.speech.audio import SAMPLE_RATE, SpeechInput, amplified, as_speech, resample
 from data_module.types import Blocks, Speech
@@ -18,7 +18,6 @@ from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.bundle import load as load_bundle
 from gesticulator.bundle.features import SpeechFeatures, front_end_for
 from gesticulator.bundle.files import bundle_folder
-from gesticulator.directing.hand_targets import parse
 from gesticulator.options import HandControl, InferenceOptions
 from gesticulator.performance import Assembler, Performance
 from gesticulator.plan.plan import ENERGIES, named, sound_hash, words_of

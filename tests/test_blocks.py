@@ -17,7 +17,6 @@ from data_module.motion import rotation
 from data_module.motion.representation import ROTATIONS
 from data_module.speech.beats import BeatSettings
 from data_module.types import Array, Blocks, Samples, Speech
-from gesticulator.bundle.features import windows_of
 
 RATE = 16000
 DURATIONS = st.lists(st.integers(4, 10), min_size=1, max_size=12).map(lambda ticks: np.array(ticks) * 0.05)
@@ -135,10 +134,10 @@ def test_smoothing_is_scipys_correlation_with_a_gaussian(count: int, sigma: floa
 
 def test_windows_hold_three_blocks_and_zeros_outside() -> None:
     stretched = np.arange(1, 13, dtype=np.float32).reshape(4, 3)
-    windows = windows_of(stretched)
+    windows = blocking.windows_of(stretched)
     assert windows.tolist() == [[0, 0, 0, 1, 2, 3, 4, 5, 6], [1, 2, 3, 4, 5, 6, 7, 8, 9],
                                 [4, 5, 6, 7, 8, 9, 10, 11, 12], [7, 8, 9, 10, 11, 12, 0, 0, 0]]
-    assert windows_of(stretched[:1]).tolist() == [[0, 0, 0, 1, 2, 3, 0, 0, 0]]
+    assert blocking.windows_of(stretched[:1]).tolist() == [[0, 0, 0, 1, 2, 3, 0, 0, 0]]
     assert blocking.samples_per_frame(16000, 20.0) == 800
 
 

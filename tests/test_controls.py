@@ -13,8 +13,6 @@ from data_module.controls import Curve, Levels
 from data_module.errors import InputError
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion
-from gesticulator.bundle.features import at_knots
-from gesticulator.directing import hand_targets
 
 SHOULDER = np.array([-0.18, 0.49, -0.035])
 """The right shoulder joint over the hips at rest, added up from the table of the character's bones."""
@@ -82,11 +80,11 @@ def test_an_impossible_window_is_refused(window: float) -> None:
 def test_knots_are_read_on_the_recordings_own_clock() -> None:
     blocks = blocks_of([0.0, 0.2, 0.7, 1.0])
     values = np.outer(np.arange(31) / 30, [1.0, -2.0, 3.0])
-    got = at_knots(values, 30.0, blocks)
+    got = controls.at_knots(values, 30.0, blocks)
     assert got.shape == (3, 4, 3)
     assert np.allclose(got[0, :, 0], [0.05, 0.1, 0.15, 0.2]) and np.allclose(got[1, :, 1], [-0.65, -0.9, -1.15, -1.4])
     assert np.allclose(got[:, -1, 2], [0.6, 2.1, 3.0]), "the last frame of a block lies on its beat"
-    assert np.allclose(at_knots(values[:16], 30.0, blocks)[2, -1], [0.5, -1.0, 1.5]), "held past the end"
+    assert np.allclose(controls.at_knots(values[:16], 30.0, blocks)[2, -1], [0.5, -1.0, 1.5]), "held past the end"
 
 
 # ---------------------------------------------------------------------------------------------------- levels
@@ -144,15 +142,15 @@ def test_impossible_controls_are_refused() -> None:
 @pytest.mark.parametrize(("text", "expected"), [("low", 0.2), ("mid", 0.5), (" HIGH ", 0.9), ("0.35", 0.35),
                                                 ("6e-1", 0.6), ("0", 0.0)])
 def test_levels_and_numbers(text: str, expected: float) -> None:
-    assert hand_targets.parse("--hand-speed", text, "speed", levels()) == pytest.approx(expected)
+    assert controls.parse("--hand-speed", text, "speed", levels()) == pytest.approx(expected)
 
 
 @given(st.text(max_size=12))
 def test_any_text_is_understood_or_refused_by_name(text: str) -> None:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", hand_targets.ControlWarning)
+        warnings.simplefilter("ignore", controls.ControlWarning)
         try:
-            got = hand_targets.parse("--hand-radius", text, "radius", levels())
+            got = controls.parse("--hand-radius", text, "radius", levels())
         except InputError as error:
             said = str(error)
         else:
@@ -165,14 +163,14 @@ def test_any_text_is_understood_or_refused_by_name(text: str) -> None:
                                   "0_4", "\0", "x" * 5000])
 def test_nonsense_names_its_flag(text: str) -> None:
     with pytest.raises(InputError, match="--hand-radius"):
-        hand_targets.parse("--hand-radius", text, "radius", levels())
+        controls.parse("--hand-radius", text, "radius", levels())
 
 
 def test_what_training_never_saw_is_said_and_used() -> None:
-    with pytest.warns(hand_targets.ControlWarning, match=r"--hand-height 1\.1.*far from the training data.*high 0\.40"):
-        assert hand_targets.parse("--hand-height", "1.1", "height", levels()) == 1.1
+    with pytest.warns(controls.ControlWarning, match=r"--hand-height 1\.1.*far from the training data.*high 0\.40"):
+        assert controls.parse("--hand-height", "1.1", "height", levels()) == 1.1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert hand_targets.parse("--hand-height", "0.5", "height", levels()) == 0.5
+        assert controls.parse("--hand-height", "0.5", "height", levels()) == 0.5
 
 

@@ -295,29 +295,12 @@ def three_blocks(rows: NDArray, empty: NDArray) -> NDArray:
     return np.concatenate([padded[:-2], padded[1:-1], padded[2:]], axis=1)
 
 
-def windows_of(stretched: Samples) -> Samples:
-    """Previous, current and next block of each block, [N, 3 * L] for stretched speech [N, L]. Before the first block
-    and after the last there are zeros. The result is a read-only view: it costs the memory of one copy of `stretched`,
-    not of three."""
-    count, length = stretched.shape
-    flat = np.concatenate([np.zeros(length, stretched.dtype), stretched.ravel(), np.zeros(length, stretched.dtype)])
-    return np.lib.stride_tricks.sliding_window_view(flat, 3 * length)[::length][:count]
-
-
-def at_knots(values: Array, fps: float, blocks: Blocks) -> Array:
-    """Features [T, D], frame t at t / fps seconds, at the K frames of every block, [N, K, D]: the C_i of Eq. 20. Linear
-    between frames; beyond the last frame its values are held."""
-    times = np.arange(len(values)) / fps
-    sampled = np.stack([np.interp(blocks.knot_times, times, column) for column in values.T], axis=-1)
-    return sampled.reshape(len(blocks), blocks.frames, -1)
-
-
 def encode(stretched: Samples, reference: Array, durations: Array, config: Config, front: FrontEnd
            ) -> tuple[Features, Features]:
     """Low and high level [N, 3K, d + 1] of blocks stretched to one length [N, L]; one array for both if they are
     equal."""
     # In chunks: the windows of an hour overlap threefold and would take gigabytes.
-    windows = windows_of(stretched)
+    windows = block_module.windows_of(stretched)
     levels = [front.encode(windows[at:at + _CHUNK], reference[at:at + _CHUNK]) for at in range(0, len(windows), _CHUNK)]
     tempo = tempo_column(durations, config.rhythm.beats.d_max, config.rhythm.frames)
     low = np.concatenate([np.concatenate([level.low for level in levels]), tempo], axis=-1)

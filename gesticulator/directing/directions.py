@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.controls import FEATURES, Controls, Curve
+from data_module.controls import FEATURES, LIMITS, UNITS, Controls, Curve
 from data_module.errors import InputError, shown
 from data_module.types import Array, Speech, Word
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock
 from gesticulator.bundle.files import lexicon_hash
 from gesticulator.directing.cues import cues_at
-from gesticulator.directing.hand_targets import LIMITS, UNITS
 from gesticulator.directing.lexeme_names import lexeme_names
 from gesticulator.options import FPS, InferenceOptions, interpreter_name
 from gesticulator.plan.plan import GesturePlan, PlanKnobs, edited_blocks

@@ -25,7 +25,7 @@ from data_module.speech.silence import reference_level
 from data_module.store import Store
 from data_module.text.word_vectors import BRIDGE, WordEncoder, word_frames
 from gesticulator.bundle.config import Config, digest
-from gesticulator.bundle.features import at_knots, encode, front_end_for, representation_of
+from gesticulator.bundle.features import encode, front_end_for, representation_of
 
 if TYPE_CHECKING:
     from data_module.speech.speech_encoder import SpeechEncoder
@@ -84,7 +84,7 @@ def _cut_one(store_path: str, name: str, config: Config, target: Path) -> None:
     speech, motion = recording.speech, recording.motion
     representation = representation_of(config)
     blocks = block_module.cut(speech, config.rhythm)
-    control = at_knots(controls.measure(motion), motion.fps, blocks)
+    control = controls.at_knots(controls.measure(motion), motion.fps, blocks)
     arrays: dict[str, NDArray[Any]] = {
         "motion": normalise_motion(motion, blocks, representation).astype(np.float32),
         "first": first_pose(motion, representation).astype(np.float32),
