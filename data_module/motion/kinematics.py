@@ -73,7 +73,7 @@ def positions_of_some(motion: Motion, joints: Sequence[int]) -> Array:
     parents, offsets = motion.skeleton.parents, motion.skeleton.offsets
     order = with_ancestors(parents, tuple(joints))
     # Matrices: for few frames they take a third of the time of quaternions.
-    local = np.moveaxis(rotation.to_matrix(motion.rotations[:, order]), 1, 0)
+    local = rotation.to_matrix(motion.rotations[:, order]).swapaxes(0, 1)
     turns: dict[int, Array] = {}
     places = {order[0]: motion.root_positions}
     above = {parents[joint] for joint in order}
