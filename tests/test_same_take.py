@@ -86,5 +86,6 @@ def test_the_command_makes_one_take_of_a_sound_in_whatever_form_it_comes(tmp_pat
     made = {name: hands(read_bvh(tmp_path / "out" / f"{name}.bvh")) for name in forms}
     apart = {name: float(np.linalg.norm(one[:360] - made["flac"][:360], axis=-1).mean())
              for name, one in made.items()}
-    lossy = ("PCM_U8", "ULAW", "ALAW", "IMA_ADPCM", "offset", "mp3", "ogg", "aac in mp4", "ac3 in mp4", "libopus in webm")
+    lossy = ("PCM_U8", "ULAW", "ALAW", "IMA_ADPCM", "offset", "mp3", "ogg", "aac in mp4", "ac3 in mp4",
+             "libopus in webm")
     assert {name: far for name, far in apart.items() if not far < (0.06 if name in lossy else 0.005)} == {}
