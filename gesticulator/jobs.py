@@ -447,7 +447,9 @@ def _output_files(args: argparse.Namespace) -> dict[str, str]:
 def _suffix_of(name: str, chosen: str | None) -> str:
     """The suffix of an output; chosen: the value of --format."""
     if is_folder(name):
-        return "." + (chosen or FORMAT).lower().lstrip(".")
+        suffix = "." + (chosen or FORMAT).lower().lstrip(".")
+        # g1 is short for .g1.csv, a suffix of two parts.
+        return suffix if suffix in WRITERS else next((two for two in WRITERS if two.startswith(f"{suffix}.")), suffix)
     if chosen is not None:
         raise InputError("--format", f"is for folders, and {name} is a file", "leave it out")
     return suffix_of(name) or f".{FORMAT}"

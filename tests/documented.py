@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -134,9 +135,12 @@ def run(example: Example, folder: Path) -> str:
                                env={**os.environ, "PYTHONUNBUFFERED": "1"})
     if serves:
         assert process.stdout is not None
+        late = threading.Timer(SECONDS, process.kill)
+        late.start()
         for line in process.stdout:
-            if "ready" in line or "Ctrl C" in line:
+            if re.search(r"\bready\b", line):  # not the address of /readyz, which comes before
                 break
+        late.cancel()
         time.sleep(1.0)
         process.send_signal(signal.SIGINT)
     return _ended(process)
