@@ -41,18 +41,18 @@ PERIOD, JITTER = 6.5, 0.4
 """Seconds of a role on average, and by which share of it a change comes early or late."""
 CHANGES = 0.8
 """Seconds in which one role passes into the next."""
-ONE_HANDED, DOMINANT, HANGING = 0.45, 0.7, 0.45
+ONE_HANDED, DOMINANT, HANGING = 0.5, 0.7, 0.55
 """Probability that one hand gestures alone; that it is the performance's dominant one; that the other hangs by then."""
 FOLLOWS = 0.75
 """How far the other hand follows the dominant one where both gesture."""
-WAITS = 0.4
+WAITS = 0.25
 """Share of its movement that a hand which waits still makes."""
 RAISED, RAISES = 0.8, 0.3
 """By how much a posture is above the mean pose, as a share of the way from there to the resting pose, and its standard
 deviation between roles."""
 LOWEST, HIGHEST = 0.2, 1.6
 """Least and greatest of these shares."""
-INNER, OUTER, NEAR = 0.45, 1.25, 0.6
+INNER, OUTER, NEAR = 0.3, 1.25, 0.6
 """Factors on small and on large deviations, and where one passes into the other."""
 SWAY = 0.12
 """Share of its movement that a hanging arm still makes."""
