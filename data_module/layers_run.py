@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
@@ -112,10 +112,15 @@ class Conv:
 
     def __call__(self, rows: Floats) -> Floats:
         """[..., T, D] to [..., T', N]."""
+        *leading, count, width = rows.shape
         if self._padding:
-            rows = np.pad(rows, [(0, 0)] * (rows.ndim - 2) + [(self._padding,) * 2, (0, 0)])
-        windows = np.lib.stride_tricks.sliding_window_view(rows, self._reach, axis=-2)
-        windows = windows[..., ::self._stride, :, ::self._dilation]
+            inside, count = rows, count + 2 * self._padding
+            rows = np.zeros((*leading, count, width), np.float32)
+            rows[..., self._padding:count - self._padding, :] = inside
+        # [..., T', D, kernel]: a few slices take a third of the time of NumPy's view of windows.
+        starts = range(0, self._reach, self._dilation)
+        last = count - self._reach + 1
+        windows = np.stack([rows[..., start:start + last:self._stride, :] for start in starts], -1)
         return self._map(windows.reshape(*windows.shape[:-2], -1))
 
 
@@ -186,8 +191,10 @@ class Lstm:
             rows = np.empty((*inputs.shape[:2], self._width), np.float32)
             for time in range(inputs.shape[1]):
                 # The order of the gates in the weights: input, forget, cell, output.
-                enter, forget, new, leave = np.split(inputs[:, time] + again(h), 4, axis=-1)
-                c = sigmoid(forget) * c + sigmoid(enter) * np.tanh(new)
+                gates = inputs[:, time] + again(h)
+                enter, forget = _parts(sigmoid(gates[:, :2 * self._width]), self._width)
+                new, leave = _parts(gates[:, 2 * self._width:], self._width)
+                c = forget * c + enter * np.tanh(new)
                 rows[:, time] = h = sigmoid(leave) * np.tanh(c)
             ends.append((h, c))
         return rows, (np.stack([h for h, _ in ends]), np.stack([c for _, c in ends]))
@@ -207,10 +214,15 @@ class Gru:
         out = np.empty((*inputs.shape[:2], self._width), np.float32)
         for time in range(inputs.shape[1]):
             # The order of the gates in the weights: reset, update, new.
-            (r_in, z_in, n_in), (r, z, n) = (np.split(part, 3, axis=-1) for part in (inputs[:, time], self._again(h)))
-            update = sigmoid(z_in + z)
-            out[:, time] = h = (1 - update) * np.tanh(n_in + sigmoid(r_in + r) * n) + update * h
+            into, again, both = inputs[:, time], self._again(h), 2 * self._width
+            reset, update = _parts(sigmoid(into[:, :both] + again[:, :both]), self._width)
+            out[:, time] = h = (1 - update) * np.tanh(into[:, both:] + reset * again[:, both:]) + update * h
         return out, h
+
+
+def _parts(x: Floats, width: int) -> tuple[Floats, Floats]:
+    """Two parts of `width` columns; `numpy.split` takes ten times as long."""
+    return x[..., :width], x[..., width:]
 
 
 def _recurrent(tensors: Tensors, layer: int, width_in: int, gates: int, width: int) -> tuple[Dense, Dense]:
@@ -252,15 +264,21 @@ def attention(query: Floats, key: Floats, value: Floats, heads: int, mask: Float
 
 def side_by_side(parts: Sequence[Floats]) -> Floats:
     """Concatenate parts [..., D], whose leading axes broadcast, to [..., sum D]."""
-    leading = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
-    return np.concatenate([np.broadcast_to(part, (*leading, part.shape[-1])) for part in parts], -1)
+    ends = [0, *accumulate(part.shape[-1] for part in parts)]
+    out = np.empty((*np.broadcast_shapes(*(part.shape[:-1] for part in parts)), ends[-1]), np.float32)
+    # Written in place: `numpy.broadcast_to` takes longer than the copy.
+    for part, first, last in zip(parts, ends[:-1], ends[1:], strict=True):
+        out[..., first:last] = part
+    return out
 
 
 def normed(x: Floats, axes: int = 1, epsilon: float = EPSILON) -> Floats:
     """(x - mean) / sqrt(variance + epsilon) over the last `axes` axes."""
-    over = tuple(range(-axes, 0))
-    centred = x - x.mean(over, keepdims=True)
-    return centred / np.sqrt(np.square(centred).mean(over, keepdims=True) + np.float32(epsilon))
+    over, count = tuple(range(-axes, 0)), np.float32(math.prod(x.shape[-axes:]))
+    # A sum over a count is what `numpy.mean` gives, in half of its time.
+    centred: Floats = np.subtract(x, np.divide(np.add.reduce(x, over, keepdims=True), count, dtype=np.float32))
+    variance: Floats = np.divide(np.add.reduce(np.square(centred), over, keepdims=True), count, dtype=np.float32)
+    return centred / np.sqrt(variance + np.float32(epsilon))
 
 
 def sigmoid(x: Floats) -> Floats:

@@ -171,7 +171,7 @@ class _Head:
     def __init__(self, tensors: layers.Tensors, width: int, context: int, hidden: int) -> None:
         weight = tensors.take("enter.weight", hidden, width + 2 * FREQUENCIES)
         self._enter, self._waves = layers.Dense(weight[:, :width]), weight[:, width:]
-        self._bias = tensors.take("enter.bias", hidden)
+        self._bias, self._hidden = tensors.take("enter.bias", hidden), hidden
         self._condition, self._inner, self._outer = (
             [tensors.dense(f"{name}.{layer}", width_in, out) for layer in range(LAYERS)]
             for name, width_in, out in (("condition", context, 2 * hidden), ("inner", hidden, hidden),
@@ -181,8 +181,8 @@ class _Head:
 
     def conditions(self, contexts: Floats) -> list[tuple[Floats, Floats]]:
         """Scale and shift of every layer for contexts [..., C]."""
-        both = (np.split(layer(contexts), 2, axis=-1) for layer in self._condition)
-        return [(1 + gain, shift) for gain, shift in both]
+        both = (layer(contexts) for layer in self._condition)
+        return [(1 + each[..., :self._hidden], each[..., self._hidden:]) for each in both]
 
     def __call__(self, noisy: Floats, time: float, conditions: list[tuple[Floats, Floats]], gains: Floats,
                  guided: int) -> Floats:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ LEAST_HOLD = 0.6
 """Shortest hold, seconds."""
 _MOST = 2.5
 """Largest value of a style code."""
+_NO_HOLD = np.array(PHASES) != "hold"
 
 
 @dataclass(frozen=True)
@@ -116,10 +118,11 @@ class PlannerRunner:
             return UnitDecision(*state.last), replace(state, hidden=hidden, held=state.held + seconds)
         raised = state.last[0] < len(PHASES) and PHASES[state.last[0]] in ("stroke", "hold")
         context, decided = out[0, 0], list[int]()
-        for level, each in enumerate(np.split(noise, np.cumsum(CLASSES)[:-1])):
+        for level, (last, count) in enumerate(zip(accumulate(CLASSES), CLASSES, strict=True)):
+            each = noise[last - count:last]
             scores = self._heads[level](context).astype(np.float64)
             if level == 0 and bias is not None:
-                scores += np.where(raised | (np.array(PHASES) != "hold"), bias, 0.0)
+                scores += np.where(raised | _NO_HOLD, bias, 0.0)
             if temperature > 0:
                 # The Gumbel-max trick: the arg max is a sample of the softmax, decided by the given noise alone.
                 scores = scores / temperature + each

@@ -52,7 +52,7 @@ def block_of(onsets: Array) -> SpeechBlock:
 def choice(chooser: candidates.CandidateChooser, speech: SpeechBlock, past: Array, blocks: Array, apart: Array,
            control: Array | None = None, *, shift: Array | None = None) -> int:
     """The index of the candidate that is kept."""
-    return chooser.choose(speech, chooser.motion(past, blocks, shift), apart, control)
+    return chooser.choose(speech, chooser.motion(speech, past, blocks, shift), apart, control)
 
 
 def test_of_those_that_show_the_lexeme_the_one_is_kept_that_stops_at_the_onset(

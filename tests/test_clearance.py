@@ -2,6 +2,7 @@
 face and elbows off its back: known answers, speeds, the whole."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,13 +14,15 @@ from scipy.spatial.transform import Rotation
 
 from data_module.motion import rotation
 from data_module.motion.kinematics import positions_of
+from data_module.motion.representation import Rotations
 from data_module.motion.skeletons import CHARACTER, FINGERED
 from data_module.types import Array, Motion
 from eval.metrics.eye.body import CommonBody, chest_left, common_body, unit
 from gesticulator import Gesticulator
 from gesticulator.body.clips import mirrored_motion
+from gesticulator.body.motion_path import ClearedPath
 from gesticulator.contacts.columns import TRUNK
-from gesticulator.contacts.default_body import HEM, STEEPEST, cleared, front_at, shirt_at
+from gesticulator.contacts.default_body import HEM, STEEPEST, cleared, cleared_poses, front_at, shirt_at
 from gesticulator.contacts.limbs import pose_of
 
 FPS = 60.0
@@ -80,6 +83,22 @@ def test_a_pose_that_is_clear_stays_bit_for_bit() -> None:
     assert cleared(motion) is motion
     tee = turned(CHARACTER, 4)
     assert cleared(tee) is tee, "16 joints, without knuckles"
+
+
+def test_a_path_knows_whether_its_frames_were_clear() -> None:
+    def path_of(swing: float) -> tuple[ClearedPath, Array]:
+        motion = reaching(np.full(40, swing), np.full(40, 1.9))
+        poses = rotation.to_exponential_map(motion.rotations).reshape(40, -1)
+        path = ClearedPath(poses[0], FPS, 0.05, partial(cleared_poses, representation=Rotations(len(FINGERED))))
+        return path, path.push(np.arange(1, 41) / 20.0, poses)
+
+    for swing in (-0.5, 0.3, 1.9):
+        path, frames = path_of(swing)
+        body = Rotations(len(FINGERED)).motion(frames, FPS)
+        if path.free:
+            assert cleared(body) is body
+    assert path_of(-0.5)[0].free, "the arm is beside the body"
+    assert not path_of(1.9)[0].free, "the hand is in the trunk"
 
 
 @settings(max_examples=25)

@@ -53,6 +53,13 @@ def test_noise_has_the_spread_that_it_says_and_nothing_fast() -> None:
     assert np.abs(again[100:20_000]).max() < 0.2, "it never comes back"
 
 
+def test_noise_at_a_time_is_the_same_whatever_it_is_asked_for_with() -> None:
+    times, channels, steps = np.array([90.0, 0.01, 3.99, 4.0, 4.01, 700.3]), np.array([9, 2, 5]), np.array([0.1, 1, 4])
+    together = noise(3, channels, times, steps)
+    for time, row in zip(times, together, strict=True):
+        np.testing.assert_array_equal(noise(3, channels, np.array([time]), steps)[0], row)
+
+
 def test_shifts_settle_on_their_postures_and_jump_nowhere() -> None:
     style = ShiftStyle(every=2.0, jitter=0.2, tau=0.1, spread=(2.0, 1.0), least=1.0, most=2.0)
     shifts = Shifts(4, 0, style)

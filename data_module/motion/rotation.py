@@ -69,7 +69,7 @@ def normalise(q: Array) -> Array:
 def continuous(q: Array) -> Array:
     """Choose the signs of quaternions [T, ..., 4] so that neighbours in time lie on the same half sphere."""
     # A flip of sign carries over to all later frames, hence the cumulative product.
-    dots = np.sum(q[1:] * q[:-1], axis=-1)
+    dots = np.einsum("...i,...i->...", q[1:], q[:-1])
     signs = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
     return np.concatenate([q[:1], q[1:] * signs[..., None]])
 
@@ -108,9 +108,14 @@ def to_euler(q: Array, order: str) -> Array:
 def from_exponential_map(v: Array) -> Array:
     """Exponential map [..., 3] (axis times angle, radians, any number of turns) to [..., 4]."""
     v = np.asarray(v, dtype=np.float64)
-    angle = np.sqrt(np.sum(v * v, axis=-1, keepdims=True))
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
+    # Number by number: a sum over the last axis, which is short, takes most of the time.
+    angle = np.sqrt(x * x + y * y + z * z)
     share = np.where(angle > 0.0, np.sin(0.5 * angle) / np.where(angle > 0.0, angle, 1.0), 0.5)
-    return np.concatenate([np.cos(0.5 * angle), share * v], axis=-1)
+    out = np.empty((*angle.shape, 4))
+    np.cos(0.5 * angle, out=out[..., 0])
+    np.multiply(share[..., None], v, out=out[..., 1:])
+    return out
 
 
 def from_matrix(matrices: Array) -> Array:
@@ -146,7 +151,8 @@ def mean(q: Array) -> Array:
 
 def to_matrix(q: Array) -> Array:
     """Unit quaternions [..., 4] to rotation matrices [..., 3, 3], whose columns are the turned axes."""
-    w, x, y, z = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
+    q = np.asarray(q, dtype=np.float64)
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
     doubled_x, doubled_y, doubled_z = 2.0 * x, 2.0 * y, 2.0 * z
     out = np.empty((*w.shape, 3, 3))
     xx, yy, zz = doubled_x * x, doubled_y * y, doubled_z * z
@@ -203,7 +209,7 @@ def remove_yaw(q: Array) -> Array:
 def between(a: Array, b: Array, otherwise: Array | None = None) -> Array:
     """[..., 4] the shortest rotations from directions a to b, [..., 3] each. Opposite ones have none: half a turn about
     `otherwise` [..., 3], or about any axis perpendicular to them."""
-    a, b = (way / np.linalg.norm(way, axis=-1, keepdims=True) for way in (a, b))
+    a, b = (way / np.sqrt(np.vecdot(way, way))[..., None] for way in (a, b))
     if otherwise is None:
         otherwise = cross(a, np.where(np.abs(a[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
     # For an angle t about n, (1 + cos t, n sin t) is the quaternion (cos t/2, n sin t/2) up to its length.

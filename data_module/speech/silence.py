@@ -161,6 +161,8 @@ def _step_mean(levels: Array) -> float:
 
 
 def _joined(steps: Sequence[LoudnessStep]) -> LoudnessStep:
+    if len(steps) == 1:  # most pieces of a stream end within a step
+        return steps[0]
     none = np.zeros(0)
     every = LoudnessStep(none, none, none, none, np.zeros(0, bool), none), *steps
     return LoudnessStep(*(np.concatenate([getattr(step, field.name) for step in every])

@@ -101,7 +101,10 @@ def noise(seed: int, channels: NDArray[np.int64], times: Array, steps: Array) ->
     u = where - first
     # The four cubic B-spline weights at the fraction u between two coefficients.
     weights = np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]) / 6.0
-    values = normal(seed, channels, first + np.arange(-1, 3)[:, None, None])
+    # Frames share most of their coefficients, each of which is computed once.
+    least = first.min(axis=0)
+    coefficients = normal(seed, channels, least + np.arange(-1, int((first - least).max(initial=0)) + 3)[:, None])
+    values = coefficients[first - least + np.arange(4)[:, None, None], np.arange(len(steps))]
     return (weights * values).sum(axis=0) / _SPLINE_SPREAD
 
 
@@ -128,6 +131,8 @@ class Shifts:
     style: ShiftStyle
     _postures: list[Array] = field(default_factory=list)
     """Those computed so far, each from the one before: some 20 MB in a day of the most frequent shifts."""
+    _begins: list[float] = field(default_factory=list)
+    """When the shifts to them begin, seconds."""
 
     def at(self, times: Array) -> Array:
         """[T, D] at times [T] in seconds, not negative."""
@@ -138,7 +143,7 @@ class Shifts:
         reach = math.ceil(_SETTLED * s.tau / s.every + 1)
         first = max(0, math.floor(times.min() / s.every) - reach)
         self._extend(last)
-        a = np.maximum(times[:, None] - self.begins(np.arange(first, last + 1)), 0.0) / s.tau
+        a = np.maximum(times[:, None] - np.array(self._begins[first:last + 1]), 0.0) / s.tau
         done = 1.0 - (1.0 + a + a * a / 2.0) * np.exp(-a)
         postures = np.array(self._postures[first:last + 1])
         before = self._postures[first - 1] if first > 0 else np.zeros(len(s.spread))
@@ -158,6 +163,8 @@ class Shifts:
     def _extend(self, last: int) -> None:
         """Extend the postures up to number `last`: from one spread, neither too near the one before nor too far."""
         s, width = self.style, len(self.style.spread)
+        if last >= len(self._begins):
+            self._begins += self.begins(np.arange(len(self._begins), last + 1)).tolist()
         for n in range(len(self._postures), last + 1):
             before = self._postures[-1] if n else np.zeros(width)
             tries = normal(self.seed, self.channel + 1, (n * _TRIES + np.arange(_TRIES))[:, None] * width
@@ -273,13 +280,17 @@ def _mixing(joints: list[str], rest: Array) -> Array:
 
 # ---------------------------------------------------------------------------------------------------- over the poses
 
-def _followed(gains: Array, targets: Array, seconds: float) -> Array:
-    """[parts, 2] gains and their slopes after some seconds in which they follow targets [parts], critically damped."""
+def _followed(gain: float, slope: float, targets: Sequence[float], seconds: float) -> list[tuple[float, float]]:
+    """A gain and its slope after each of the frames of some seconds in which it follows a target, critically damped."""
     # Closed form of the critically damped oscillator: exact for any frame duration.
-    away = gains[:, 0] - targets
-    push, fade = gains[:, 1] + away / _GAIN_TAU, math.exp(-seconds / _GAIN_TAU)
-    left = away + push * seconds
-    return np.stack([targets + left * fade, (push - left / _GAIN_TAU) * fade], axis=1)
+    out, fade = [], math.exp(-seconds / _GAIN_TAU)
+    for target in targets:
+        away = gain - target
+        push = slope + away / _GAIN_TAU
+        left = away + push * seconds
+        gain, slope = target + left * fade, (push - left / _GAIN_TAU) * fade
+        out.append((gain, slope))
+    return out
 
 
 class LifeLayer:
@@ -317,11 +328,13 @@ class LifeLayer:
         # A linear map instead of forward kinematics: head angles are small, and this runs for every block.
         speed = np.linalg.norm(steps @ self._head_moves, axis=1) / seconds
         stands = np.clip((_HEAD_MOVES - speed) / (_HEAD_MOVES - _HEAD_STANDS), 0.0, 1.0)
-        self.gains = np.empty((len(times), len(self._parts), 2))
         # Full at rest or where the head stands still, whichever is more.
         wanted = _FAINT + (1.0 - _FAINT) * np.maximum(stands, np.array(rests))
-        for k in range(len(times)):
-            self._gains = self.gains[k] = _followed(self._gains, wanted[:, k], seconds)
+        # Number by number: an array of three parts takes longer.
+        followed = [_followed(gain, slope, targets, seconds) for (gain, slope), targets in zip(
+            self._gains.tolist(), wanted.tolist(), strict=True)]
+        self.gains = np.swapaxes(followed, 0, 1)
+        self._gains = self.gains[-1]
         for part, columns in enumerate(self._parts):
             life[:, columns] *= self.gains[:, part, :1]
         self._shown = block[-1].astype(np.float64)

@@ -41,17 +41,23 @@ class ClearedPath(KnotPath):
                  prompt: bool = False) -> None:
         super().__init__(first, fps, smooth_over, prompt)
         self._cleared, self._wide = cleared, half_of(fps, SMOOTHED)
+        self.free = False
+        """Whether the frames returned last, and those near them, were clear of the body as they came."""
 
     @property
     def reach(self) -> float:
         return super().reach + (0.0 if self.prompt else self._wide / self.fps)
 
     def _frames(self, numbers: NDArray[np.int64], count: int | None = None) -> Array:
+        self.free = False
         if self.prompt or not len(numbers) or count == 1:
             return super()._frames(numbers, count)
         frames = super()._frames(np.arange(numbers[0] - self._wide, numbers[-1] + self._wide + 1), count)
-        moved = smooth(self._cleared(frames) - frames, self.fps, SMOOTHED)
-        return np.asarray((frames + moved)[self._wide:len(frames) - self._wide])
+        cleared = self._cleared(frames)
+        self.free = cleared is frames
+        if not self.free:
+            frames = frames + smooth(cleared - frames, self.fps, SMOOTHED)
+        return np.asarray(frames[self._wide:len(frames) - self._wide])
 
 
 class MotionPath:
@@ -173,7 +179,7 @@ class MotionPath:
     def _moved(self, frames: Array) -> Motion:
         # Interpolated frames between two clear knots may pass through the body, so frames are cleared, too.
         body = self._representation.motion(frames, self._knots.fps)
-        if self._whole is None:
+        if self._whole is None and not (isinstance(self._knots, ClearedPath) and self._knots.free):
             body = cleared(body, self._options.seated)
         if self._stance is not None:
             first = self._knots.next - len(frames)

@@ -251,6 +251,9 @@ class RestingPart:
         """[K, D] a generated block [K, D] at `times` [K] with rest applied in the frames `rests` [K].
         hold_still: a rest that begins in this block was asked for, so the hands hold still instead of retracting;
         moves: the share of the generated movement that is still made at rest."""
+        if self._stop is None and not rests.any():  # most blocks of speech; a join ends with its block
+            self._last = [*self._last, *zip(times.tolist(), generated, strict=True)][-2:]
+            return generated
         out = np.empty_like(generated)
         for k, time in enumerate(times):
             if rests[k] and self._stop is None:

@@ -19,7 +19,8 @@ that sits (`gesticulator.contacts.lap`) are a third surface, from which hands ar
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
 
 STEEPEST = 1.2
 """Largest slope of the front of the trunk: with 3, a hand that shot past the hip was thrown ahead at 4.7 m/s."""
+_EDGE = STEEPEST * limbs.OURS[0] ** 2 / math.hypot(limbs.OURS[1], STEEPEST * limbs.OURS[0])
+"""Metres across at which the ellipse of the trunk is as steep."""
 OTHER_SIDE = (0.115, 0.07, 0.35)
 """Where the front leaves the trunk on the side of the other hand: metres across, metres ahead, and slope from there on.
 A hand there is beside the other arm, not behind the back."""
@@ -78,7 +81,7 @@ def cleared(motion: Motion, sits: bool = False) -> Motion:
     body that sits; the motion may still lack them."""
     names = [name for name in (*_JOINTS, *(_SEATED if sits else ())) if name in motion.skeleton.names]
     pose = limbs.pose_of(replace(motion, root_positions=np.zeros((len(motion), 3))), names)
-    body, rotations = _Body(pose, sits), None
+    body, rotations = _Body.of(pose, sits), None
     parts = (*_HAND, *limbs.FINGERTIPS)
     points = [[pose.places[side + part] for part in parts if side + part in names] for side in SIDES]
     push = body.push(np.array(points), _SIGNS)
@@ -89,22 +92,22 @@ def cleared(motion: Motion, sits: bool = False) -> Motion:
         if frames.any():
             # Most motions are clear, and are returned as they came.
             rotations = motion.rotations.copy() if rotations is None else rotations
-            _bend_arm(rotations, motion.skeleton, (pose.at(frames), sits), (side, sign), np.flatnonzero(frames))
+            posed, at = (pose.at(frames), body.at(frames)), np.flatnonzero(frames)
+            _bend_arm(rotations, motion.skeleton, posed, (side, sign), at)
     return motion if rotations is None else replace(motion, rotations=rotations)
 
 
-def _bend_arm(rotations: Array, skeleton: Skeleton, body_of: tuple[limbs.Pose, bool], side: tuple[str, float],
+def _bend_arm(rotations: Array, skeleton: Skeleton, posed: tuple[limbs.Pose, _Body], side: tuple[str, float],
               at: NDArray[np.int64]) -> None:
-    """Bend an arm in `rotations` [T, J, 4] at the frames `at`, where it is in the body; body_of: the pose in these
-    frames, and whether it sits."""
-    (name, sign), (pose, sits) = side, body_of
-    body, places = _Body(*body_of), pose.places
+    """Bend an arm in `rotations` [T, J, 4] at the frames `at`, where it is in the body; posed: the pose and the body in
+    these frames."""
+    (name, sign), (pose, body), places = side, posed, posed[0].places
     shoulder, wrist = places[name + "Arm"], places[name + "Hand"]
     bones = upper, lower = places[name + "ForeArm"] - shoulder, wrist - places[name + "ForeArm"]
     # The hand does not turn with the arm.
     palm = np.array([places[name + part] - wrist for part in (*_HAND, *limbs.FINGERTIPS) if name + part in places])
     share = 1.0 - body.at_shoulder(wrist, shoulder, sign)
-    for _ in range(_STEPS_SEATED if sits else _STEPS):
+    for _ in range(_STEPS_SEATED if body.thighs else _STEPS):
         push = body.push(shoulder + upper + lower + palm, sign) * share
         inside = length(push) > limbs.LEAST
         if not inside.any():
@@ -142,7 +145,7 @@ def _tipped(turn: Array, hand: tuple[Array, Array], body: _Body, sign: float) ->
     axis = rotation.cross(before, after)
     sine = length(axis)
     # The arctangent is exact for small angles, where an arccosine loses half of its digits.
-    angle = np.minimum(np.arctan2(sine, np.sum(before * after, axis=-1, keepdims=True)), FARTHEST_TIP)
+    angle = np.minimum(np.arctan2(sine, limbs.dot(before, after)), FARTHEST_TIP)
     tipped = rotation.from_exponential_map(axis / np.maximum(sine, 1e-9) * angle)
     turn = turn.copy()
     turn[at] = rotation.to_matrix(tipped) @ turn[at]
@@ -155,70 +158,82 @@ def cleared_poses(poses: Array, representation: Representation, sits: bool = Fal
     free = cleared(motion, sits)
     if free is motion:
         return poses
-    moved = (free.rotations != motion.rotations).any(axis=-1, keepdims=True)
+    moved = (free.rotations != motion.rotations).any(axis=-1)
     # Of the exponential maps of a rotation, the one nearest to the given pose: models differentiate them over time.
-    reference = poses.reshape(*moved.shape[:2], 3)
-    turned = rotation.unroll(np.stack([reference, rotation.to_exponential_map(free.rotations)]))[1]
-    return np.asarray(np.where(moved, turned, reference).reshape(poses.shape))
+    out = poses.reshape(*moved.shape, 3).copy()
+    out[moved] = rotation.unroll(np.stack([out[moved], rotation.to_exponential_map(free.rotations[moved])]))[1]
+    return np.asarray(out.reshape(poses.shape))
 
 
+@dataclass(frozen=True)
 class _Body:
-    """Trunk and head over T frames, relative to the hips."""
+    """Trunk and head over T frames, relative to the hips: axes and length of the trunk (`limbs.TrunkAxes`), axes
+    [T, 3, 3] of the head, [T, 3] the middle of the face, and the thighs, if it sits."""
 
-    def __init__(self, pose: limbs.Pose, sits: bool) -> None:
-        trunk = limbs.trunk_axes(pose.places["Neck"], pose.turns["Spine3"])
-        self._axes, self._length = trunk.axes, trunk.length
-        self._head = pose.turns["Head"]
-        self._face = pose.places["Head"] + self._head @ HEAD_MIDDLE
-        self._thighs: tuple[Thigh, ...] = ()
-        if sits:
-            from gesticulator.contacts.lap import thighs_of
+    axes: Array
+    length: Array
+    head: Array
+    face: Array
+    thighs: tuple[Thigh, ...]
 
-            self._thighs = thighs_of(pose)
+    @classmethod
+    def of(cls, pose: limbs.Pose, sits: bool) -> _Body:
+        trunk, head = limbs.trunk_axes(pose.places["Neck"], pose.turns["Spine3"]), pose.turns["Head"]
+        body = cls(trunk.axes, trunk.length, head, pose.places["Head"] + head @ HEAD_MIDDLE, ())
+        if not sits:
+            return body
+        from gesticulator.contacts.lap import thighs_of
+
+        return replace(body, thighs=thighs_of(pose))
+
+    def at(self, frames: NDArray[np.bool_]) -> _Body:
+        """The body in some of its frames."""
+        return _Body(self.axes[frames], self.length[frames], self.head[frames], self.face[frames],
+                     tuple(replace(thigh, hip=thigh.hip[frames], knee=thigh.knee[frames]) for thigh in self.thighs))
 
     def push(self, points: Array, sign: Sign) -> Array:
         """[..., T, 3] the displacement of a hand whose P points [..., P, T, 3] are in the body, fingertips only in the
         thighs; sign: 1 for the left hand, -1 for the right, or an array of them."""
         hand = points[..., :len(_HAND), :, :]
         moves = [self.out_of_trunk(hand, sign, limbs.SOFT), self._off_face(hand)]
-        return limbs.combined(np.concatenate([*moves, *(thigh.push(points) for thigh in self._thighs)], axis=-3))
+        return limbs.combined(np.concatenate([*moves, *(thigh.push(points) for thigh in self.thighs)], axis=-3))
 
     def hidden(self, elbow: Array, sign: Sign) -> Array:
         """[..., T, 3] the displacement of an elbow [..., T, 3] behind the trunk; sign: see `push`."""
         across, along, ahead = self._from_hips(elbow)
         # Behind the plane only: an elbow beside or ahead of the trunk is in view.
-        depth = limbs.soft(back_at(across * sign, along, self._length) - ahead, ELBOW_SOFT)[..., None]
-        out = OUTWARD[0] * self._axes[:, 0]
-        return depth * (np.asarray(sign)[..., None] * out + OUTWARD[1] * self._axes[:, 2])
+        depth = limbs.soft(back_at(across * sign, along, self.length) - ahead, ELBOW_SOFT)[..., None]
+        out = OUTWARD[0] * self.axes[:, 0]
+        return depth * (np.asarray(sign)[..., None] * out + OUTWARD[1] * self.axes[:, 2])
 
     def at_shoulder(self, hand: Array, shoulder: Array, sign: float) -> Array:
         """[T, 1] how much a hand [T, 3] is at its shoulder [T, 3] and beside the trunk, 0 to 1."""
-        across = sign * np.sum(self._axes[:, 0] * hand, axis=-1, keepdims=True)
+        across = sign * limbs.dot(self.axes[:, 0], hand)
         return np.asarray((1.0 - _ramp(length(hand - shoulder), FOLDED)) * _ramp(across, BESIDE))
 
     def out_of_trunk(self, point: Array, sign: Sign, over: float) -> Array:
         """[..., T, 3] the displacement of a point of a hand in the trunk; over: metres in which it is rounded."""
         across, along, ahead = self._from_hips(point)
-        return self._axes[:, 2] * limbs.soft(shirt_at(across * sign, along, self._length) - ahead, over)[..., None]
+        return self.axes[:, 2] * limbs.soft(shirt_at(across * sign, along, self.length) - ahead, over)[..., None]
 
-    def _from_hips(self, point: Array) -> Array:
-        """[3, ..., T] metres across, along and ahead of a point [..., T, 3]."""
-        return np.moveaxis(np.matmul(self._axes, point[..., None])[..., 0], -1, 0)
+    def _from_hips(self, point: Array) -> tuple[Array, Array, Array]:
+        """[..., T] metres across, along and ahead of a point [..., T, 3]."""
+        local = np.matmul(self.axes, point[..., None])
+        return local[..., 0, 0], local[..., 1, 0], local[..., 2, 0]
 
     def _off_face(self, point: Array) -> Array:
-        x, y, z = np.moveaxis(np.matmul((point - self._face)[..., None, :], self._head)[..., 0, :], -1, 0)
-        return self._head[..., 2] * limbs.soft(face_front(np.sqrt(x * x + y * y)) - z)[..., None]
+        local = np.matmul((point - self.face)[..., None, :], self.head)
+        x, y, z = local[..., 0, 0], local[..., 0, 1], local[..., 0, 2]
+        return self.head[..., 2] * limbs.soft(face_front(np.sqrt(x * x + y * y)) - z)[..., None]
 
 
 def trunk_front(across: Array) -> Array:
     """Metres by which the front of the trunk is ahead of its middle, at metres across it (the hand's side: > 0)."""
     width, depth = limbs.OURS
     # The ellipse up to where its slope is the steepest, then its tangent.
-    edge = STEEPEST * width / depth
-    edge = width * edge / np.hypot(1.0, edge)
-    ellipse = depth * np.sqrt(1.0 - np.clip(across / width, -1.0, edge / width) ** 2)
+    ellipse = depth * np.sqrt(1.0 - np.minimum(np.maximum(across / width, -1.0), _EDGE / width) ** 2)
     # Beyond the edge the slope stays, so that a hanging hand beside the hip is not thrown ahead.
-    own = ellipse - STEEPEST * np.maximum(across - edge, 0.0)
+    own = ellipse - STEEPEST * np.maximum(across - _EDGE, 0.0)
     begins, height, slope = OTHER_SIDE
     return np.asarray(np.where(across > -begins, own, np.maximum(ellipse, height + slope * (across + begins))))
 
@@ -249,5 +264,5 @@ def face_front(radius: Array) -> Array:
 
 def _ramp(values: Array, ends: tuple[float, float]) -> Array:
     """0 below the first of two ends, 1 above the second, without a kink."""
-    share = np.clip((values - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0)
-    return np.asarray(share ** 2 * (3.0 - 2.0 * share))
+    share = np.minimum(np.maximum((values - ends[0]) / (ends[1] - ends[0]), 0.0), 1.0)
+    return np.asarray(share * share * (3.0 - 2.0 * share))

@@ -76,12 +76,12 @@ class TrunkAxes:
 
 def trunk_axes(neck: Array, chest: Array) -> TrunkAxes:
     """neck: [T, 3] relative to the hips; chest: [T, 3, 3] the character's axes there (columns left, up, ahead)."""
-    length = np.maximum(np.linalg.norm(neck, axis=-1), 1e-9)
-    up = neck / length[:, None]
+    far = np.maximum(length(neck), 1e-9)
+    up = neck / far
     # Gram-Schmidt: up is kept exactly, left as far as it is level.
-    left = chest[..., 0] - np.sum(chest[..., 0] * up, axis=-1, keepdims=True) * up
-    left = left / np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
-    return TrunkAxes(np.stack([left, up, rotation.cross(left, up)], axis=-2), length)
+    left = chest[..., 0] - dot(chest[..., 0], up) * up
+    left = left / np.maximum(length(left), 1e-9)
+    return TrunkAxes(np.stack([left, up, rotation.cross(left, up)], axis=-2), far[..., 0])
 
 
 CAP, RECEDES = 0.20, 0.5
@@ -126,7 +126,7 @@ def bent(upper: Array, lower: Array, way: Array, pole: Array) -> tuple[Array, Ar
     # Law of cosines: the middle joint's distance along the direction to the goal, and beside it.
     share = (first ** 2 + far ** 2 - second ** 2) / (2.0 * far)
     beside = np.sqrt(np.maximum(first ** 2 - share ** 2, 0.0))
-    out = upper - np.sum(upper * along, axis=-1, keepdims=True) * along
+    out = upper - dot(upper, along) * along
     # A straight limb has no plane of its own to bend in.
     straight = length(out) < 1e-4 * first
     out = np.where(straight, pole - (along @ pole)[:, None] * along, out)
@@ -143,20 +143,31 @@ def swivelled(upper: Array, lower: Array, shift: Array) -> Array:
     """
     way = upper + lower
     along = way / np.maximum(length(way), 1e-9)
-    centre = np.sum(upper * along, axis=-1, keepdims=True) * along
+    centre = dot(upper, along) * along
     beside = upper - centre
     size = length(beside)
     # The middle joint moves on a circle about the line between the others.
-    shift = shift - np.sum(shift * along, axis=-1, keepdims=True) * along
-    cosine = np.sum(shift * beside, axis=-1, keepdims=True) / np.maximum(length(shift) * size, 1e-9)
+    shift = shift - dot(shift, along) * along
+    cosine = dot(shift, beside) / np.maximum(length(shift) * size, 1e-9)
     moved = beside + shift * np.sqrt(np.maximum(1.0 + cosine, 0.0) / 2.0)
     far = length(moved)
     return centre + np.where(far > 1e-6, moved / np.maximum(far, 1e-9) * size, beside)
 
 
+def dot(a: Array, b: Array) -> Array:
+    """[..., 1] inner products of vectors [..., 3]; the sum of the products takes three times as long for few of them.
+    """
+    return np.asarray(np.vecdot(a, b))[..., None]
+
+
+def lengths(vectors: Array) -> Array:
+    """[...] lengths of vectors [..., 3]; `numpy.linalg.norm` takes twice as long for few of them."""
+    return np.asarray(np.sqrt(np.vecdot(vectors, vectors)))
+
+
 def length(vectors: Array) -> Array:
-    """[..., 1] lengths of vectors [..., 3]; `numpy.linalg.norm` takes three times as long for few of them."""
-    return np.asarray(np.sqrt(np.sum(vectors * vectors, axis=-1, keepdims=True)))
+    """[..., 1] lengths of vectors [..., 3]."""
+    return lengths(vectors)[..., None]
 
 
 def swing(a: Array, b: Array) -> Array:
@@ -188,16 +199,17 @@ def write_turns(rotations: Array, skeleton: Skeleton, turns: Mapping[int, Array]
     where = at, np.array(joints)[:, None]
     old = rotations[where]
     # Of the two quaternions of a rotation the one on the side of the frame as it was, so that none turns round.
-    rotations[where] = np.where(np.sum(new * old, axis=-1, keepdims=True) < 0.0, -new, new)
+    rotations[where] = np.where(dot(new, old) < 0.0, -new, new)
 
 
 def combined(moves: Array) -> Array:
     """[..., T, 3] the displacement of a hand, of those of its P points: larger ones count more, none takes over."""
     # Weights that vanish with their displacement: a point that just touches changes nothing.
-    weights = np.sum(moves ** 2, axis=-1, keepdims=True)
-    return np.asarray(np.sum(weights * moves, axis=-3) / np.maximum(np.sum(weights, axis=-3), 1e-12))
+    weights = dot(moves, moves)
+    return np.asarray((weights * moves).sum(axis=-3) / np.maximum(weights.sum(axis=-3), 1e-12))
 
 
 def soft(depth: Array, over: Array | float = SOFT) -> Array:
     """max(depth, 0) without a kink, metres. over: metres on both sides in which it is rounded."""
-    return np.where(depth > over, depth, np.clip(depth + over, 0.0, 2.0 * over) ** 2 / (4.0 * over))
+    eased = np.minimum(np.maximum(depth + over, 0.0), 2.0 * over)
+    return np.where(depth > over, depth, eased * eased / (4.0 * over))

@@ -29,6 +29,7 @@ from gesticulator.body.life import HEAD
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, representation_of
 from gesticulator.contacts.default_body import back_at, front_at
+from gesticulator.contacts.limbs import lengths
 
 Floating = NDArray[np.floating]
 
@@ -64,6 +65,8 @@ _TRUNK = "Spine", "Spine1", "Spine2", "Spine3", "Chest"
 """Joints from hips to chest, of those that a body may have."""
 _TRUNK_TURNS = 0.25
 """s_0 of the trunk, rad/s."""
+_SIDES = np.array([-1.0, 1.0, -1.0, 1.0])
+"""Of wrists and elbows, the right one first: to the right the place across the trunk is negative."""
 RETIMING = 0.08
 """Share of a block's length by which its middle may come earlier or later."""
 _SHIFTS, _STAYS = np.linspace(-1.0, 1.0, 7), 0.1
@@ -78,11 +81,15 @@ LEXEME, SEAM, BODY, TOGETHER, PITCH, CONTROLS, NATURAL = 2.0, 0.25, 16.0, 1.0, 1
 class CandidateMotion:
     """The motion of C candidates over T frames: the last `_BEFORE` before a block, and those of the block. poses: [C,
     T, D_m] radians or metres; places: [C, T, 8, 3] positions over the hips, metres, of hands, elbows and shoulders (the
-    right one first), the chest and the head; shown: the places with the shift that is shown."""
+    right one first), the chest and the head; times: [T] seconds; behind, to_face: `behind_trunk` and `_to_face` in the
+    block; beyond: [C] `beyond` of the places with the shift that is shown."""
 
     poses: Array
     places: Array
-    shown: Array
+    times: Array
+    behind: Array
+    to_face: Array
+    beyond: Array
 
 
 class CandidateChooser:
@@ -103,25 +110,27 @@ class CandidateChooser:
         # Local rotations are independent, and only a quarter of the joints moves the hands.
         self._arms = chains(skeleton, self._joints) if self._representation.name == "rotations" else None
 
-    def motion(self, past: Floating, blocks: Floating, shift: Floating | None = None) -> CandidateMotion:
+    def motion(self, speech: SpeechBlock, past: Floating, blocks: Floating, shift: Floating | None = None
+               ) -> CandidateMotion:
         """The motion of candidates. past: [P, D_m] features of the motion up to the block's start; blocks: [C, K, D_m]
         the candidates; shift: [P + K, D_m] that is added to what is shown (`systems.movement.Offset`), or None."""
-        poses = self._poses(past, blocks)
-        places = self._places(poses)
-        return CandidateMotion(poses, places, places if shift is None else self._places(
-            self._poses(past, blocks, shift)))
+        poses, times, count = self._poses(past, blocks, shift), self._times(speech, blocks.shape[1]), len(blocks)
+        both = self._places(poses)
+        places, shown = both[:count], both[-count:]
+        behind = behind_trunk(places[:, _BEFORE:])
+        return CandidateMotion(poses[:count], places, times, behind, _to_face(places[:, _BEFORE:]),
+                               beyond(shown, times, behind if shift is None else None))
 
     def choose(self, speech: SpeechBlock, motion: CandidateMotion, apart: Floating, control: Floating | None = None
                ) -> int:
         """The index of the best candidate; the first of equals. motion: of C candidates; apart: [C] squared distance of
         each to the lexeme to play over that to its nearest lexeme; control: rows [K, 2 F], or None."""
-        poses, places = motion.poses, motion.places
-        times = self._times(speech, poses.shape[1] - _BEFORE)
+        poses, places, times = motion.poses, motion.places, motion.times
         hands = places[:, :, :2]
         score = -LEXEME * np.log(apart.astype(np.float64))
         # Only this is about what is shown: by a shift, two takes that parted would choose differently while it fades.
-        score -= NATURAL * beyond(motion.shown, times)
-        score -= BODY * depth(places[:, _BEFORE:])
+        score -= NATURAL * motion.beyond
+        score -= BODY * depth(places[:, _BEFORE:], motion.behind, motion.to_face)
         if len(speech.onsets) > 0:
             score += in_time(hands, times, speech.start, speech.onsets)
         score -= TOGETHER * apart_from_hands(poses[..., self._head], hands, times)
@@ -143,18 +152,20 @@ class CandidateChooser:
         worth = in_time(hands, self._times(speech, len(block)), speech.start, speech.onsets) - _STAYS * np.abs(_SHIFTS)
         return np.asarray(blocks[int(worth.argmax())], dtype=block.dtype)
 
-    def natural(self, speech: SpeechBlock, motion: CandidateMotion) -> bool:
+    @staticmethod
+    def natural(motion: CandidateMotion) -> bool:
         """Whether arms stay within what people do in some candidate, and are not before the face in one."""
-        times = self._times(speech, motion.poses.shape[1] - _BEFORE)
-        nearest = _to_face(motion.places[:, _BEFORE:]).min((1, 2))
-        return bool(not beyond(motion.shown, times).all() and (nearest >= _BEFORE_FACE).any())
+        nearest = motion.to_face.min((1, 2))
+        return bool(not motion.beyond.all() and (nearest >= _BEFORE_FACE).any())
 
     def _poses(self, past: Floating, blocks: Floating, shift: Floating | None = None) -> Array:
-        """[C, T, D_m] as of `CandidateMotion`; see `motion` for the arguments."""
+        """[C, T, D_m] as of `CandidateMotion`, and with a shift those with it after them; see `motion` for the
+        arguments."""
         # Frames before the block give the speeds at its start.
-        frames = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
+        frames: Array = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
         if shift is not None:
-            frames = frames + shift[-frames.shape[1]:]
+            # As further candidates: kinematics of few frames cost by the call.
+            frames = np.concatenate([frames, frames + shift[-frames.shape[1]:]])
         poses = self._statistics.denormalise(frames.reshape(-1, frames.shape[-1]), self._speaker)
         return np.asarray(poses.reshape(frames.shape))
 
@@ -190,20 +201,22 @@ class CandidateChooser:
         return np.asarray((np.abs((measured - levels.mean) / levels.spread - target) * given).sum(-1))
 
 
-def beyond(places: Array, times: Array) -> Array:
+def beyond(places: Array, times: Array, behind: Array | None = None) -> Array:
     """[C] by how much the arms of each block go beyond people's, 0 for not: the sum of what speed, swivel of the elbow,
     accelerations of wrist and elbow, and place behind the trunk exceed their limits by.
-    places: [C, T, 8, 3] as of `CandidateMotion`, at times [T] seconds."""
+    places: [C, T, 8, 3] as of `CandidateMotion`, at times [T] seconds; behind: `behind_trunk` in the block, if known.
+    """
     velocity = np.diff(places[:, :, :4], axis=1) / np.diff(times)[:, None, None]
     between = 0.5 * (times[2:] - times[:-2])
-    acceleration = np.linalg.norm(np.diff(velocity, axis=1) / between[:, None, None], axis=-1)[:, _BEFORE - 2:]
+    acceleration = lengths(np.diff(velocity, axis=1) / between[:, None, None])[:, _BEFORE - 2:]
     most = (acceleration / np.repeat(_ACCELERATES, 2)).max(1)
-    behind = (behind_trunk(places[:, _BEFORE:]).max((1, 2)) - _BEHIND[0]) / _BEHIND[1]
+    behind = behind_trunk(places[:, _BEFORE:]) if behind is None else behind
+    behind = (behind.max((1, 2)) - _BEHIND[0]) / _BEHIND[1]
     wrist, elbow, shoulder = (np.swapaxes(places[:, _BEFORE - 1:, k:k + 2], 1, 2) for k in (0, 2, 4))
     turns, off = swivel(shoulder, elbow, wrist)
-    clear = (off > _BENT) & (np.linalg.norm(wrist - shoulder, axis=-1) > _REACHES)
+    clear = (off > _BENT) & (lengths(wrist - shoulder) > _REACHES)
     turned = np.abs(turns) / np.diff(times[_BEFORE - 1:]) * (clear[..., 1:] & clear[..., :-1])
-    shares = [np.linalg.norm(velocity[:, _BEFORE - 1:], axis=-1).max((1, 2)) / FASTEST, 1.0 + behind,
+    shares = [lengths(velocity[:, _BEFORE - 1:]).max((1, 2)) / FASTEST, 1.0 + behind,
               turned.max((1, 2)) / _SWIVELS, most[:, :2].max(1), most[:, 2:].max(1)]
     return np.asarray(sum(np.maximum(share - 1.0, 0.0) for share in shares))
 
@@ -212,29 +225,30 @@ def swivel(shoulder: Array, elbow: Array, wrist: Array) -> tuple[Array, Array]:
     """[..., T - 1] radians that an elbow turns about the line from its shoulder to its wrist from frame to frame, and
     [..., T] metres that it is off that line; places [..., T, 3]."""
     line, upper = wrist - shoulder, elbow - shoulder
-    line = line / np.maximum(np.linalg.norm(line, axis=-1, keepdims=True), 1e-9)
-    out = upper - (upper * line).sum(-1, keepdims=True) * line
+    line = line / np.maximum(lengths(line), 1e-9)[..., None]
+    out = upper - np.vecdot(upper, line)[..., None] * line
     one, other, before, after = line[..., :-1, :], line[..., 1:, :], out[..., :-1, :], out[..., 1:, :]
     # Carried along by the smallest rotation from line to line.
-    axis, cosine = cross(one, other), (one * other).sum(-1, keepdims=True)
+    axis, cosine = cross(one, other), np.vecdot(one, other)[..., None]
     carried = (cosine * before + cross(axis, before)
-               + axis * (axis * before).sum(-1, keepdims=True) / np.maximum(1.0 + cosine, 1e-6))
-    sine = (cross(carried, after) * other).sum(-1)
-    return np.arctan2(sine, (carried * after).sum(-1)), np.asarray(np.linalg.norm(out, axis=-1))
+               + axis * np.vecdot(axis, before)[..., None] / np.maximum(1.0 + cosine, 1e-6))
+    sine = np.vecdot(cross(carried, after), other)
+    return np.arctan2(sine, np.vecdot(carried, after)), lengths(out)
 
 
-def depth(places: Array) -> Array:
+def depth(places: Array, behind: Array | None = None, to_face: Array | None = None) -> Array:
     """[C] how deep wrists and elbows are in the trunk, wrists in the sphere of a folded arm, and forearms in that of
     the face, and how far arms are behind the trunk (`behind_trunk`), as shares of the radii, summed over the joints and
-    averaged over the frames. places: as of `CandidateMotion`."""
+    averaged over the frames. places: as of `CandidateMotion`; behind, to_face: of these places, if known."""
     chest = places[:, :, 6:7]
-    share = np.clip((places[:, :, :4] * chest).sum(-1) / np.maximum((chest * chest).sum(-1), 1e-9), 0.0, 1.0)
-    away = np.linalg.norm(places[:, :, :4] - share[..., None] * chest, axis=-1)
+    share = np.clip(np.vecdot(places[:, :, :4], chest) / np.maximum(np.vecdot(chest, chest), 1e-9), 0.0, 1.0)
+    away = lengths(places[:, :, :4] - share[..., None] * chest)
     radii = np.repeat(_RADII, 2)
     # A wrist at its own shoulder is a pose that people hardly take.
-    folded = 1.0 - np.linalg.norm(places[:, :, :2] - places[:, :, 4:6], axis=-1) / _FOLDED
-    near_face = 1.0 - _to_face(places) / _FACE
-    shares = [1.0 - away / radii, folded, near_face, behind_trunk(places) / _RADII[0]]
+    folded = 1.0 - lengths(places[:, :, :2] - places[:, :, 4:6]) / _FOLDED
+    near_face = 1.0 - (_to_face(places) if to_face is None else to_face) / _FACE
+    behind = behind_trunk(places) if behind is None else behind
+    shares = [1.0 - away / radii, folded, near_face, behind / _RADII[0]]
     return np.asarray(sum(np.maximum(each, 0.0).sum(-1) for each in shares).mean(-1))
 
 
@@ -242,12 +256,11 @@ def behind_trunk(places: Array) -> Array:
     """[C, T, 4] metres by which each wrist is behind the front of the trunk and each elbow behind its back, negative
     ahead of them; places: as of `CandidateMotion`."""
     chest, right, left = places[:, :, 6], places[:, :, 4], places[:, :, 5]
-    up = chest / np.maximum(np.linalg.norm(chest, axis=-1, keepdims=True), 1e-9)
-    across = left - right - ((left - right) * up).sum(-1, keepdims=True) * up
-    across = across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9)
-    axes = np.stack([across, up, cross(across, up)], axis=-2)
-    x, y, z = np.moveaxis(np.einsum("ctij,cthj->cthi", axes, places[:, :, :4]), -1, 0)
-    x, height = x * np.tile([-1.0, 1.0], 2), 0.5 * ((left + right) * up).sum(-1)[..., None]
+    up = chest / np.maximum(lengths(chest), 1e-9)[..., None]
+    across = left - right - np.vecdot(left - right, up)[..., None] * up
+    across = across / np.maximum(lengths(across), 1e-9)[..., None]
+    x, y, z = (np.vecdot(axis[:, :, None], places[:, :, :4]) for axis in (across, up, cross(across, up)))
+    x, height = x * _SIDES, 0.5 * np.vecdot(left + right, up)[..., None]
     surfaces = np.concatenate([front_at(x[..., :2], y[..., :2], height), back_at(x[..., 2:], y[..., 2:], height)], -1)
     return np.asarray(surfaces - z)
 
@@ -257,8 +270,8 @@ def _to_face(places: Array) -> Array:
     face = places[:, :, 7:] + np.array(_FACE_AT)
     hands, elbows = places[:, :, :2], places[:, :, 2:4]
     arms = (1.0 + _HAND) * (hands - elbows)
-    along = ((face - elbows) * arms).sum(-1) / np.maximum((arms * arms).sum(-1), 1e-9)
-    return np.asarray(np.linalg.norm(elbows + np.clip(along, 0.0, 1.0)[..., None] * arms - face, axis=-1))
+    along = np.vecdot(face - elbows, arms) / np.maximum(np.vecdot(arms, arms), 1e-9)
+    return lengths(elbows + np.clip(along, 0.0, 1.0)[..., None] * arms - face)
 
 
 @cache
@@ -286,7 +299,7 @@ def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:
     b(t) = max(0, -ds/dt), s the summed speed of both hands [C, T, 2, 3], metres at times [T], and w(t) a Gaussian of
     the time to the nearest onset. b_0 keeps blocks that hardly move from scoring high."""
     seconds = np.diff(times)
-    speed = np.linalg.norm(np.diff(hands, axis=1), axis=-1).sum(-1) / seconds
+    speed = lengths(np.diff(hands, axis=1)).sum(-1) / seconds
     between = 0.5 * (times[1:] + times[:-1])
     braking = np.maximum(-np.diff(speed, axis=1) / np.diff(between), 0.0)
     counts = times[1:-1] > start + _SEAM
@@ -303,8 +316,8 @@ def apart_from_hands(head: Array, hands: Array, times: Array) -> Array:
     metres at times [T] seconds, the frames before the block and those of the block."""
     seconds = times[-1] - times[_BEFORE - 1]
     turns = head[:, _BEFORE - 1:].reshape(*head[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
-    turned = np.linalg.norm(np.diff(turns, axis=1), axis=-1).sum(1) / seconds
-    moved = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1).mean(-1).sum(1) / seconds
+    turned = lengths(np.diff(turns, axis=1)).sum(1) / seconds
+    moved = lengths(np.diff(hands[:, _BEFORE - 1:], axis=1)).mean(-1).sum(1) / seconds
     return np.asarray(np.abs(np.log(turned / _HEAD_TURNS + _LEAST) - np.log(moved / _HANDS_MOVE + _LEAST)))
 
 
@@ -312,7 +325,7 @@ def with_pitch(trunk: Array, times: Array, pitch: Array) -> Array:
     """[C] how far the trunk of each block turns faster than in the other blocks where the pitch [K] is high, and slower
     where it is low. trunk: [C, T, 3 n] rotations of the joints from hips to chest as exponential maps."""
     turns = trunk[:, _BEFORE - 1:].reshape(*trunk[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
-    speed = np.linalg.norm(np.diff(turns, axis=1), axis=-1) / np.diff(times[_BEFORE - 1:])
+    speed = lengths(np.diff(turns, axis=1)) / np.diff(times[_BEFORE - 1:])
     return np.asarray(((speed - speed.mean(0)) / _TRUNK_TURNS * pitch).mean(1))
 
 
@@ -321,6 +334,6 @@ def jolt(hands: Array, times: Array) -> Array:
     `apart_from_hands`."""
     velocity = np.diff(hands, axis=1) / np.diff(times)[:, None, None]
     between = 0.5 * (times[2:] - times[:-2])
-    acceleration = np.linalg.norm(np.diff(velocity, axis=1) / between[:, None, None], axis=-1).sum(-1)
+    acceleration = lengths(np.diff(velocity, axis=1) / between[:, None, None]).sum(-1)
     at, inside = acceleration[:, _BEFORE - 2], acceleration[:, _BEFORE - 1:]
     return np.asarray(np.minimum(at / (inside.mean(1) + 1.0), 2.0))

@@ -453,22 +453,22 @@ class FlowSampler:
             # One candidate, few steps, no guidance.
             context, pull, steps = context[:1], pull[:0], FAST_STEPS
             _, only = self._drawn(base, context, pull, steps, self._noise(block, 1, code))
-            if self.chooser.natural(speech, self.chooser.motion(past, only, block.shift)):
+            if self.chooser.natural(self.chooser.motion(speech, past, only, block.shift)):
                 return only[0]
         # What is requested of the hands can only be followed by a choice among different arms; otherwise all candidates
         # share the arms of the first. A choice of arms would turn every small change of sound into another gesture.
         same = block.features.control is None
         noise = self._noise(block, CANDIDATES, code)
         coefficients, blocks = self._drawn(base, context, pull, steps, noise, same)
-        motion = self.chooser.motion(past, blocks, block.shift)
-        if not self.chooser.natural(speech, motion):
+        motion = self.chooser.motion(speech, past, blocks, block.shift)
+        if not self.chooser.natural(motion):
             # Guidance extrapolates, now and then beyond anything in the data; so does the noise.
             further = [self._drawn(base, context[:1], pull[:0], steps, np.float32(_CALM) * noise, same)]
             if same and not block.fast:  # other arms
                 further.append(self._drawn(base, context, pull, steps, np.roll(noise, -1, 0), same))
             coefficients = np.concatenate([coefficients, *(each for each, _ in further)])
             blocks = np.concatenate([blocks, *(each for _, each in further)])
-            motion = self.chooser.motion(past, blocks, block.shift)
+            motion = self.chooser.motion(speech, past, blocks, block.shift)
         distances = self.lexicon.distances(coefficients)
         apart = distances[:, block.lexeme] / np.maximum(distances.min(-1), np.float32(_NEAREST))
         best = self.chooser.choose(speech, motion, apart, block.features.control)
