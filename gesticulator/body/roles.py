@@ -9,14 +9,14 @@ With x the deviation of an arm from the speaker's mean pose, m that of the other
 (all in deviations of each joint), and a role of four numbers (`Role`):
 
     y = x + follows (1 - min(s, s')) (m - x)              both hands together
-    y' = y + l (q + (1 - q) S(2 l - 1) - 1) p             half-way down is no place to stay
+    y' = y - q l (1 - s) p                                half-way down is no place to stay
     k = OUTER - (OUTER - INNER) exp(-(r / NEAR)^2)        small deviations shrink, large ones grow
     z = -raised (1 - s) p + (s + (1 - s) gestures k) y'
     shown = z + hangs (p + SWAY (y' - p) - z)
 
-where r is the root mean square of y, l how far it is lowered, 0 to 1 towards p, S the smooth step, and s = S(l); s' is
-that of the other arm. At rest, l = 1 for both, every role shows the resting pose itself. All is a function of the pose
-and of seed and time, so files, streams and edited plans agree; the generator never sees it.
+where r is the root mean square of y, l how far it is lowered, 0 to 1 towards p, s = 3 l^2 - 2 l^3, and s' that of the
+other arm. At rest, l = 1 for both, every role shows the resting pose itself. All is a function of the pose and of seed
+and time, so files, streams and edited plans agree; the generator never sees it.
 
 The numbers were chosen on the twelve sounds of the GENEA 2020 study at five seeds and by raters who saw pictures
 without names (docs/results.md).
@@ -41,23 +41,23 @@ PERIOD, JITTER = 6.5, 0.4
 """Seconds of a role on average, and by which share of it a change comes early or late."""
 CHANGES = 0.8
 """Seconds in which one role passes into the next."""
-ONE_HANDED, DOMINANT, HANGING = 0.5, 0.7, 0.55
+ONE_HANDED, DOMINANT, HANGING = 0.4, 0.7, 0.55
 """Probability that one hand gestures alone; that it is the performance's dominant one; that the other hangs by then."""
-FOLLOWS = 0.75
+FOLLOWS = 0.8
 """How far the other hand follows the dominant one where both gesture."""
-WAITS = 0.25
+WAITS = 0.35
 """Share of its movement that a hand which waits still makes."""
 RAISED, RAISES = 0.8, 0.3
 """By how much a posture is above the mean pose, as a share of the way from there to the resting pose, and its standard
 deviation between roles."""
 LOWEST, HIGHEST = 0.2, 1.6
 """Least and greatest of these shares."""
-INNER, OUTER, NEAR = 0.3, 1.25, 0.6
+INNER, OUTER, NEAR = 0.4, 1.25, 0.6
 """Factors on small and on large deviations, and where one passes into the other."""
 SWAY = 0.12
 """Share of its movement that a hanging arm still makes."""
-_LOWERED = 0.4
-"""q, what is left of a small step down."""
+_UP_AGAIN = 0.6
+"""q, how much of a small step down is taken back."""
 _CHANNEL = (1 << 32) - 64
 """The channels of `life.normal` of the roles: below those of `sampling.loop`, above those of the idle motion."""
 _MIRRORED = np.array([1.0, -1.0, -1.0])
@@ -134,7 +134,7 @@ class Roles:
 
     def for_block(self, start: float, requested: bool, held: bool) -> Roles:
         """The roles from a block on that begins at `start` seconds. requested: its movement was, so its arms are shown
-        as they are generated; held: the hands were told to hold still, so nothing changes."""
+        as they are generated; held: the hands hold or rest there, so nothing changes."""
         fixed: Role | None = None
         if requested:
             fixed = AS_GENERATED
@@ -165,7 +165,7 @@ def shown(roles: Roles, statistics: Statistics, speaker: int, names: Sequence[st
         arm = arm + follows[:, k, None] * (1.0 - at_rest) * (mirrored - arm)
         low = _lowered(arm, resting)
         sunk = _smooth_step(low)
-        moved = arm + low * ((1.0 - _LOWERED) * (_smooth_step(np.clip(2.0 * low - 1.0, 0.0, 1.0)) - 1.0)) * resting
+        moved = arm - _UP_AGAIN * low * (1.0 - sunk) * resting
         size = (arm ** 2).mean(axis=1, keepdims=True)
         factor = OUTER - (OUTER - INNER) * np.exp(-size / NEAR ** 2)
         posture = (-raised[:, k, None] * (1.0 - sunk) * resting

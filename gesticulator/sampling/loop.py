@@ -396,14 +396,14 @@ def shown(bundle: Bundle, rest: Rest | None, block: Floats, offset: Floats | Non
     block = _hinged(bundle, rest.speaker, block)
     # Rest shapes what the generator continues from; idle motion is only laid over what is shown.
     past = rest.step(block).astype(np.float32)
-    seen = past
+    displayed = past
     if roles is not None:
         # The generator goes on from what it drew: roles are laid over it, so they never add up.
         names, resting = CHARACTERS[bundle.config.motion.joints].names, bundle.rest_feature(rest.speaker).astype(float)
-        seen = _hinged(bundle, rest.speaker, arm_roles.shown(
+        displayed = _hinged(bundle, rest.speaker, arm_roles.shown(
             roles, bundle.statistics, rest.speaker, names, resting, rest.times,
             past.astype(np.float64)).astype(np.float32))
-    return past, rest.alive(seen).astype(np.float32)
+    return past, rest.alive(displayed).astype(np.float32)
 
 
 def _hinged(bundle: Bundle, speaker: int, block: Floats) -> Floats:
