@@ -455,6 +455,12 @@ class Rest:
         self._life.go_back(shown.gains[-1], shown.poses[-1])
 
     @property
+    def times(self) -> Array:
+        """[K] seconds, of the frames of the last block."""
+        assert self._span is not None, "analyse comes first"
+        return self._span.times
+
+    @property
     def gains(self) -> Array:
         """[K, 3, 2] gains of the idle motion in each frame of the last block, see `RestKnots`."""
         return self._life.gains

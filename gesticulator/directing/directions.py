@@ -40,7 +40,8 @@ class Director:
         # A cue at a beat belongs to the block that ends there, as a stroke does; one at 0 has only the first block.
         start, end = speech.start, float(times[-1])
         lexeme = next((cue.lexeme for cue in self._cues if start < cue.time <= end or cue.time == start == 0.0), None)
-        return Request(speech, control, lexeme, still=still_frames(self._knobs, times, start))
+        still = still_frames(self._knobs, times, start)
+        return Request(speech, control, lexeme, still=still, wanted=lexeme is not None)
 
 
 # -------------------------------------------------------------------------------------------------------- plans

@@ -309,13 +309,14 @@ class _PlanRun:
         # A block that mostly rests shows no lexeme, so the interpreter chooses it, as in a first generation.
         if still is not None and still.mean() >= 0.5:
             chosen = None
+        wanted = chosen is not None and chosen != lexeme
         # Everything that the request depends on, and nothing else: an equal key is an equal block, which undo finds.
         last, count = min(at + 1, len(plan.blocks) - 1), len(plan.blocks)
         silence = plan.blocks[max(at - 1, 0)].silent, block.silent, plan.blocks[last].silent
         removed = self._removed[at], self._removed[last]
         draw = block.draw
         place, spoken = self._speech[at]
-        key = (place, at + 1 == count, silence, removed, self._flags[at], chosen,
+        key = (place, at + 1 == count, silence, removed, self._flags[at], chosen, wanted,
                (draw.seed, draw.variation, draw.block), None if still is None else still.tobytes())
 
         def request() -> loop.Request:
@@ -325,7 +326,7 @@ class _PlanRun:
             speech = replace(spoken, number=draw.block, key=noise_time, flag=self._flags[at], silent=silence,
                              quiet=quiet, ahead=None if ahead is None else ahead & (not removed[1]))
             keys = loop.Keys(draw.seed, draw.variation)
-            return loop.Request(speech, self._renderer.control(times), chosen, keys, still)
+            return loop.Request(speech, self._renderer.control(times), chosen, keys, still, wanted=wanted)
 
         return key, request
 
@@ -357,7 +358,7 @@ def _standing(state: loop.State, other: loop.State) -> loop.State:
     if state.varied is not None and rest is not None and source.rest is not None:
         rest.stand_as(source.rest)
     return replace(state, past=source.past, lexeme=source.lexeme, quiet=source.quiet, generated=source.generated,
-                   offset=source.offset, rest=rest, varied=varied)
+                   offset=source.offset, rest=rest, roles=source.roles, varied=varied)
 
 
 # ------------------------------------------------------------------------------------------------------- moved beats

@@ -25,6 +25,7 @@ from data_module.controls import Controls, Levels
 from data_module.layers_run import Floats
 from data_module.motion.skeletons import CHARACTERS
 from data_module.types import Array, Blocks
+from gesticulator.body import roles as arm_roles
 from gesticulator.body.life import SIDES, normal
 from gesticulator.body.rest import Rest, RestKnots
 from gesticulator.bundle.bundle import Bundle
@@ -161,7 +162,7 @@ class Request:
     """Everything that a block depends on, apart from the blocks before it. control: rows [K, 2 F], or None. lexeme: the
     lexeme to show; None lets the interpreter choose. keys: of the noise and the choice of an edited block; None for
     those of the performance. still: [K] frames in which the hands are to rest, or None. fast: sample at lower cost, if
-    the system can."""
+    the system can. wanted: the lexeme is not the interpreter's but somebody's wish, so both arms must show it."""
 
     speech: SpeechBlock
     control: ControlRows | None = None
@@ -169,6 +170,7 @@ class Request:
     keys: Keys | None = None
     still: Flags | None = None
     fast: bool = False
+    wanted: bool = False
 
 
 @dataclass(frozen=True)
@@ -178,8 +180,8 @@ class State:
     [K, D_m] the same as the generator sees it; offset: what lies between the two and fades, or None. interpreter,
     unguided, generator, planner, gate: states of the models; unguided is that of the interpreter without the style
     control. unit: the planner's decision for the block before. rest: decides when and how the hands rest; never
-    changed, only copied. quiet: number of quiet blocks in a row. until: seconds, end of the block before. varied: the
-    state of the variation whose motion is shown, if it is another than this one."""
+    changed, only copied. roles: of the arms, or None. quiet: number of quiet blocks in a row. until: seconds, end of
+    the block before. varied: the state of the variation whose motion is shown, if it is another than this one."""
 
     keys: Keys
     text: bool
@@ -194,6 +196,7 @@ class State:
     gate: Any = None
     unit: UnitDecision | None = None
     rest: Rest | None = None
+    roles: arm_roles.Roles | None = None
     quiet: int = 0
     until: float = 0.0
     varied: State | None = None
@@ -263,7 +266,7 @@ def idle(bundle: Bundle, state: State, start: float, seconds: float, knots: int)
     rest = state.rest.fork()
     # All frames are silent: the same rules of rest as in a pause of speech.
     rest.rest(Span(start, seconds * knots, np.ones(knots, bool)))
-    past, motion = shown(bundle, rest, np.repeat(state.past[-1:], knots, axis=0))
+    past, motion = shown(bundle, rest, np.repeat(state.past[-1:], knots, axis=0), roles=state.roles)
     past = np.concatenate([state.past, past])[-len(state.past):]
     varied = state.varied
     if varied is not None:
@@ -377,9 +380,11 @@ def choose(setup: Setup, request: Request, scores: Scores, allowed: NDArray[np.i
                   noise=keys.gumbel(request.speech.keyed_at, len(scores)))
 
 
-def shown(bundle: Bundle, rest: Rest | None, block: Floats, offset: Floats | None = None) -> tuple[Floats, Floats]:
+def shown(bundle: Bundle, rest: Rest | None, block: Floats, offset: Floats | None = None,
+          roles: arm_roles.Roles | None = None) -> tuple[Floats, Floats]:
     """The motion [K, D_m] that becomes the past of the next block, and the frames [K, D_m] to show, of a generated
-    block [K, D_m]; offset: [K, D_m] to add to it, or None. `rest`, which heard the block, goes on."""
+    block [K, D_m]; offset: [K, D_m] to add to it, or None; roles: of the arms, or None. `rest`, which heard the block,
+    goes on."""
     # Stay within the training data: the models' input must not drift away from it, pose by pose.
     block = np.clip(block, *bundle.statistics.bounds.astype(np.float32))
     if rest is None:
@@ -389,7 +394,14 @@ def shown(bundle: Bundle, rest: Rest | None, block: Floats, offset: Floats | Non
     block = _hinged(bundle, rest.speaker, block)
     # Rest shapes what the generator continues from; idle motion is only laid over what is shown.
     past = rest.step(block).astype(np.float32)
-    return past, rest.alive(past).astype(np.float32)
+    displayed = past
+    if roles is not None:
+        # The generator goes on from what it drew: roles are laid over it, so they never add up.
+        names, resting = CHARACTERS[bundle.config.motion.joints].names, bundle.rest_feature(rest.speaker).astype(float)
+        displayed = _hinged(bundle, rest.speaker, arm_roles.shown(
+            roles, bundle.statistics, rest.speaker, names, resting, rest.times,
+            past.astype(np.float64)).astype(np.float32))
+    return past, rest.alive(displayed).astype(np.float32)
 
 
 def _hinged(bundle: Bundle, speaker: int, block: Floats) -> Floats:

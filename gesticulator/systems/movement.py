@@ -32,6 +32,7 @@ from data_module.types import Array
 from generator.flow_run import Circumstances, FlowConditions, FlowRunner, alone
 from generator.settings import GeneratorWidths
 from gesticulator.body.life import SIDES
+from gesticulator.body.roles import Roles
 from gesticulator.bundle.features import CONTROL_WIDTH, SpeechBlock, body_columns
 from gesticulator.sampling import loop
 from gesticulator.sampling.candidates import CandidateChooser
@@ -127,8 +128,8 @@ def begin(bundle: Bundle, setup: loop.Setup, text: bool, keys: loop.Keys) -> loo
     sampler = FlowSampler(bundle, setup.speaker)
     style_state = None if sampler.style is None else sampler.style.start(setup.speaker)
     planner = bundle.runners["planner"].start(setup.speaker) if "planner" in bundle.parts else None
-    return replace(state, planner=planner,
-                   generator=FlowState(sampler, style=style_state))
+    roles = None if state.rest is None else Roles(setup.seed, keys.variation)
+    return replace(state, planner=planner, roles=roles, generator=FlowState(sampler, style=style_state))
 
 
 def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Request
@@ -169,13 +170,15 @@ def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Req
                                        rest is not None and rest.rests_wholly),
         state.generated)
 
-    # 5. What is shown: rest, idle motion, and the offset that joins it to what was shown before.
-    past, motion = loop.shown(bundle, rest, block, offset)
+    # 5. What is shown: rest, roles of the arms, idle motion, and the offset that joins it to what was shown before.
+    stays = rested.closed or held or (request.still is not None and bool(request.still.any()))
+    roles = state.roles and state.roles.for_block(speech.start, request.wanted, stays)
+    past, motion = loop.shown(bundle, rest, block, offset, roles)
     faded = state.offset is None or state.offset.over(speech.end)
     record = loop.decided(speech, lexeme, scores, keys, rested.probability)
     after = replace(state, lexeme=lexeme, past=past, generated=past if offset is None else past - offset,
                     interpreter=interpreter, unguided=unguided, generator=generator, gate=rested.gate, unit=unit,
-                    rest=rest, until=speech.end, offset=None if faded else state.offset)
+                    rest=rest, roles=roles, until=speech.end, offset=None if faded else state.offset)
     return loop.BlockMotion(record, lexeme, motion, code, unit), after
 
 
@@ -247,6 +250,8 @@ _LOWEST, _HIGHEST = 0.55, -0.45
 """How far towards the resting pose an arm's first pose may be, as a share of the way from the mean pose."""
 _BEGINS = 0.6
 """Deviation from there where a performance begins, in deviations of the arms' joints: people begin anywhere."""
+_ROLES_APART = 40.0
+"""Most seconds by which the sound moves the changes of the arms' roles."""
 _POSTURE = 0.8
 """Deviation of the trunk's first pose in lean, turn and tilt, in deviations of each joint."""
 
@@ -295,14 +300,15 @@ def begun(bundle: Bundle, setup: loop.Setup, state: loop.State, speech: SpeechBl
     arms = np.repeat([name.endswith("Arm") for name in names], 3)
     # The spectrum of this block and, if it is known, the next one, without the energy in the last column.
     heard = bundle.statistics.low.apply(speech.low)[frames:(2 if speech.foreseen else 3) * frames, :-1].mean(0)
-    numbers = state.keys.of_voice(heard, 5 + arms.sum())
-    deviations = math.sqrt(12.0) * (numbers[2:] - 0.5)
-    pose = _first_of(bundle, setup, numbers[:2], deviations[:3])
+    *numbers, shift = state.keys.of_voice(heard, 6 + arms.sum())
+    deviations = math.sqrt(12.0) * (np.array(numbers[2:]) - 0.5)
+    pose = _first_of(bundle, setup, np.array(numbers[:2]), deviations[:3])
     pose[arms] += _BEGINS * deviations[3:].astype(np.float32)
     rest = state.rest.fork()
     rest.begin_in(pose.astype(np.float64))
     past = np.repeat(pose[None], frames, axis=0)
-    return replace(state, past=past, generated=past, rest=rest)
+    roles = state.roles and replace(state.roles, shift=_ROLES_APART * float(shift))
+    return replace(state, past=past, generated=past, rest=rest, roles=roles)
 
 
 def sets_out(state: loop.State, speech: SpeechBlock, unit: UnitDecision | None) -> bool:
