@@ -39,7 +39,7 @@ from gesticulator.bundle.features import Statistics
 
 PERIOD, JITTER = 6.5, 0.4
 """Seconds of a role on average, and by which share of it a change comes early or late."""
-CHANGES = 0.8
+CHANGES = 1.0
 """Seconds in which one role passes into the next."""
 ONE_HANDED, DOMINANT, HANGING = 0.4, 0.7, 0.55
 """Probability that one hand gestures alone; that it is the performance's dominant one; that the other hangs by then."""
@@ -52,8 +52,10 @@ RAISED, RAISES = 0.8, 0.3
 deviation between roles."""
 LOWEST, HIGHEST = 0.2, 1.6
 """Least and greatest of these shares."""
-INNER, OUTER, NEAR = 0.4, 1.25, 0.6
+INNER, OUTER, NEAR = 0.4, 1.12, 0.6
 """Factors on small and on large deviations, and where one passes into the other."""
+LIFTS = 0.25
+"""How much higher a posture is for a requested hand height of one standard deviation over the mean."""
 SWAY = 0.12
 """Share of its movement that a hanging arm still makes."""
 _UP_AGAIN = 0.6
@@ -146,13 +148,16 @@ class Roles:
         return replace(self, fixed=fixed, before=self.at(start), since=start)
 
 
-def shown(roles: Roles, statistics: Statistics, speaker: int, names: Sequence[str], rest: Array, times: Array,
-          block: Array) -> Array:
+def shown(roles: Roles, statistics: Statistics, speaker: int, names: Sequence[str], times: Array, block: Array,
+          height: Array | float = 0.0) -> Array:
     """[K, D_m] a block of normalised motion [K, D_m] at `times` [K], its arms in their roles. names: of the J joints,
-    three numbers each; rest: [D_m] the normalised resting pose."""
+    three numbers each; height: [K] the requested height of the hands in standard deviations over the mean, 0 without a
+    request."""
+    rest = statistics.normalise(statistics.rest_pose[speaker], speaker)
     both = [np.flatnonzero(np.repeat([name.startswith(side) for name in names], 3)) for side in SIDES]
     drawn = [roles.at(float(time)) for time in times]
     gestures, follows, hangs, raised = (np.array([role[k] for role in drawn]) for k in range(4))
+    raised = raised + LIFTS * np.broadcast_to(height, len(block))[:, None]
     arms = [block[:, columns].astype(np.float64) for columns in both]
     sinks = [_smooth_step(_lowered(arm, rest[columns])) for arm, columns in zip(arms, both, strict=True)]
     at_rest = np.minimum(*sinks)

@@ -381,10 +381,10 @@ def choose(setup: Setup, request: Request, scores: Scores, allowed: NDArray[np.i
 
 
 def shown(bundle: Bundle, rest: Rest | None, block: Floats, offset: Floats | None = None,
-          roles: arm_roles.Roles | None = None) -> tuple[Floats, Floats]:
+          roles: arm_roles.Roles | None = None, control: ControlRows | None = None) -> tuple[Floats, Floats]:
     """The motion [K, D_m] that becomes the past of the next block, and the frames [K, D_m] to show, of a generated
-    block [K, D_m]; offset: [K, D_m] to add to it, or None; roles: of the arms, or None. `rest`, which heard the block,
-    goes on."""
+    block [K, D_m]; offset: [K, D_m] to add to it, or None; roles: of the arms, or None; control: rows [K, 2 F], or
+    None. `rest`, which heard the block, goes on."""
     # Stay within the training data: the models' input must not drift away from it, pose by pose.
     block = np.clip(block, *bundle.statistics.bounds.astype(np.float32))
     if rest is None:
@@ -397,10 +397,10 @@ def shown(bundle: Bundle, rest: Rest | None, block: Floats, offset: Floats | Non
     displayed = past
     if roles is not None:
         # The generator goes on from what it drew: roles are laid over it, so they never add up.
-        names, resting = CHARACTERS[bundle.config.motion.joints].names, bundle.rest_feature(rest.speaker).astype(float)
+        height = 0.0 if control is None else control[:, 0].astype(np.float64)
         displayed = _hinged(bundle, rest.speaker, arm_roles.shown(
-            roles, bundle.statistics, rest.speaker, names, resting, rest.times,
-            past.astype(np.float64)).astype(np.float32))
+            roles, bundle.statistics, rest.speaker, CHARACTERS[bundle.config.motion.joints].names, rest.times,
+            past.astype(np.float64), height).astype(np.float32))
     return past, rest.alive(displayed).astype(np.float32)
 
 

@@ -173,7 +173,7 @@ def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Req
     # 5. What is shown: rest, roles of the arms, idle motion, and the offset that joins it to what was shown before.
     stays = rested.closed or held or (request.still is not None and bool(request.still.any()))
     roles = state.roles and state.roles.for_block(speech.start, request.wanted, stays)
-    past, motion = loop.shown(bundle, rest, block, offset, roles)
+    past, motion = loop.shown(bundle, rest, block, offset, roles, request.control)
     faded = state.offset is None or state.offset.over(speech.end)
     record = loop.decided(speech, lexeme, scores, keys, rested.probability)
     after = replace(state, lexeme=lexeme, past=past, generated=past if offset is None else past - offset,
