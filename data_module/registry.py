@@ -53,11 +53,6 @@ class RegistryEntry:
         return getattr(import_module(module), name) if name else import_module(module)
 
 
-def is_tool(plugin: object) -> bool:
-    """Whether an object is a module (or the like) with `arguments`, which adds its options to a parser, and `run`."""
-    return callable(getattr(plugin, "arguments", None)) and callable(getattr(plugin, "run", None))
-
-
 E = TypeVar("E", bound=RegistryEntry)
 
 

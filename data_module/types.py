@@ -197,8 +197,12 @@ class Blocks:
     @property
     def knot_times(self) -> Array:
         """[N * K] seconds of the normalised frames 1..K of every block, in the recording's own time."""
-        share = np.arange(1, self.frames + 1) / self.frames
-        times = self.edges[:-1, None] + self.durations[:, None] * share
-        # Exactly, not by rounding: the last frame of a block lies on its beat.
-        times[:, -1] = self.edges[1:]
-        return times.ravel()
+        return knot_times(self.edges, self.frames)
+
+
+def knot_times(edges: Array, frames: int) -> Array:
+    """`Blocks.knot_times` of blocks with these edges [N + 1] seconds."""
+    times = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(1, frames + 1) / frames)
+    # Exactly, not by rounding: the last frame of a block lies on its beat.
+    times[:, -1] = edges[1:]
+    return times.ravel()

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from data_module.errors import InputError
 from data_module.speech import onsets, silence
 from data_module.speech.audio import SAMPLE_RATE, SampleFeed
-from data_module.types import Array, Blocks, Motion, Samples, Skeleton, Word
+from data_module.types import Array, Motion, Samples, Skeleton, Word, knot_times
 from gesticulator.body.head_turns import HeadTurns
 from gesticulator.body.motion_path import LONGEST_HISTORY, MotionPath
 from gesticulator.body.rest import RestKnots
@@ -497,8 +497,7 @@ class Stream:
             # The cutter counts from the start of the utterance; keys and times need media time.
             speech = replace(block, number=self._past_blocks, start=block.start + self._begun,
                              end=block.end + self._begun)
-            edges = np.array([speech.start, speech.end])
-            times = Blocks(edges, np.zeros(1, np.int8), np.zeros(1, bool), self._bundle.frames, 1.0).knot_times
+            times = knot_times(np.array([speech.start, speech.end]), self._bundle.frames)
             control = controls_at(self._bundle.levels, self._setup.controls, times)
             request = Request(speech, control) if self._director is None else self._director.request(
                 speech, times, control)

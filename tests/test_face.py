@@ -12,6 +12,7 @@ from face_samples import at_rest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from performances import turned
+from safetensors.numpy import save
 
 from data_module.errors import InputError
 from data_module.motion.skeletons import CHARACTER
@@ -142,8 +143,21 @@ def test_weights_are_small_and_are_what_their_record_says(tmp_path: Path) -> Non
     with pytest.raises(InputError, match="not the file"):
         load_weights(folder)
     (folder / "visemes.safetensors").unlink()
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="does not exist"):
         load_weights(folder)
+
+
+def test_weights_of_another_shape_or_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
+    weights = {**load_weights(), "leave.weight": load_weights()["leave.weight"][:-1]}
+    with pytest.raises(InputError, match=r"leave\.weight: \(14, 224\) instead of \(15, 224\)"):
+        VisemeStepper(weights)
+    data = save({**load_weights(), "leave.bias": np.full(15, np.nan, np.float32)})
+    (tmp_path / "visemes.safetensors").write_bytes(data)
+    record = json.loads((SHIPPED / "face.json").read_text())
+    record["sha256"]["visemes.safetensors"] = hashlib.sha256(data).hexdigest()
+    (tmp_path / "face.json").write_text(json.dumps(record))
+    with pytest.raises(InputError, match="not finite numbers"):
+        load_weights(tmp_path)
 
 
 # -------------------------------------------------------------------------------------------------- lids, brows, eyes

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+import recogniser_samples as samples
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from data_module.errors import InputError, install_line
@@ -75,17 +76,55 @@ def test_textgrid_in_both_forms(tmp_path: Path, write: Callable[..., str], encod
     assert found.text == 'he said "no" naïve'
 
 
-def test_a_textgrid_by_praatio(tmp_path: Path) -> None:
-    """Files that another program wrote."""
+LINE = st.lists(st.from_regex("[a-gé][a-gß']{0,8}", fullmatch=True), min_size=1, max_size=6)
+PIECES = st.lists(st.tuples(LINE, st.integers(0, 200), st.integers(5, 400)), min_size=1, max_size=8)
+"""Words, the pause before them and their length, in hundredths of seconds."""
+
+
+def _lines(drawn: Sequence[tuple[list[str], int, int]]) -> list[tuple[float, float, list[str]]]:
+    ends = np.cumsum([pause + length for _, pause, length in drawn])
+    return [(float(end - length) / 100, float(end) / 100, words)
+            for end, (words, _, length) in zip(ends, drawn, strict=True)]
+
+
+@settings(max_examples=20)
+@given(drawn=PIECES, long=st.booleans(), blanks=st.booleans())
+def test_textgrids_are_read_as_praatio_reads_and_writes_them(tmp_path_factory: pytest.TempPathFactory,
+                                                             drawn: list[tuple[list[str], int, int]], long: bool,
+                                                             blanks: bool) -> None:
     textgrid = pytest.importorskip("praatio.textgrid")
-    grid = textgrid.Textgrid()
-    spoken = [(w.start, w.end, w.text) for w in WORDS if w.text]
-    grid.addTier(textgrid.IntervalTier("words", spoken, 0, 2.0))
-    grid.addTier(textgrid.PointTier("beats", [(0.5, "H*"), (1.2, "1.0")], 0, 2.0))
-    for form in ("long_textgrid", "short_textgrid"):
-        path = tmp_path / f"{form}.TextGrid"
-        grid.save(str(path), form, includeBlankSpaces=True)
-        assert read_transcript(path).words == WORDS
+    grid, path, lines = textgrid.Textgrid(), tmp_path_factory.mktemp("grid") / "a.TextGrid", _lines(drawn)
+    end = lines[-1][1] + 1.0
+    grid.addTier(textgrid.IntervalTier("words", [(a, b, "-".join(words)) for a, b, words in lines], 0, end))
+    grid.addTier(textgrid.PointTier("beats", [(0.5 * end, "H*")], 0, end))
+    grid.save(str(path), "long_textgrid" if long else "short_textgrid", includeBlankSpaces=blanks)
+    theirs = textgrid.openTextgrid(str(path), includeEmptyIntervals=True).getTier("words").entries
+    ours = read_transcript(path).words or ()
+    assert [(w.start, w.end, w.text) for w in ours] == [tuple(entry) for entry in theirs]
+    assert [w.text for w in ours if w.text] == ["-".join(words) for *_, words in lines]
+
+
+@settings(max_examples=20)
+@given(drawn=PIECES)
+def test_subtitles_are_read_as_pysubs2_reads_and_writes_them(tmp_path_factory: pytest.TempPathFactory,
+                                                             drawn: list[tuple[list[str], int, int]]) -> None:
+    """Whole files, that is. Neither it nor praatio takes the place of our readers: a file that is cut off or has a
+    broken time reads as a whole one there, without a word; pysubs2 takes the names of WebVTT's cues for speech, and
+    knows no SBV and no LRC."""
+    pysubs2 = pytest.importorskip("pysubs2")
+    folder, lines = tmp_path_factory.mktemp("subs"), _lines(drawn)
+    file = pysubs2.SSAFile()
+    file.events = [pysubs2.SSAEvent(round(1000 * a), round(1000 * b), "\\N".join(
+        " ".join(half) for half in (words[:2], words[2:]) if half)) for a, b, words in lines]
+    said = [(pytest.approx(a), pytest.approx(b), " ".join(words)) for a, b, words in lines]
+    for suffix, kind in ((".srt", "srt"), (".vtt", "vtt"), (".ass", "ass"), (".ssa", "ssa"), (".ttml", "ttml")):
+        assert [(cue.start, cue.end, cue.text)
+                for cue in _read(folder, "a" + suffix, file.to_string(kind)).cues] == said, kind
+    words = [(" ".join(words), a, b) for a, b, words in lines]
+    for kind in ("srt", "vtt"):
+        text = samples.FILES[kind][1](words)
+        assert [(cue.start, cue.end, cue.text) for cue in _read(folder, "b." + kind, text).cues] == [
+            (event.start / 1000, event.end / 1000, event.text) for event in pysubs2.SSAFile.from_string(text, kind)]
 
 
 def test_broken_textgrids_are_refused(tmp_path: Path) -> None:

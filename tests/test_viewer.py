@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import OpenedPage
-from gltf_reader import GlbFile
+from gltf_reader import GlbFile, save
 from performances import perform, write
 from scipy.spatial.transform import Rotation
 from small_characters import write_character
@@ -299,6 +299,38 @@ def test_a_character_of_the_users_makes_the_gestures(opened: OpenedPage, tmp_pat
         assert _direction((played[names[a]], played[names[b]])) @ faces.apply(_direction((truth[a], truth[b]))) > 0.999
     page.evaluate("() => document.getElementById('own-figure').click()")
     page.wait_for_function("() => preview.stage.performers[0].character === null")
+
+
+def _in_a_stride(path: Path) -> Path:
+    """The character with a frame of a stride as its rest pose; its skin stays bound in the T-pose."""
+    file = GlbFile.parse(path.read_bytes())
+    nodes = {node.get("name", "").removeprefix("mixamorig:"): node for node in file.document["nodes"]}
+    axes = dict(zip(file.names(), file.worlds()[0, :, :3, :3] / 0.01, strict=True))  # of joints in centimetres
+    # The pelvis leans and twists, the chest turns back, the legs and arms swing.
+    for name, turn in {"Hips": [8, 12, 3], "Spine2": [4, -15, -3], "LeftUpLeg": [-30, 0, 0], "RightUpLeg": [25, 0, 0],
+                       "LeftArm": [20, 0, 0], "RightArm": [-20, 0, 0]}.items():
+        own = Rotation.from_matrix(axes[f"mixamorig:{name}"])
+        local = own.inv() * Rotation.from_euler("XYZ", turn, degrees=True) * own
+        nodes[name]["rotation"] = (Rotation.from_quat(nodes[name]["rotation"]) * local).as_quat().tolist()
+    return save(path, file.document, file.binary)
+
+
+def test_a_character_that_rests_in_a_stride_stands_upright(opened: OpenedPage, tmp_path: Path) -> None:
+    """The page makes the same poses of a character, whatever pose its file rests in: taken for upright, that pose makes
+    the trunk lean by 12.2 degrees."""
+    page, trunks = opened.page, {}
+    names = [[name, ""] for name in ("Hips", "Neck", "Head", "LeftArm", "RightArm", "LeftUpLeg", "RightUpLeg")]
+    for name, rig in (("still.glb", write_character(tmp_path / "still.glb")),
+                      ("stride.glb", _in_a_stride(write_character(tmp_path / "stride.glb")))):
+        page.set_input_files("#pick-character", str(rig))
+        page.wait_for_function("(name) => preview.stage.performers[0].character?.name === name", arg=name)
+        opened.go_to(1.0)
+        page.evaluate("() => preview.stage.draw(1.0)")
+        trunks[name] = page.evaluate(PLACES, names)
+    for a, b in (("Hips", "Neck"), ("Neck", "Head"), ("RightArm", "LeftArm"), ("RightUpLeg", "LeftUpLeg")):
+        straight, leaning = (_direction((trunks[name][a], trunks[name][b])) for name in trunks)
+        lean = np.degrees(np.arccos(np.clip(straight @ leaning, -1.0, 1.0)))
+        assert lean < 0.5, f"{a} to {b} leans by {lean:.1f} degrees"
 
 
 def test_motion_is_saved_as_vrma_and_glb(opened: OpenedPage, tmp_path: Path) -> None:

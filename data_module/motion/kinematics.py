@@ -10,7 +10,7 @@ from data_module.motion import rotation
 from data_module.types import Array, Motion, Skeleton
 
 __all__ = ["fade_weights", "global_rotations", "joint_positions", "local_rotations", "minimum_jerk", "positions_of",
-           "quintic_offset", "resample"]
+           "resample"]
 
 
 def global_rotations(skeleton: Skeleton, rotations: Array) -> Array:
@@ -137,19 +137,3 @@ def fade_weights(s: Array) -> tuple[Array, Array, Array]:
     s2, s3, s4, s5 = s ** 2, s ** 3, s ** 4, s ** 5
     return (1.0 - 10.0 * s3 + 15.0 * s4 - 6.0 * s5, s - 6.0 * s3 + 8.0 * s4 - 3.0 * s5,
             0.5 * (s2 - 3.0 * s3 + 3.0 * s4 - s5))
-
-
-def quintic_offset(before: Array, target: Array, times: Array, fade: float, fps: float) -> Array:
-    """[M, D] the offset to add to the new motion at `times`: the gap to the old motion, its velocity and acceleration
-    fade to zero (`fade_weights`).
-
-    before: [3, D] the last frames of the old motion; target: [3, D] the new motion at the same three frames. times: [M]
-    seconds of the new frames, the first one frame after `before`. fade: seconds until the offset is zero. Zeros if
-    `before` holds fewer than three frames.
-    """
-    if len(before) < 3:
-        return np.zeros((len(times), target.shape[1]))
-    gap = before - target
-    v, a = (gap[2] - gap[1]) * fps, (gap[2] - 2.0 * gap[1] + gap[0]) * fps * fps
-    place, velocity, acceleration = fade_weights(np.clip((times - times[0] + 1.0 / fps) / fade, 0.0, 1.0)[:, None])
-    return gap[2] * place + v * fade * velocity + a * fade * fade * acceleration

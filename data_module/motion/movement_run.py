@@ -1,6 +1,7 @@
 """The runner of the basis of movement (`data_module.motion.movement`), and the parts of a body."""
 
 from collections.abc import Mapping, Sequence
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -50,7 +51,7 @@ class BasisRunner:
         self.widths = tuple(min(components[name], frames * count) for name, count in zip(parts, counts, strict=True))
         self.width, self.motion_width = sum(self.widths), sum(counts)
         self._order = np.array([column for columns in parts.values() for column in columns])
-        self._back, self._ends = np.argsort(self._order), np.cumsum(counts)[:-1]
+        self._back, self._columns = np.argsort(self._order), _slices(counts)
         self._predictors = [tensors.take(f"predictor_{part}", 3 * count + 1, frames * count)
                             for part, count in enumerate(counts)]
         self._components = [tensors.take(f"components_{part}", frames * count, width)
@@ -60,7 +61,8 @@ class BasisRunner:
 
     def _by_part(self, values: Floats) -> list[Floats]:
         """Values [..., T, D_m] as [..., T * columns] of each part."""
-        return [part.reshape(*part.shape[:-2], -1) for part in np.split(values[..., self._order], self._ends, -1)]
+        values = values[..., self._order]
+        return [values[..., part].reshape(*values.shape[:-2], -1) for part in self._columns]
 
     def _joined(self, parts: Sequence[Floats]) -> Floats:
         """Blocks [..., K * columns] of each part to [..., K, D_m]."""
@@ -81,6 +83,10 @@ class BasisRunner:
 
     def expand(self, coefficients: Floats) -> Floats:
         """Coefficients [..., n] to E [..., K, D_m]."""
-        parts = np.split(coefficients, np.cumsum(self.widths)[:-1], -1)
-        return self._joined([values @ components.T for values, components
-                             in zip(parts, self._components, strict=True)])
+        return self._joined([coefficients[..., part] @ components.T for part, components
+                             in zip(_slices(self.widths), self._components, strict=True)])
+
+
+def _slices(widths: Sequence[int]) -> list[slice]:
+    """Of parts that lie side by side; `numpy.split` takes as long as the product that it is for."""
+    return [slice(end - width, end) for end, width in zip(accumulate(widths), widths, strict=True)]

@@ -114,7 +114,7 @@ TED_BONES = ((0, 1), (1, 2), (2, 3), (1, 4), (4, 5), (5, 6), (1, 7), (7, 8), (8,
 TED_ABSENT = ("Hips", "Spine3", "Neck1", "RightHand", "LeftHand")
 """Joints of the character that the ten points do not determine; they have the identity rotation."""
 
-_SPINE, _NECK, _NOSE, _HEAD = 0, 1, 2, 3  # joints; the bones that follow are numbered by `TED_BONES`
+_SPINE, _NOSE, _HEAD = 0, 2, 3  # joints; the bones that follow are numbered by `TED_BONES`
 _TO_NECK, _TO_NOSE, _TO_CROWN = 0, 1, 2
 _SHOULDER_BONES = {"Left": 3, "Right": 6}
 

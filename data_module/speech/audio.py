@@ -32,7 +32,8 @@ SAMPLE_RATE = 16000
 """Sample rate of every `Speech` that this module returns, hertz."""
 SHORTEST = 0.3
 """Shortest recording, seconds; anything shorter has no block."""
-SOUNDS = (".flac", ".wav", ".mp3", ".ogg", ".opus", ".m4a", ".aac", ".webm", ".mp4", ".mkv", ".mov")
+SOUNDS = (".flac", ".wav", ".mp3", ".ogg", ".opus", ".m4a", ".aac", ".webm", ".mp4", ".mkv", ".mov", ".aiff", ".aif",
+          ".caf", ".wma", ".amr", ".3gp", ".avi")
 """Suffixes of sound files, and of videos with sound, in order of preference."""
 
 # Range of sample rates, hertz: below the first there is no intelligible speech, and no sound card exceeds the second.
@@ -50,6 +51,9 @@ _WITH_CENTRE, _LEAST_CENTRE = (6, 8), 0.06
 _CANCELLED = 0.25
 # Speech over noise of a mean below which it is noisy, and by how much a channel must be clearer; power of no noise.
 _NOISY, _CLEARER, _NO_NOISE = 3.0, 10.0, 1e-7
+# Mean of the samples, as a share of their standard deviation, above which the zero line of a recorder is off: of 377
+# real recordings 335 have less than a hundredth, and 25 more than this. At a sixth, hands are 8 cm out of place.
+_OFF_ZERO = 0.05
 # Levels that are told apart up to full scale; the share of samples at the loudest one above which a recording is
 # clipped, and their part of the samples within a hundredth of it: a sine has a fifth there, a cut wave nearly all.
 _LEVELS, _CLIPPED, _CUT_OFF = 2048, 0.002, 0.4
@@ -67,7 +71,8 @@ def load_speech(source: str | os.PathLike[str] | BinaryIO) -> Speech:
     source: a path, or a binary stream such as `sys.stdin.buffer` with a sound file: WAV, FLAC, OGG, MP3 and other
     formats of libsndfile, and with PyAV installed M4A, MP4, WebM and other containers. Channels are averaged; of 5.1
     the centre is taken, and where a mean would lose the speech, because channels cancel one another or one is noisy,
-    the one with the speech. `SoundWarning` for that, for a low sample rate and for a clipped recording.
+    the one with the speech. A zero line that is off is moved to 0. `SoundWarning` for a channel that is taken alone,
+    for a low sample rate and for a clipped recording.
 
     `InputError` for anything that is not a recording of at least `SHORTEST` seconds, and for one with fewer samples
     than its header promises.
@@ -91,7 +96,7 @@ def load_speech(source: str | os.PathLike[str] | BinaryIO) -> Speech:
     except OSError as error:
         raise InputError(name, f"cannot be read ({error.strerror or error})", "check the path and its rights") from None
     survey.warn(name, channel)
-    return Speech(samples, SAMPLE_RATE)
+    return Speech(_centred(samples), SAMPLE_RATE)
 
 
 def as_speech(given: SpeechInput, sample_rate: float | None = None) -> Speech:
@@ -112,7 +117,7 @@ def as_speech(given: SpeechInput, sample_rate: float | None = None) -> Speech:
         raise InputError("speech", f"lasts {len(samples) / survey.rate:.2f} s, too short for a gesture",
                          f"give {SHORTEST} s or more")
     survey.warn("speech", channel)
-    return Speech(np.clip(_mixed(samples, channel), -1.0, 1.0), survey.rate)
+    return Speech(_centred(np.clip(_mixed(samples, channel), -1.0, 1.0)), survey.rate)
 
 
 def _check_rate(rate: float, name: object = "") -> None:
@@ -123,7 +128,8 @@ def _check_rate(rate: float, name: object = "") -> None:
 
 class SampleFeed:
     """Streamed samples to mono at `SAMPLE_RATE`: the same result as of `as_speech`, `amplified` and `resample` for all
-    of them, whatever the pieces. Channels are averaged always: which one has the speech is not known at the start."""
+    of them, whatever the pieces. Channels are averaged always, and a zero line that is off stays so: which channel has
+    the speech, and the mean of a sound, are not known at its start."""
 
     def __init__(self, sample_rate: float, gain: float = 0.0) -> None:
         _check_rate(sample_rate)
@@ -216,6 +222,15 @@ def _check_scale(samples: NDArray[np.floating[Any]], name: object, rate: float, 
 def _mixed(samples: NDArray[np.floating[Any]], channel: int | None = None) -> Samples:
     """[n, channels] as [n]: the mean of the channels, or one of them."""
     return np.ascontiguousarray(samples.mean(axis=1) if channel is None else samples[:, channel], dtype=np.float32)
+
+
+def _centred(samples: Samples) -> Samples:
+    """The samples about 0, changed in place, if a recorder's zero line was elsewhere: pauses would not be silent."""
+    offset = float(samples.mean(dtype=np.float64))
+    power = float(np.dot(samples, samples)) / len(samples) - offset ** 2
+    if offset ** 2 > _OFF_ZERO ** 2 * max(power, 0.0):
+        samples -= np.float32(offset)
+    return samples
 
 
 class _Survey:

@@ -112,8 +112,8 @@ class MelFrontEnd:
         padded[:, self._window // 2:self._window // 2 + length] = windows
         spectra = self.frames * self.hops
         # A spectrum is centred on its hop, so that the rows of a block cover the block.
-        at = np.lib.stride_tricks.sliding_window_view(padded, self._window, axis=1)
-        at = at[:, [round((k + 0.5) * self.samples_per_frame / self.hops) for k in range(spectra)]]
+        starts = [round((k + 0.5) * self.samples_per_frame / self.hops) for k in range(spectra)]
+        at = np.stack([padded[:, start:start + self._window] for start in starts], axis=1)
         spectrum = np.fft.rfft(at * self._taper, axis=-1)
         power = (spectrum.real ** 2 + spectrum.imag ** 2) @ self._filters
         logs = self._log(power.astype(np.float32, copy=False))  # it is, and NumPy does not say so

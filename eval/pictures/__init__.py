@@ -4,7 +4,13 @@
 options, and `run(arguments)`, which gives the files that it wrote. A new one is a file and an entry here.
 """
 
-from data_module.registry import Registry, RegistryEntry, Requirement, is_tool
+from data_module.registry import Registry, RegistryEntry, Requirement
+
+
+def is_tool(plugin: object) -> bool:
+    """Whether an object is a module (or the like) with `arguments`, which adds its options to a parser, and `run`."""
+    return callable(getattr(plugin, "arguments", None)) and callable(getattr(plugin, "run", None))
+
 
 MATPLOTLIB = Requirement("matplotlib", "matplotlib", "figures")
 PLOTS: Registry[RegistryEntry] = Registry("plots", "a plot", {

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.errors import InputError
-from data_module.files import read_object
+from data_module.files import read_bytes, read_object
 from data_module.layers_run import Dense, Floats, Gru, Tensors, softmax
 from data_module.speech.front_ends import MelFrontEnd
 from data_module.speech.silence import FRAME, MARGIN, STEP, LoudnessTracker, frame_levels
@@ -62,18 +62,15 @@ def load_weights(folder: Path = SHIPPED) -> Weights:
 
     record = read_object(folder / "face.json", _AGAIN)
     path = folder / "visemes.safetensors"
-    try:
-        data = path.read_bytes()
-    except OSError:
-        raise InputError(path, "cannot be read", _AGAIN) from None
+    data = read_bytes(path, _AGAIN)
     # The hash is of the bytes that are read here, so that other weights never pass for the shipped ones.
     hashes: Any = record.get("sha256")
     expected = hashes.get(path.name) if isinstance(hashes, dict) else None
     if hashlib.sha256(data).hexdigest() != expected or record.get("visemes") != list(VISEMES):
         raise InputError(path, "is not the file that its record describes", _AGAIN)
     weights: Weights = load(data)
-    if weights["enter.weight"].shape != (HIDDEN, STACKED):
-        raise InputError(path, f"has weights of shape {weights['enter.weight'].shape}", _AGAIN)
+    if not all(np.isfinite(array).all() for array in weights.values()):
+        raise InputError(path, "has weights that are not finite numbers", _AGAIN)
     return weights
 
 
@@ -118,12 +115,15 @@ class VisemeStepper:
     millisecond per frame."""
 
     def __init__(self, weights: Weights) -> None:
-        """weights: of the layers enter, memory (a GRU of torch) and leave, and the mean and deviation of frames."""
+        """weights: of the layers enter, memory (a GRU of torch) and leave, and the mean and deviation of frames.
+        `InputError` for other shapes."""
         # The normalisation of the frames is folded into the first layer, which saves it for every frame.
-        first = weights["enter.weight"] / weights["deviation"]
-        self._enter = Dense(first, np.asarray(weights["enter.bias"] - first @ weights["mean"], np.float32))
-        self._memory = Gru(Tensors(weights).within("memory"), HIDDEN, HIDDEN)
-        self._leave = Dense(weights["leave.weight"], weights["leave.bias"])
+        tensors = Tensors(weights, "the lips network")
+        first = tensors.take("enter.weight", HIDDEN, STACKED) / tensors.take("deviation", STACKED)
+        shift = tensors.take("enter.bias", HIDDEN) - first @ tensors.take("mean", STACKED)
+        self._enter = Dense(first, np.asarray(shift, np.float32))
+        self._memory = Gru(tensors.within("memory"), HIDDEN, HIDDEN)
+        self._leave = tensors.dense("leave", 2 * HIDDEN, len(VISEMES))
         self._state: Floats | None = None
 
     def __call__(self, frame: Floats) -> Floats:

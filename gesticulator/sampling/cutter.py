@@ -22,7 +22,7 @@ from data_module.speech.audio import SAMPLE_RATE
 from data_module.speech.beats import BeatTracker
 from data_module.speech.front_ends import FrontEnd
 from data_module.speech.onsets import OnsetTracker
-from data_module.types import Array, BeatFlag, Blocks, Samples, Speech, Word
+from data_module.types import Array, BeatFlag, Blocks, Samples, Speech, Word, knot_times
 from gesticulator.bundle.config import Config
 from gesticulator.bundle.features import Features, SpeechBlock, SpeechFeatures, front_end_for, tempo_column
 from gesticulator.bundle.models import system_of
@@ -258,8 +258,7 @@ class BlockCutter:
 
     def _cut_block(self, start: float, end: float, flag: BeatFlag) -> _CutBlock:
         ended = self._ended
-        frames = Blocks(np.array([start, end]), np.zeros(1, np.int8), np.zeros(1, bool), self._config.rhythm.frames,
-                        self._config.rhythm.fps).knot_times
+        frames = knot_times(np.array([start, end]), self._config.rhythm.frames)
         # Pauses are known per frame of 10 ms; a block takes those that begin within it.
         first, last = silence.frame_after(np.array([start, end])).tolist()
         silent = silence.in_pause(self._pauses.between(first, min(last, self._frames) if ended else last))

@@ -5,6 +5,7 @@ import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 import { VRMLoaderPlugin, VRMUtils } from "@pixiv/three-vrm";
 
 import { showFace } from "../../integrations/gesticulator-client/src/face.js";
+import { boundTurns } from "./bind_pose.js";
 import { chains, jointsByName } from "./bone_names.js";
 import { CharacterFace } from "./character_face.js";
 import { bonesOf, humanoidPose } from "./humanoid.js";
@@ -145,6 +146,12 @@ class NamedCharacter extends Character {
     const { scene } = this.gltf;
     scene.updateMatrixWorld(true);
     this.nodes = nodes.slice(1);
+    // A rest pose may be a frame of a stride: our joints stand as the skin was bound to them.
+    const bound = boundTurns(scene);
+    for (const node of this.nodes.filter((one) => bound.has(one) && this.joints.has(one))) {
+      node.quaternion.copy(node.parent.getWorldQuaternion(new Quaternion()).invert().multiply(bound.get(node)));
+      node.updateMatrixWorld(true);
+    }
     this.rest = new Map(nodes.map((node) => [node, { local: node.quaternion.clone(), world: node.getWorldQuaternion(new Quaternion()) }]));
     this.byJoint = new Map([...this.joints].map(([node, joint]) => [joint, node]));
     const place = (joint) => this.byJoint.get(joint).getWorldPosition(new Vector3());

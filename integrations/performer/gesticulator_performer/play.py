@@ -18,11 +18,12 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from data_module.motion import rotation
-from data_module.motion.kinematics import minimum_jerk, quintic_offset
+from data_module.motion.kinematics import minimum_jerk
 from data_module.motion.motion_beats import acting_speed, beats_of_speed
 from data_module.types import Array, Motion
 from gesticulator_performer import plan as planning
 from gesticulator_performer import trunk as living
+from gesticulator_performer.fades import quintic_offset
 from gesticulator_performer.joints import FPS, TORSO_RADIUS, capsule_depth
 from gesticulator_performer.plan import BRAKE, Casting, Habits, Levels, Manner, PhraseHands, Planned, waiting_levels
 from gesticulator_performer.strokes import LEFT, RIGHT, SIDES, PerformerBody, StrokeSet

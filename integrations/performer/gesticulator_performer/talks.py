@@ -10,11 +10,12 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from data_module.motion import rotation
-from data_module.motion.kinematics import minimum_jerk, quintic_offset
+from data_module.motion.kinematics import minimum_jerk
 from data_module.motion.skeletons import CHARACTER, CHARACTERS, FINGERED, HIP_HEIGHT
 from data_module.types import Array, Motion
 from gesticulator_performer import inverse
 from gesticulator_performer import takes as real
+from gesticulator_performer.fades import quintic_offset
 from gesticulator_performer.inverse import Pool
 from gesticulator_performer.joints import FPS, facing_positions
 from gesticulator_performer.syllables import Spoken

@@ -22,8 +22,9 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from data_module.motion import kinematics, rotation
-from data_module.motion.kinematics import minimum_jerk, quintic_offset
+from data_module.motion.kinematics import minimum_jerk
 from data_module.types import Array
+from gesticulator_performer.fades import quintic_offset
 from gesticulator_performer.joints import FPS
 from gesticulator_performer.strokes import SIDES, PerformerBody
 from gesticulator_performer.syllables import Phrase, Spoken, Syllable
