@@ -65,15 +65,14 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "activity": ("--activity", ".5"), "still": ("--activity", "0"), "calm": ("--energy", "calm"),
     "lively": ("--energy", "lively"),
     "hold": ("--hold-still", "3.2-5.0"), "cue_time": ("--cue", "2.5=shrug"), "variation": ("--variation", "1"),
-    "cql": ("--interpreter", "cql"), "advantage": ("--interpreter", "advantage"),
-    "beta": ("--interpreter", "advantage", "--beta", "2"), "statistical": ("--interpreter", "statistical"),
+    "cql": ("--interpreter", "cql"), "statistical": ("--interpreter", "statistical"),
     "low": ("--hand-height", "low"), "slow": ("--hand-speed", "low", "--hand-radius", ".3"), "seed": ("--seed", "3"),
     "cold": ("--temperature", "0"), "fps": ("--fps", "24"), "gain": ("--gain", "-12"),
     "many": ("--legs", "--mirror", "--energy", "calm", "--cue", "1=wave", "--hold-still", "5-7", "--seed", "9"),
 }
 """Case -> options of the command, without words."""
 SPOKEN: dict[str, tuple[str, ...]] = {
-    "text": (), "text_cql": ("--interpreter", "cql"), "text_advantage": ("--interpreter", "advantage"),
+    "text": (), "text_cql": ("--interpreter", "cql"),
     "cue_word": ("--cue", "voice=wave", "--cue", "screen=point ahead"), "text_legs": ("--legs", "--variation", "2"),
 }
 """Case -> options of the command, with words."""
@@ -363,7 +362,7 @@ def edit(golden: Golden) -> None:
     sound = golden.sound(PIECE)
     both = (".bvh", ".json")
     base = golden.infer("edit/base", sound, "--text", golden.text(), suffixes=both)
-    other = golden.infer("edit/other_base", sound, "--interpreter", "advantage", "--variation", "1", "--energy", "calm",
+    other = golden.infer("edit/other_base", sound, "--interpreter", "cql", "--variation", "1", "--energy", "calm",
                          "--cue", "3=stop", "--hand-height", "high", suffixes=both)
     for name, change in EDITS.items():
         golden.infer(f"edit/{name}", sound, "--plan", changed(golden, base, name, change), suffixes=both)

@@ -357,13 +357,11 @@ class SetupResolver:
         if temperature is None:
             # Q values and log-probabilities have different scales, so each has a default of its own.
             temperature = defaults.q_temperature if interpreter.gives_values else defaults.temperature
-        # beta depends on the temperature: it is a weight on scores that are divided by it.
-        interpreter = interpreter.steered(options.beta, temperature)
         # Interpreters of other packages have no figures of ours, so there is nothing to warn of.
         if known is not None and known.doubt:
             warnings.warn(InterpreterWarning(known.doubt), stacklevel=2)
         return Setup(interpreter, self.speaker(options.speaker), temperature, int(options.seed), activity,
-                     hand_controls(bundle, options), int(options.variation), interpreter.beta, text)
+                     hand_controls(bundle, options), int(options.variation), text)
 
 
 def hand_controls(bundle: Bundle, options: InferenceOptions) -> Controls:

@@ -64,7 +64,6 @@ RANGES = {
     "variation": Range(0, 2**32 - 1, "a whole number from 0", whole=True),
     # At 1000 all lexemes are practically equally likely.
     "temperature": Range(0, 1000, "0 (always the likeliest lexeme) to 1000"),
-    "beta": Range(0, 20, "0 (the behaviour policy itself) to 20"),
     "activity": Range(0, 1, "0 (stillness) to 1 (unrestricted)"),
     "fps": Range(1, 1000, "1 to 1000 frames per second"),
     "intensity": Range(0, 2, "0 (the hands hang) to 2 (largest)"),
@@ -111,8 +110,8 @@ class InferenceOptions:
     """Performer whose gesture style to use (gesticulator bundle inspect lists them). It has nothing to do with the
     voice."""
     interpreter: str | LexemeInterpreter | None = _option(None, "NAME")
-    """The model that chooses the lexemes. A name of the bundle's `interpreters` ("lstm", "cql", "advantage",
-    "statistical") or an object (`interpreters.base.LexemeInterpreter`)."""
+    """The model that chooses the lexemes. A name of the bundle's `interpreters` ("lstm", "cql", "statistical") or an
+    object (`interpreters.base.LexemeInterpreter`)."""
     seed: int = _option(0, "N")
     """The same seed gives the same bytes, with the same bundle and speech."""
     variation: int = _option(0, "N")
@@ -120,9 +119,6 @@ class InferenceOptions:
     temperature: float | None = _option(None, "T")
     """Randomness of the choice of lexemes, 0 to 1000: 0 takes the likeliest, 1 samples from the interpreter's
     scores."""
-    beta: float | None = _option(None, "B")
-    """With --interpreter advantage: how strongly the learned reward biases the choice, 0 (the same as lstm) to 20. A
-    lexeme one standard deviation above the mean is e^beta times likelier."""
     activity: float | None = _option(None, "0..1")
     """Share of the speaking time with gestures, 0 (rests throughout) to 1 (unrestricted). Bundles that do not rest by
     phrases (silence.rest=decay) use it as the threshold of their gate."""

@@ -333,7 +333,7 @@ def origin_of(bundle: Bundle, options: InferenceOptions, setup: Setup, meanings:
     # A plan must render alike with a later version whose defaults differ.
     used = replace(options, speaker=bundle.speakers[setup.speaker],
                    interpreter=options.interpreter or bundle.interpreters[0],
-                   temperature=setup.temperature, beta=setup.beta,
+                   temperature=setup.temperature,
                    activity=bundle.config.selection.activity if options.activity is None else options.activity,
                    controls=setup.controls, hand_height=None, hand_speed=None, hand_radius=None)
     program = {"gesticulator": __version__,
@@ -347,8 +347,6 @@ def _settings(used: InferenceOptions, setup: Setup) -> dict[str, Any]:
         "speaker": used.speaker, "interpreter": interpreter_name(used.interpreter or ""), "words": setup.text,
         "seed": int(used.seed), "variation": int(used.variation),
         **{key: float(getattr(used, key)) for key in ("temperature", "activity", "fps", "gain")}}
-    if used.beta is not None:
-        settings["beta"] = float(used.beta)
     if used.legs or used.seated:
         settings["legs"] = "seated" if used.seated else "standing"
     for feature in FEATURES:

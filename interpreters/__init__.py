@@ -20,23 +20,20 @@ class InterpreterEntry(RegistryEntry):
     about: a line of help. where: module and class, an `interpreters.base.Interpreter`. part: name of its weights in a
     bundle; empty for an interpreter without weights, which is called with the speakers' lexeme frequencies
     [speakers, S] and the lexemes' transitions [S, S] (rows from, each summing to 1) unless its class overrides
-    `InterpreterDefaults.open`. text_part: the part to use if the speech has words. prior: the interpreter that it
-    builds on and gets as an argument; empty for none.
+    `InterpreterDefaults.open`. text_part: the part to use if the speech has words.
 
-    For interpreters with weights: section: the group of settings of `Config`, by default the name of the part. model:
-    module and class of the network that is trained, if not the interpreter itself: it has `build(settings, sizes)`.
-    runner: module and class that plays its weights, by default the interpreter; made from settings, sizes, tensors.
-    file: names of the files of the part and the text part without suffix, by default the names of the parts. tied: the
-    weights fit one codebook only. temperature: its default temperature, if it is not that of the bundle. doubt: the
-    warning with which it plays, if it is no better than another by our figures; empty for none.
+    For interpreters with weights, which are played by the class itself, made from settings, sizes and tensors: section:
+    the group of settings of `Config`, by default the name of the part. model: module and class of the network that is
+    trained, if not the interpreter itself: it has `build(settings, sizes)`. file: names of the files of the part and
+    the text part without suffix, by default the names of the parts. tied: the weights fit one codebook only.
+    temperature: its default temperature, if it is not that of the bundle. doubt: the warning with which it plays, if it
+    is no better than another by our figures; empty for none.
     """
 
     part: str = ""
     text_part: str = ""
-    prior: str = ""
     section: str = ""
     model: str = ""
-    runner: str = ""
     file: tuple[str, ...] = ()
     tied: bool = True
     temperature: float | None = None
@@ -46,7 +43,7 @@ class InterpreterEntry(RegistryEntry):
         return class_at(self.model or self.where)
 
     def load_runner(self) -> Any:
-        return class_at(self.runner or self.where)
+        return class_at(self.where)
 
     @property
     def settings(self) -> str:
@@ -77,13 +74,7 @@ INTERPRETERS: Registry[InterpreterEntry] = Registry("interpreters", "an interpre
     "cql-literal": InterpreterEntry(
         "RACER's Q-network as published: recorded lexemes only, arg max", "interpreters.cql_run:LiteralQRunner",
         "q_network_literal", section="cql_literal", model="interpreters.cql:QNetwork", temperature=0.0,
-        doubt="interpreter cql-literal is RACER's as published, for comparison: it repeats few lexemes; "
-              "--interpreter cql varies them"),
-    "advantage": InterpreterEntry(
-        "the LSTM, biased by a learned reward; see --beta", "interpreters.advantage_run:AdvantageInterpreter",
-        "advantage", prior="lstm", model="interpreters.advantage:Critics",
-        runner="interpreters.advantage_run:CriticsRunner",
-        doubt="no figure of this project shows the shipped weights of advantage to choose gestures better than lstm"),
+        doubt="cql-literal is RACER's as published, for comparison: it repeats few lexemes, and lstm chooses better"),
     "statistical": InterpreterEntry(
         "the speaker's lexeme frequencies", "interpreters.statistical:StatisticalInterpreter"),
 }, InterpreterEntry)

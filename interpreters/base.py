@@ -88,17 +88,8 @@ class Interpreter(LexemeInterpreter, Protocol):
         ...
 
     @property
-    def beta(self) -> float | None:
-        """Strength of the bias towards a learned reward; None if it accepts none (`steered`)."""
-        ...
-
-    @property
     def needs(self) -> frozenset[Need]:
         """The inputs that it uses besides the audio; other fields of `BlockFeatures` have no effect."""
-        ...
-
-    def steered(self, beta: float | None, temperature: float) -> Interpreter:
-        """The same with this beta (None: unchanged), for lexemes that are sampled at this temperature."""
         ...
 
     def guided(self, guidance: float) -> Interpreter:
@@ -107,25 +98,14 @@ class Interpreter(LexemeInterpreter, Protocol):
 
 
 class InterpreterDefaults:
-    """Defaults of `Interpreter`: log-probabilities, no beta, no guidance."""
+    """Defaults of `Interpreter`: log-probabilities, no guidance."""
 
     name: str = ""
     gives_values: bool = False
 
     @property
-    def beta(self) -> float | None:
-        return None
-
-    @property
     def needs(self) -> frozenset[Need]:
         return EVERY_NEED
-
-    def steered(self, beta: float | None, temperature: float) -> Any:
-        """See `Interpreter.steered`; InputError for a beta."""
-        if beta is not None:
-            raise InputError(f"beta {beta:g}", "is accepted by the interpreter advantage only",
-                             "choose that one, or leave beta out")
-        return self
 
     def guided(self, guidance: float) -> Any:
         return self
@@ -155,7 +135,7 @@ def opened(kind: Any, parts: InterpreterParts) -> Interpreter:
     return as_interpreter(kind.open(parts) if derived else kind(parts.frequencies, parts.transitions))
 
 
-_OPTIONAL = frozenset(("gives_values", "beta", "needs", "steered", "guided", "explain"))
+_OPTIONAL = frozenset(("gives_values", "needs", "guided", "explain"))
 
 
 def as_interpreter(given: object) -> Interpreter:
@@ -195,17 +175,14 @@ class InterpreterSizes:
 class InterpreterParts:
     """The parts of a bundle from which an interpreter is opened (`InterpreterDefaults.open`).
 
-    model: the part as it is played, None without weights; prior: the interpreter named as prior by its entry, if any;
-    frequencies: [speakers, S] and transitions: [S, S], counted on the training split; settings: the group named by the
-    entry's section; beta: that of the bundle.
+    model: the part as it is played, None without weights; frequencies: [speakers, S] and transitions: [S, S], counted
+    on the training split; settings: the group named by the entry's section.
     """
 
     model: Any
-    prior: Interpreter | None
     frequencies: NDArray[np.float64]
     transitions: NDArray[np.float64]
     settings: Any
-    beta: float
 
 
 def select(scores: Scores, *, allowed: NDArray[np.int64] | None = None, temperature: float = 0.0,

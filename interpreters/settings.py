@@ -165,38 +165,6 @@ class QConfig:
     """The online network selects the next action and the target values it (Double DQN); else the target does both."""
 
 
-CRITICS = 2
-"""J; the least of their advantages is used."""
-GAMMA = 0.9
-"""Discount per block. A lexeme affects the rewards of `reward.window` blocks."""
-
-
-@dataclass(frozen=True)
-class CriticConfig:
-    """Sizes of the critics of the advantage interpreter, and their training data."""
-
-    width: Width = 64
-    """C; wider networks did not predict the rewards of the lexemes better."""
-    heads: Width = 4
-    layers: Depth = 2
-    """Layers; one block must take less than 3 ms together with the behaviour policy."""
-    decisions: Width = 10
-    """Pairs of audio and lexeme that a decision attends to: a little more than the window of a reward."""
-    audio_features: Width = 32
-    """Width of the FC on three blocks of audio, for each of the K frames."""
-    audio_bottleneck: WidthOrNone = 32
-    """Width of a projection of each row of audio before that FC; 0 for none."""
-    states: Count = 24_000
-    """Decisions of the episodes for which the rewards of all lexemes are computed."""
-    swaps: Count = 6
-    """Substitutes per decision: half sampled from the behaviour policy, half at random."""
-
-    @property
-    def network(self) -> QConfig:
-        return QConfig(width=self.width, heads=self.heads, layers=self.layers, decisions=self.decisions,
-                       audio_features=self.audio_features, audio_bottleneck=self.audio_bottleneck)
-
-
 @dataclass(frozen=True)
 class RewardConfig:
     """Sizes of the reward model, and the sampling of its training windows."""

@@ -177,7 +177,7 @@ def tiny_movement_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFact
     from gesticulator.cli import main
 
     short = {"generator": 60, "interpreter": 60, "interpreter_text": 0, "gate": 20, "planner": 20, "reward": 10,
-             "cql": 10, "advantage": 10, "style": 20}
+             "cql": 10, "style": 20}
     settings = [*(f"schedules.{stage}.steps={steps}" for stage, steps in short.items()),
                 *(f"schedules.{stage}.batch=8" for stage in short), "schedules.interpreter.validations=2", *(
         "text.encoder=", "interpreter.text_head=0", "front_end.bands=16", "lexicon.size=24", "lexicon.levels=[8]",
@@ -190,9 +190,7 @@ def tiny_movement_bundle(tiny_store: Path, tmp_path_factory: pytest.TempPathFact
         "interpreter.audio_bottleneck=8", "interpreter.pose_features=12", "interpreter.lexeme_features=8",
         "interpreter.width=32", "interpreter.memory=4", "gate.width=16", "gate.audio_features=4",
         "gate.audio_bottleneck=8", *(f"{of}.{size}" for of in ("reward", "judge")
-          for size in ("width=16", "projection=8", "window=4", "longest=6", "members=2")), "advantage.width=16",
-        "advantage.heads=2", "advantage.layers=1", "advantage.decisions=5", "advantage.audio_features=4",
-        "advantage.audio_bottleneck=8", "advantage.states=200", "advantage.swaps=2",
+          for size in ("width=16", "projection=8", "window=4", "longest=6", "members=2")),
         "cql.width=16", "cql.heads=2", "cql.layers=2", "cql.decisions=6", "cql.audio_features=4",
         "cql.audio_bottleneck=8", "cql.copy_every=5", "episodes.prefix=2")]
     given = ["--threads", "1", "--quiet", *(part for setting in settings for part in ("--set", setting))]

@@ -9,8 +9,6 @@ from data_module.motion.movement_run import BasisRunner
 from generator.flow import FlowGenerator
 from generator.flow_run import FlowRunner
 from generator.settings import GeneratorWidths
-from interpreters.advantage import Critics
-from interpreters.advantage_run import CriticsRunner
 from interpreters.base import InterpreterSizes
 from interpreters.cql import QNetwork
 from interpreters.cql_run import QRunner
@@ -57,12 +55,6 @@ def played_style(model: StyleInterpreter) -> StyleRunner:
 def played_q(model: QNetwork, kind: type[QRunner] = QRunner) -> QRunner:
     sizes = sizes_for(model.frames, width_in(model.encode_audio), np.zeros((model.lexemes, 1)), model.speakers)
     return kind(model.config, sizes, tensors_of(model))
-
-
-def played_critics(model: Critics) -> CriticsRunner:
-    trunk = model.trunk
-    sizes = sizes_for(trunk.frames, width_in(trunk.encode_audio), np.zeros((model.lexemes, 1)), trunk.speakers)
-    return CriticsRunner(model.config, sizes, tensors_of(model))
 
 
 def played_gate(model: ActivityGate) -> GateRunner:

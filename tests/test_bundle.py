@@ -27,7 +27,7 @@ from gesticulator.gesticulator import Gesticulator
 SMALL = ("interpreter.audio_bottleneck=0", "style.audio_bottleneck=0", "generator.audio_bottleneck=0")
 SPEECH = Speech(np.random.default_rng(0).normal(0, 0.1, 32000).astype(np.float32), 16000)
 PARTS = ("lexicon", "generator", "interpreter", "style", "encoder", "gate", "interpreter_text", "style_text",
-         "q_network", "advantage")
+         "q_network")
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_every_part_survives_a_round_trip(whole: Path) -> None:
     assert read.trained("interpreter_text").encode_text is not None
 
 
-@pytest.mark.parametrize("lacking", [("gate",), ("style_text",), ("q_network", "advantage"),
+@pytest.mark.parametrize("lacking", [("gate",), ("style_text",), ("q_network",),
                                      ("interpreter_text", "style_text", "text")])
 def test_what_a_bundle_has_not_is_not_there_after_reading(lacking: tuple[str, ...], tmp_path: Path) -> None:
     less = untrained().with_parts(**dict.fromkeys(name for name in lacking if name != "text"))
@@ -151,6 +151,9 @@ def test_broken_and_foreign_bundles_are_refused_by_name(whole: Path, tmp_path: P
     index = json.loads((copy / "bundle.json").read_text())
     edit(copy, skeleton={**index["skeleton"], "names": ["A"]})
     with pytest.raises(InputError, match="skeleton"):
+        bundles.load(copy)
+    edit(copy, skeleton=index["skeleton"], config={**index["config"], "fourth_model": {}})
+    with pytest.raises(InputError, match=r"bundle\.json: has other settings than this version \(fourth_model is not"):
         bundles.load(copy)
     (copy / "bundle.json").write_text("{")
     with pytest.raises(InputError, match="broken"):
@@ -242,15 +245,13 @@ def test_a_broken_file_of_weights_with_the_right_hash_is_one_line(name: str, dat
 
 def test_only_what_is_asked_for_is_opened(whole: Path, tmp_path: Path) -> None:
     copy = copy_of(whole, tmp_path)
-    for name in ("advantage", "q_network", "gate", "lexeme_interpreter_text", "style_interpreter_text"):
+    for name in ("q_network", "gate", "lexeme_interpreter_text", "style_interpreter_text"):
         (copy / f"{name}.safetensors").write_bytes(b"not weights at all")
     system = Gesticulator.from_pretrained(copy)
     intact = Gesticulator.from_pretrained(whole)
     np.testing.assert_array_equal(system(SPEECH).motion.rotations, intact(SPEECH).motion.rotations)
     with pytest.raises(InputError, match=r"q_network\.safetensors"):
         system(SPEECH, interpreter="cql")
-    with pytest.raises(InputError, match=r"advantage\.safetensors"):
-        system(SPEECH, interpreter="advantage")
 
 
 def test_who_judges_a_policy_is_not_shipped_with_it(tmp_path: Path) -> None:
@@ -259,5 +260,5 @@ def test_who_judges_a_policy_is_not_shipped_with_it(tmp_path: Path) -> None:
     assert made.reward is judge
     bundles.save(made, tmp_path / "b", "a card")
     read = bundles.load(tmp_path / "b")
-    assert read.reward is None and read.reward_judge is None and "advantage" in read.parts
+    assert read.reward is None and read.reward_judge is None and "q_network" in read.parts
     assert not [file for file in read_index(tmp_path / "b")["files"] if "reward" in file]

@@ -13,7 +13,7 @@ from gesticulator.cli import main
 from gesticulator.training.fit import Batch, Task, generator_for
 
 SHORT = {"lexicon.steps": 20, "interpreter.steps": 4, "generator.steps": 6, "style.steps": 6}
-NONE = ("gate", "planner", "reward", "cql", "cql_literal", "advantage", "interpreter_text")
+NONE = ("gate", "planner", "reward", "cql", "cql_literal", "interpreter_text")
 
 
 def torchrun(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -37,7 +37,6 @@ def test_a_misspelt_option_suggests_the_right_one_and_names_the_help_of_the_verb
 def test_choices_are_checked_before_any_recording_is_done(refused: Callable[..., str], tmp_path: Path) -> None:
     out = str(tmp_path / "x.bvh")
     assert "did you mean connor?" in refused(EXAMPLE, "--speaker", "connr", "-o", out)
-    assert "the interpreter advantage only" in refused(EXAMPLE, "--beta", "2", "--interpreter", "cql", "-o", out)
     (tmp_path / "file").write_text("no folder")
     assert "file" in refused(EXAMPLE, "-o", str(tmp_path / "file" / "x.bvh"))
 

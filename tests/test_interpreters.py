@@ -9,16 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from learning import learn
 from numpy.typing import NDArray
-from runners import played_critics, played_lstm, played_q, played_style
+from runners import played_lstm, played_q, played_style
 
 from data_module.errors import InputError
 from interpreters import INTERPRETERS, base
-from interpreters.advantage import Critics
-from interpreters.advantage_run import AdvantageInterpreter
 from interpreters.cql import QConfig, QNetwork
 from interpreters.cql_run import LiteralQRunner, QRunner
 from interpreters.lstm import InterpreterWidths, LstmConfig, LstmInterpreter, StyleConfig, StyleInterpreter
-from interpreters.settings import CriticConfig
 from interpreters.statistical import StatisticalInterpreter
 
 FRAMES, AUDIO, SIZE, CODE, TEXT, CONTROL, MOTION = 5, 4, 6, 3, 3, 6, 9
@@ -50,16 +47,6 @@ def q_network(kind: type[QRunner] = QRunner) -> QRunner:
     return played_q(QNetwork(config, FRAMES, AUDIO, SIZE, 2, [1]).eval(), kind)
 
 
-def critics() -> Critics:
-    torch.manual_seed(1)
-    return Critics(CriticConfig(width=8, heads=2, layers=1, decisions=3, audio_features=4, audio_bottleneck=0), FRAMES,
-                   AUDIO, SIZE, 2).eval()
-
-
-def advantage(beta: float = 1.5) -> AdvantageInterpreter:
-    return AdvantageInterpreter(played_lstm(lstm()), played_critics(critics()), beta)
-
-
 class Outsider:
     """Somebody else's: nothing but `start` and `step`."""
 
@@ -75,7 +62,7 @@ class Outsider:
 
 
 MAKERS = {"lstm": lambda: played_lstm(lstm()), "cql": q_network, "cql-literal": lambda: q_network(LiteralQRunner),
-          "advantage": advantage, "statistical": statistical}
+          "statistical": statistical}
 
 
 def hear(seed: int = 0, **also: NDArray[np.float32]) -> base.BlockFeatures:

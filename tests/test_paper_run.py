@@ -17,13 +17,11 @@ from generator.settings import GeneratorConfig, GeneratorWidths
 from gesticulator.bundle.bundle import Bundle, load
 from gesticulator.bundle.files import NAMED
 from gesticulator.bundle.models import interpreter_sizes
-from interpreters.advantage import Critics
-from interpreters.advantage_run import CriticsRunner
 from interpreters.base import BlockFeatures
 from interpreters.cql import QNetwork
 from interpreters.cql_run import QRunner
 from interpreters.lstm import StyleInterpreter
-from interpreters.settings import CriticConfig, QConfig, StyleConfig
+from interpreters.settings import QConfig, StyleConfig
 from interpreters.style_run import StyleRunner
 from lexicon.autoencoder import Lexicon
 from lexicon.autoencoder_run import LexiconRunner
@@ -175,30 +173,6 @@ def same_values(module: QNetwork, runner: QRunner, inputs: tuple[torch.Tensor, .
         close(found, wanted[n])
 
 
-@EVERY
-@given(st.integers(1, 40), SEEDS)
-def test_thirty_advantages_of_the_critics(decisions: int, seed: int) -> None:
-    config = CriticConfig(width=12, heads=3, layers=2, decisions=decisions, audio_features=4, audio_bottleneck=5)
-    module = filled(Critics(config, FRAMES, AUDIO, LEXEMES, SPEAKERS), seed)
-    module.spread.fill_(0.7)
-    tensors = tensors_of(module)
-    runner = CriticsRunner(config, SIZES, tensors)
-    tensors.finish()
-    same_advantages(module, runner, q_inputs(seed, LEXEMES, SPEAKERS, FRAMES, AUDIO), seed)
-
-
-def same_advantages(module: Critics, runner: CriticsRunner, inputs: tuple[torch.Tensor, ...], seed: int) -> None:
-    previous, audio, one_hot, silent = inputs
-    prior = torch.as_tensor(floats(seed, 1, BLOCKS, module.lexemes)).log_softmax(-1)
-    with torch.no_grad():
-        wanted = (module.advantage(module.values(*inputs), prior) / module.spread)[0]
-    state = runner.start(one_hot.shape[1] - 1)
-    for n in range(BLOCKS):
-        found, state = runner.step(state, features(audio[0, n].numpy(), bool(silent[0, n])), int(previous[0, n]),
-                                   prior[0, n].double().numpy())
-        close(found, wanted[n])
-
-
 # --------------------------------------------------------------------------------------------------- shipped bundles
 
 def test_the_parts_of_the_shipped_bundles() -> None:
@@ -221,10 +195,6 @@ def test_the_parts_of_the_shipped_bundles() -> None:
         module = bundle.trained(name)
         assert isinstance(module, QNetwork)
         same_values(module, QRunner(settings_, interpreter_sizes(bundle.sizes), tensors_of(module)), inputs_of(bundle))
-    critics = default.trained("advantage")
-    assert isinstance(critics, Critics)
-    runner_of_critics = CriticsRunner(default.config.advantage, interpreter_sizes(default.sizes), tensors_of(critics))
-    same_advantages(critics, runner_of_critics, inputs_of(default), 4)
     sizes = interpreter_sizes(paper.sizes)
     same_codes(style, StyleRunner(config.style, sizes, style.code_width, tensors_of(style)), 5)
 

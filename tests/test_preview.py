@@ -146,9 +146,9 @@ def test_a_name_of_bytes_that_are_no_text_is_written(tmp_path: Path) -> None:
 def test_two_takes_of_one_recording_make_one_page(tmp_path: Path) -> None:
     first, second = perform(), perform(skeleton=FINGERED, seed=4)
     one, other = first.scene(), second.scene()
-    page = html.write_comparison(tmp_path / "two.html", {"lstm": one, "advantage": other}).read_text()
+    page = html.write_comparison(tmp_path / "two.html", {"lstm": one, "cql": other}).read_text()
     takes = _data(page)["takes"]
-    assert [take["name"] for take in takes] == ["lstm", "advantage"] and _data(page)["together"]
+    assert [take["name"] for take in takes] == ["lstm", "cql"] and _data(page)["together"]
     assert [take["plan"]["blocks"][0]["lexeme"] for take in takes] == [int(first.lexemes[0]), int(second.lexemes[0])]
     for takes, wrong in (({"a": one}, "cannot be compared"),
                          ({"a": one, "b": perform(seconds=3.0).scene()}, "different length"),

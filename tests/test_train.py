@@ -31,7 +31,7 @@ from gesticulator.training.stages.corpus import prepare
 from gesticulator.training.stages.windows import Windows, sequences, with_silence
 
 SIZES = {"speech": 6, "contrast": 6, "lexicon": 40, "interpreter": 10, "interpreter_text": 10, "gate": 6,
-         "reward": 6, "reward_judge": 6, "q_network": 14, "advantage": 8, "generator": 12, "style": 8,
+         "reward": 6, "reward_judge": 6, "q_network": 14, "generator": 12, "style": 8,
          "style_text": 8}
 """Steps of every stage of a short run, in the order in which the stages are trained."""
 SCHEDULES = [STAGES[stage].schedule for stage in SIZES if not stage.endswith(("_text", "_judge"))]
@@ -113,7 +113,7 @@ def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(
     monkeypatch.setattr(fitting._Learner, "step", one_step)
     train_short(store, tmp_path / "broken", broken)
     names = sorted(file.name for file in (tmp_path / "whole").glob("*.safetensors"))
-    assert len(names) == 11 and names == sorted(file.name for file in (tmp_path / "broken").glob("*.safetensors"))
+    assert len(names) == 10 and names == sorted(file.name for file in (tmp_path / "broken").glob("*.safetensors"))
     for name in names:
         a, b = (load_file(tmp_path / run / name) for run in ("whole", "broken"))
         assert a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a), name
@@ -122,7 +122,7 @@ def test_a_run_killed_in_every_stage_and_resumed_is_the_unbroken_run(
 
 
 HEARD = {"contrast", "interpreter", "interpreter_text", "gate", "planner", "generator", "style", "style_text", "reward",
-         "reward_judge", "q_network", "q_network_literal", "advantage"}
+         "reward_judge", "q_network", "q_network_literal"}
 """What follows the first stage of the speech encoder."""
 MADE, READ = {"generator", "style", "style_text"}, {"interpreter", "interpreter_text"}
 
@@ -137,13 +137,11 @@ def keys(store: Store, work: Path, *settings: str) -> dict[str, str]:
     ("generator.lstm_width=50", MADE),
     ("silence.augmentation=0.1", MADE),
     ("silence.lexemes=[1,2]", HEARD - {"contrast"}),  # rivals of the reward models follow the hinted lexemes
-    ("control.free=0.6", {*MADE, *READ, "q_network", "advantage"}),  # the interpreter acts in the Q-network's data set
-    ("interpreter.width=49", {*READ, "q_network", "advantage"}),
-    ("reward.width=17", {"reward", "q_network", "q_network_literal", "advantage"}),
+    ("control.free=0.6", {*MADE, *READ, "q_network"}),  # the interpreter acts in the Q-network's data set
+    ("interpreter.width=49", {*READ, "q_network"}),
+    ("reward.width=17", {"reward", "q_network", "q_network_literal"}),
     ("judge.width=17", {"reward_judge"}),
-    ("advantage.width=17", {"advantage"}), ("schedules.advantage.steps=31", {"advantage"}),
-    ("selection.beta=2.0", set()),
-    ("episodes.prefix=4", {"q_network", "advantage"}),
+    ("episodes.prefix=4", {"q_network"}),
     ("cql.width=18", {"q_network"}), ("schedules.cql.steps=31", {"q_network"}), ("selection.q_temperature=1.0", set()),
     ("cql_literal.width=18", {"q_network_literal"}), ("schedules.cql_literal.steps=31", {"q_network_literal"}),
     ("gate.width=17", {"gate"}), ("planner.width=17", {"planner"}),

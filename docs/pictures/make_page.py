@@ -30,7 +30,7 @@ def main(names, folder):
         opened.go_to(seconds)
         return Image.open(io.BytesIO(opened.page.screenshot(timeout=PATIENCE))).convert("RGB")
     takes = {name: Gesticulator.from_pretrained()(SPEECH, text=SPEECH.with_suffix(".txt"), face="full", interpreter=name
-                                                  ).scene() for name in ("lstm", "advantage")}
+                                                  ).scene() for name in ("lstm", "cql")}
     with chromium() as browser:
         if "viewer" in names:
             opened = OpenedPage(browser, write_comparison(folder / "speech.html", takes).as_uri(), 1440, 900)

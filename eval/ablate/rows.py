@@ -163,7 +163,7 @@ def base(name: str) -> Config:
     # `style-reads` is the row whose style interpreter has words, so no other has them.
     return configs.with_settings(config, [
         "schedules.gate.steps=0", "schedules.planner.steps=0", "schedules.reward.steps=0", "schedules.cql.steps=0",
-        "schedules.cql_literal.steps=0", "schedules.advantage.steps=0", "generator.use_control=false",
+        "schedules.cql_literal.steps=0", "generator.use_control=false",
         "interpreter.use_control=false", "style.text_features=0"])
 
 

@@ -196,10 +196,9 @@ class Bundle:
         # With words, the variant that reads them; without one, the audio-only model serves.
         entry = entries()[name]
         part = entry.text_part if text and entry.text_part in self.parts else entry.part
-        # An interpreter may stand on another one: an advantage steers a behaviour policy.
         system = opened(INTERPRETERS.load(name), InterpreterParts(
-            self.runners[part] if part else None, self.interpreter_named(entry.prior, text) if entry.prior else None,
-            self.frequencies, self.transitions, getattr(self.config, entry.settings, None), self.config.selection.beta))
+            self.runners[part] if part else None, self.frequencies, self.transitions,
+            getattr(self.config, entry.settings, None)))
         return system.guided(self.config.selection.interpreter_guidance)
 
     @property
@@ -291,7 +290,11 @@ def load(path: str | Path) -> Bundle:
     """
     folder = Path(path)
     index = files.read_index(folder)
-    config = from_dict(Config, index["config"])
+    try:
+        config = from_dict(Config, index["config"])
+    except InputError as error:  # settings come and go between versions
+        raise InputError(folder / files.INDEX, f"has other settings than this version ({error.subject} {error.wrong})",
+                         "use the version that wrote it, or train it again") from None
     # Joints in another order would move the wrong limbs.
     if index["skeleton"].get("names") != list(CHARACTERS[config.motion.joints].names):
         raise InputError(folder / files.INDEX, "was trained on another skeleton", "train it again")

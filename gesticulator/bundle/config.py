@@ -28,7 +28,6 @@ from data_module.speech.beats import BeatSettings
 from data_module.speech.front_ends import EncoderConfig
 from generator.settings import GeneratorConfig
 from interpreters.settings import (
-    CriticConfig,
     EpisodeConfig,
     GateConfig,
     LstmConfig,
@@ -39,7 +38,7 @@ from interpreters.settings import (
 )
 from lexicon.settings import FRAMES, LexiconConfig, RacerConfig
 
-__all__ = ["BeatSettings", "BlockSettings", "Config", "ControlConfig", "CriticConfig", "EncoderConfig",
+__all__ = ["BeatSettings", "BlockSettings", "Config", "ControlConfig", "EncoderConfig",
            "EpisodeConfig", "FitSettings", "FrontEndConfig", "GateConfig", "GeneratorConfig", "LexiconConfig",
            "LstmConfig", "MotionConfig", "QConfig", "RacerConfig", "RewardConfig", "Schedules", "SelectionConfig",
            "SilenceConfig", "StyleConfig", "TextConfig", "digest", "from_dict", "to_dict", "with_settings"]
@@ -164,8 +163,6 @@ class Schedules:
     """RACER's Q-network; 0 steps: no reward models either."""
     cql_literal: FitSettings = NOT_TRAINED
     """A second Q-network as published (`Config.cql_literal`), beside the first."""
-    advantage: FitSettings = NOT_TRAINED
-    """The critics of the advantage interpreter."""
 
 
 @dataclass(frozen=True)
@@ -178,11 +175,6 @@ class SelectionConfig:
     q_temperature: NotNegative = 0.0
     """Temperature for the Q-network, whose scores are Q values: 0 is RACER's greedy choice, which on its own past
     repeats a few lexemes."""
-    beta: Annotated[float, SettingRange(0.0, 20.0)] = 1.0
-    """For `--interpreter advantage`: how strongly the advantage biases the choice. A lexeme whose advantage is one
-    standard deviation above the behaviour policy's mean is e^beta times as likely; 0 is the behaviour policy itself.
-    Chosen on the validation split with the judging reward, not the one trained on (`gesticulator probe racer --split
-    val`)."""
     activity: Share = 1.0
     """How readily the gate lets a block gesture: 1 always, 0 never. With rest by phrases, the share of speech time that
     is gestured."""
@@ -234,7 +226,6 @@ class Config:
     cql_literal: QConfig = field(default_factory=lambda: QConfig(conservative=1.0))
     """The Q-network as published, on recorded lexemes only: no discount but the paper's and no warm-up. RACER gives no
     alpha; 1 weighs the two terms of its Eq. 11 equally."""
-    advantage: CriticConfig = field(default_factory=CriticConfig)
     racer: RacerConfig = field(default_factory=RacerConfig)
     silence: SilenceConfig = field(default_factory=SilenceConfig)
     selection: SelectionConfig = field(default_factory=SelectionConfig)

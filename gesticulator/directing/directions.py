@@ -46,7 +46,7 @@ class Director:
 # -------------------------------------------------------------------------------------------------------- plans
 
 # They were drawn into the plan's lexemes and random numbers: another value would contradict what is replayed.
-_OF_THE_PLAN = ("speaker", "temperature", "beta", "hand_height", "hand_speed", "hand_radius", "controls")
+_OF_THE_PLAN = ("speaker", "temperature", "hand_height", "hand_speed", "hand_radius", "controls")
 
 
 def planned(options: InferenceOptions) -> InferenceOptions:
@@ -82,7 +82,7 @@ def planned(options: InferenceOptions) -> InferenceOptions:
     try:
         return InferenceOptions(
             speaker=plan.speaker, interpreter=options.interpreter or plan.interpreter, seed=plan.seed,
-            temperature=settings["temperature"], beta=settings.get("beta"),
+            temperature=settings["temperature"],
             fps=options.fps if options.fps != FPS else settings.get("fps", FPS), gain=settings.get("gain", 0.0),
             controls=_controls(settings, plan), plan=_cued(plan), cues=plan.cues,
             legs=options.legs or settings.get("legs") == "standing",

@@ -188,5 +188,5 @@ COMMAND = Command(
         "view talk.flac",
         "view talk.flac --text talk.txt --character rig.vrm",
         "view talk.flac --plan talk.plan.json",
-        "view talk.flac --interpreter advantage --port 8123 --no-browser",
+        "view talk.flac --interpreter cql --port 8123 --no-browser",
     ))

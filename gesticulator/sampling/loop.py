@@ -139,8 +139,7 @@ def _log_normal(numbers: Array) -> Array:
 class Setup:
     """All about a performance that was resolved and checked once, before its first block. speaker: index.
     temperature: of the choice of lexemes, 0 takes the best. seed: of the random numbers; variation: selects other
-    motion for the same lexemes. activity: share of the speaking time with gestures, 0 to 1. beta: of the interpreter,
-    or None. text: words are read."""
+    motion for the same lexemes. activity: share of the speaking time with gestures, 0 to 1. text: words are read."""
 
     interpreter: Interpreter
     speaker: int
@@ -149,7 +148,6 @@ class Setup:
     activity: float = 1.0
     controls: Controls = field(default_factory=Controls)
     variation: int = 0
-    beta: float | None = None
     text: bool = False
 
     @property

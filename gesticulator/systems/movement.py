@@ -55,7 +55,7 @@ PARTS = ("generator", "interpreter")
 CODEBOOK = "vectors"
 BLOCKS = IN_CONTEXT = SILENCE = VARIES = True
 STAGES = ("speech", "contrast", "lexicon", "interpreter", "interpreter_text", "gate", "planner", "reward",
-          "reward_judge", "q_network", "q_network_literal", "advantage", "generator", "style")
+          "reward_judge", "q_network", "q_network_literal", "generator", "style")
 
 # ------------------------------------------------------------------------------------------------------------- models
 

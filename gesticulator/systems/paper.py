@@ -59,7 +59,6 @@ STAGES = (
     "reward_judge",
     "q_network",          # RACER 4.3, improved, and as published
     "q_network_literal",
-    "advantage",          # addition: a learned value on top of the interpreter
     "generator",          # RG 5.2 and 5.3, Eq. 5 to 14: generator and style codes
     "style",              # RG 6.3, Table 3: style codes from audio alone
     "style_text",         # RG 6.2, Eq. 19: style codes from audio and text

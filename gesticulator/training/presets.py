@@ -13,7 +13,6 @@ from gesticulator.bundle.config import (
     BlockSettings,
     Config,
     ControlConfig,
-    CriticConfig,
     EncoderConfig,
     EpisodeConfig,
     FitSettings,
@@ -167,8 +166,7 @@ def default() -> Config:
                                          validations=20, patience=5),
             planner=FitSettings(steps=1_200, batch=64, rate=2e-3, schedule="cosine", weight_decay=0.03,
                                 validations=20, patience=5),
-            reward=FitSettings(steps=2_400, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05),
-            advantage=FitSettings(steps=1_000, batch=32, rate=1e-3, schedule="cosine", weight_decay=0.01)),
+            reward=FitSettings(steps=2_400, batch=64, rate=1e-3, schedule="cosine", weight_decay=0.05)),
         front_end=FrontEndConfig(name="mel", bands=40, robust=True), text=TextConfig(encoder="minilm"),
         # One degree, so that the trunk counts; this smoothing does not reduce speed (0.05 did).
         motion=MotionConfig(joints=46, least_deviation=0.0175, smoothing=0.02),
@@ -223,8 +221,7 @@ def tiny() -> Config:
             speech=FitSettings(steps=20, batch=4, rate=1e-3), contrast=FitSettings(steps=20, batch=8, rate=1e-3),
             gate=FitSettings(steps=40, batch=8, rate=3e-3), planner=FitSettings(steps=40, batch=8, rate=3e-3),
             reward=FitSettings(steps=40, batch=16, rate=3e-3),
-            cql=FitSettings(steps=30, batch=8, rate=3e-3, betas=(0.5, 0.999)),
-            advantage=FitSettings(steps=30, batch=8, rate=3e-3)),
+            cql=FitSettings(steps=30, batch=8, rate=3e-3, betas=(0.5, 0.999))),
         front_end=FrontEndConfig(name="vqwav2vec"), encoder=EncoderConfig(width=16), text=TextConfig(encoder="minilm"),
         lexicon=LexiconConfig(size=12, code_width=32, widths=(16, 24, 32, 32), revive_below=0.2),
         generator=GeneratorConfig(motion_features=16, audio_features=8, audio_bottleneck=8, style_width=8,
@@ -240,8 +237,6 @@ def tiny() -> Config:
                             centred=True),
         judge=RewardConfig(width=12, projection=8, window=4, longest=6, members=2, centred=True),
         episodes=EpisodeConfig(prefix=2),
-        advantage=CriticConfig(width=16, heads=2, layers=1, decisions=5, audio_features=4, audio_bottleneck=8,
-                               states=300, swaps=4),
         cql=QConfig(width=16, heads=2, layers=2, decisions=6, audio_features=4, audio_bottleneck=8, copy_every=10),
     )
 

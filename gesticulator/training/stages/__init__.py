@@ -11,7 +11,6 @@ import numpy as np
 from gesticulator.bundle.bundle import Bundle, TextSource, rest_distances
 from gesticulator.bundle.config import Config
 from gesticulator.bundle.models import system_of
-from gesticulator.training.stages.advantage import ADVANTAGE, COUNTERFACTUALS
 from gesticulator.training.stages.base import Node, Run, Stage
 from gesticulator.training.stages.corpus import BLOCKS, Corpus
 from gesticulator.training.stages.generator import GENERATOR
@@ -22,14 +21,14 @@ from gesticulator.training.stages.q_network import EPISODES, Q_LITERAL, Q_NETWOR
 from gesticulator.training.stages.reward import REWARD, REWARD_JUDGE
 from gesticulator.training.stages.speech import CONTRAST, CORPUS, ENCODER, SPEECH
 
-__all__ = ["ADVANTAGE", "BLOCKS", "CODEC", "CONTRAST", "CORPUS", "COUNTERFACTUALS", "ENCODER", "EPISODES", "GATE",
+__all__ = ["BLOCKS", "CODEC", "CONTRAST", "CORPUS", "ENCODER", "EPISODES", "GATE",
            "GENERATOR", "INTERPRETER", "INTERPRETER_TEXT", "LABELS", "LEXICON", "PLANNER", "Q_LITERAL", "Q_NETWORK",
            "REWARD", "REWARD_JUDGE", "SPEECH", "STAGES", "STYLE", "STYLE_TEXT", "TOKENS", "Corpus", "Labelled", "Node",
            "Run", "Stage", "Tokens", "assemble", "wanted"]
 
 STAGES: dict[str, Stage[Any]] = {stage.name: stage for stage in (
     SPEECH, CONTRAST, LEXICON, CODEC, INTERPRETER, INTERPRETER_TEXT, GATE, PLANNER, REWARD, REWARD_JUDGE, Q_NETWORK,
-    Q_LITERAL, ADVANTAGE, GENERATOR, STYLE, STYLE_TEXT)}
+    Q_LITERAL, GENERATOR, STYLE, STYLE_TEXT)}
 
 
 def wanted(config: Config) -> list[Stage[Any]]:

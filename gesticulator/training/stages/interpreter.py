@@ -7,11 +7,7 @@ measured on gesture units (`gesticulator.training.stages.heads`).
 from itertools import islice
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
-from torch import Tensor
-from torch.nn import functional
 
 from generator.model import Generator
 from gesticulator.bundle import models
@@ -19,13 +15,11 @@ from gesticulator.bundle.config import Config
 from gesticulator.bundle.models import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages.base import Figures, Node, Run, Stage
-from gesticulator.training.stages.corpus import Corpus
 from gesticulator.training.stages.generator import GENERATOR
 from gesticulator.training.stages.heads import UNIT_CODES, UNITS, unit_style_task
 from gesticulator.training.stages.lexicon import LABELS, LEXICON, model_sizes
 from gesticulator.training.stages.speech import CORPUS
 from gesticulator.training.stages.windows import AT_ONCE, VALIDATED, Windows, sequences, task_of, validation
-from interpreters.base import pose_of
 from interpreters.lstm import LstmInterpreter, StyleInterpreter
 from interpreters.planner import UnitStyleInterpreter
 
@@ -81,21 +75,6 @@ INTERPRETER_TEXT: Stage[LstmInterpreter] = Stage(
     wanted=lambda config: bool(config.text.encoder) and config.interpreter.reads,
     part="interpreter_text", build=_build_text,
     train=lambda run, model: _task(run, model, True))
-
-
-@torch.inference_mode()
-def teacher_logits(model: LstmInterpreter, corpus: Corpus, blocks: NDArray[np.int64], lexemes: NDArray[np.int64]
-                   ) -> Tensor:
-    """[M - 1, S] scores of blocks [M] of a recording except the first, given lexemes [M] and the performer's motion."""
-    rows, previous = torch.as_tensor(blocks[1:]), torch.as_tensor(lexemes[:-1])[None]
-    text = corpus.text(blocks[1:])[None] if model.config.reads else None
-    # The first block is the seed: it is given, and has no score.
-    past, durations = corpus.before(blocks[1:])
-    pose = torch.cat(pose_of(past, durations.to(past).T[..., None]), -1)[None] if model.config.pose_features else None
-    who = torch.tensor([int(corpus.speaker_of[corpus.recording[blocks[0]]])])
-    speaker = functional.one_hot(who, model.speakers).float()
-    logits, _ = model.scores(previous, corpus.high[rows].float()[None], speaker, None, text, pose=pose)
-    return logits[0]
 
 
 _HELD_OUT = 10
