@@ -1,4 +1,4 @@
-"""Do the tests notice a wrong formula? Sixty one-line mutants, each with the test file that must kill it.
+"""Do the tests notice a wrong formula? One-line mutants, each with the test file that must kill it.
 
     python benchmarks/mutants.py [--only SUBSTRING]
 

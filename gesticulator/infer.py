@@ -185,7 +185,8 @@ class Worker:
         options: dict[str, Any] = {**vars(job.options), "legs": job.options.legs or stands}
         if self.begin is not None:
             doing = f"{job.name}: {speech.duration:.1f} s of sound, generating gestures"
-            status(doing, logged=True)
+            # A plan may turn out to be of another sound: then a log has the error alone.
+            status(doing, logged=job.options.plan is None)
             self.gesticulator.on_block = lambda done, total: status(f"{doing}, block {done} of {total}")
         performance = self.gesticulator(speech, text=job.text, **options)
         return performance.labelled(job.name, performance.decided.notes)

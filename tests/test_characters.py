@@ -42,7 +42,8 @@ def test_names_tell_part_and_side(name: str, part: str, side: str) -> None:
     assert label(name).parts[0] == part and label(name).side == side
 
 
-@pytest.mark.parametrize("name", ["root", "Camera", "jaw", "LeftEye", "upperarm_bck_l", "spine_04_latissimus_l", ""])
+@pytest.mark.parametrize("name", ["root", "Camera", "jaw", "LeftEye", "upperarm_bck_l", "spine_04_latissimus_l", "",
+                                  "forehead.L", "armpit.L", "headband"])
 def test_names_of_other_things_tell_no_part(name: str) -> None:
     assert not label(name).parts
 

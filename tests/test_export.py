@@ -106,12 +106,12 @@ def test_compressed_sound_is_in_time_and_decodes_whole() -> None:
         clicks[start:start + 400] = rng.uniform(-0.8, 0.8, 400)
     decoded, rate = soundfile.read(io.BytesIO(sound.compress(Speech(clicks, RATE))), dtype="float32")
     assert rate == RATE
-    assert len(decoded) == len(clicks)
+    assert len(decoded) == len(clicks) + 1, "a multiple of the encoder's blocks, which Chromium may refuse"
     for start in (8_000, 21_111, 40_000):
         piece = clicks[start:start + 400]
         match = np.correlate(decoded[start - 200:start + 600], piece, "valid")
         assert abs(int(match.argmax()) - 200) <= 2
-    assert np.corrcoef(decoded, clicks)[0, 1] > 0.8
+    assert np.corrcoef(decoded[:-1], clicks)[0, 1] > 0.8
 
 
 def test_ogg_checksum_agrees_with_the_encoders_own() -> None:

@@ -52,7 +52,8 @@ def test_the_program_that_defines_them_agrees(judge: ModuleType, take: tuple[Pat
     first = units.leads(common_body(motion), hear(load_speech(sound)), 50)
     assert [float(np.median(first.seconds)), first.before, first.chance] == pytest.approx(
         [told["lead"], told["lead_before"], told["lead_chance"]])
-    assert {*found} | {"eye_pause_speed"} == {*JUDGE, "eye_face"}, "the take has too few pauses for their speed"
+    # That program has no figure for frozen arms, and the take has too few pauses for their speed.
+    assert {*found} | {"eye_pause_speed"} == {*JUDGE, "eye_face", "eye_frozen"}
     for name, key in JUDGE.items():
         value = math.nan if told[key] is None else told[key]
         assert found.get(name, math.nan) == pytest.approx(value, rel=1e-6, abs=1e-9, nan_ok=True), name

@@ -221,7 +221,8 @@ def test_hands_hold_still_where_they_are_told_and_wake(system: Gesticulator, spe
     assert changed(held, drawn)[0] >= settles - REACH
     speeds = hand_speeds(held)
     still = slice(round((start + 0.05) * 60), round((start + 1.45) * 60))
-    assert speeds[still].max() < 0.15 < hand_speeds(drawn)[still].mean()
+    # The trunk goes on, and its neck moves as fast: it carries them.
+    assert speeds[still].max() < 0.2 < 0.5 * hand_speeds(drawn)[still].mean()
     assert speeds[round((start + 1.8) * 60):].max() > 0.5, "they wake"
     turned, free = (np.abs(np.diff(hand_speeds(one), axis=0)).max(axis=1) * 60 for one in (held, drawn))
     for edge in (start - 0.2, start + 1.5):  # into rest and out of it; elsewhere strokes are as sudden as they are

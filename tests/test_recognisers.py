@@ -134,6 +134,12 @@ def test_times_of_ttml(times: str, start: float, end: float, tmp_path: Path) -> 
     assert [(cue.text, cue.start, cue.end) for cue in found.cues] == [("so be it & on", start, end)]
 
 
+@pytest.mark.parametrize("time", ["00:00:01:12", "15000000t", "1500ms", "36f"])
+def test_times_of_ttml_in_frames_ticks_or_thousandths_are_refused(time: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=f"'{time}' is not hours, minutes and seconds"):
+        _read(tmp_path, ".ttml", f'<tt><p begin="0.5s" end="1s">a</p><p begin="{time}" end="4s">b</p></tt>')
+
+
 @pytest.mark.parametrize(("content", "said"), [
     ("begin\tend\ttext\n", "line 1: does not name"), ("start\tend\ttext\n1\t2\n", "line 2: is not a start"),
     ("start\tend\ttext\n1\tx\ta\n", "line 2: is not a start"), ("start\tend\ttext\n", "has no words"),

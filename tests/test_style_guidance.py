@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from performances import example
-from torch import Tensor, nn
 
 from data_module.motion.phases import hand_places
 from data_module.types import Speech
@@ -20,22 +20,6 @@ from gesticulator.systems import movement
 from gesticulator.training.stages.heads import style_of
 
 RATE = 20.0
-
-
-class Heard(nn.Module):
-    """A style interpreter that always hears the same."""
-
-    def __init__(self, code: tuple[float, ...]) -> None:
-        super().__init__()
-        self.code = torch.tensor([code], dtype=torch.float32)
-
-    def start(self, speaker: int) -> tuple[()]:
-        """It has no state."""
-        return ()
-
-    def step(self, state: tuple[()], features: object, resting: bool = False) -> tuple[Tensor, tuple[()]]:
-        """The code of a block."""
-        return self.code * (not resting), state
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +34,12 @@ def speech() -> Speech:
 
 def rendered(bundle: Bundle, speech: Speech, code: tuple[float, ...], *settings: str) -> np.ndarray:
     """[T, 2, 3] the hands, as the code and the settings have them."""
-    told = replace(bundle.with_parts(style=Heard(code)), config=with_settings(bundle.config, list(settings)))
+    style = copy.deepcopy(bundle.trained("style"))
+    with torch.no_grad():  # it hears the code in every voice
+        style.to_code.weight.zero_()
+        style.to_code.bias.copy_(torch.tensor(code))
+        style.gain.fill_(1.0)
+    told = replace(bundle.with_parts(style=style), config=with_settings(bundle.config, list(settings)))
     return hand_places(Gesticulator(told)(speech, seed=2).motion, RATE)
 
 

@@ -288,7 +288,7 @@ def test_ten_joints_in_space_are_trained_on_and_become_a_skeleton(tiny_store: Pa
                  *(part for setting in settings for part in ("--set", setting))]) == 0
     bundle = bundles.load(out)
     assert bundle.lexicon.motion_width == 30
-    present = bundle.statistics.present.reshape(10, 3).bool()
+    present = bundle.statistics.present.reshape(10, 3).astype(bool)
     assert not present[0].any() and present[1:].all(), "the spine is the origin"
     sound = tmp_path / "speech.wav"
     soundfile.write(sound, Store.open(tiny_store).load("talk_0007_puppet").speech.samples[:48000], 16000)

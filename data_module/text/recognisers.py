@@ -17,7 +17,7 @@ from data_module.errors import InputError, shown
 from data_module.files import parse_json
 from data_module.text.alignment import written_words
 from data_module.text.marks import marked_text
-from data_module.text.transcript_formats import Content, Entry, filled, shared_in_cue, spoken_tier
+from data_module.text.transcript_formats import UNTIMED, Content, Entry, filled, shared_in_cue, spoken_tier
 
 __all__ = ["words_json"]
 
@@ -25,8 +25,6 @@ MILLISECOND, TICK = 1e-3, 1e-7
 """Seconds."""
 LONGEST_WORD = 20.0
 """Seconds per word above which whole numbers are milliseconds: a word of 20 ms would be as short."""
-# Seconds per word of the last phrase of a recording, which may have no end: the mean of spoken English.
-_OPEN_WORD = 0.3
 _TIME = re.compile(r"\d{1,9}(?:\.\d{1,9})?s?")
 # Between the objects of a file that holds one after the other, as NeMo's manifests and the results of streams.
 _NEXT_OBJECT = re.compile(r"\}[ \t\r]*\n\s*\{")
@@ -71,7 +69,6 @@ _PARTS = ("segments", "chunks", "transcription", "phrases", "recognizedPhrases",
           "inlineResult", "inline_result", "transcript", "Transcript", "Results", "channels", "utterances",
           "prediction", "word_segments", "timestamp", "timestep", "timestamps_segment", "segment", "sentences",
           "audio_segments", "transcripts")
-
 
 
 def words_json(source: str, text: str, speaker: str | None = None) -> Content:
@@ -193,7 +190,7 @@ def _entry(source: str, item: object, where: str) -> Entry:
     pair = _of(item, "timestamp", "timestamps")
     if isinstance(pair, list) and len(pair) == 2:
         if pair[1] is None and pair[0] is not None:
-            pair[1] = _seconds(source, pair[0], f"{where}.timestamp[0]") + _OPEN_WORD * max(1, _count(text))
+            pair[1] = _seconds(source, pair[0], f"{where}.timestamp[0]") + UNTIMED * max(1, _count(text))
         times = {"start": pair[0], "end": pair[1]}
     elif isinstance(item.get("offsets"), Mapping):
         times = item["offsets"]

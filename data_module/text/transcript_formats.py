@@ -35,7 +35,7 @@ _CUE = re.compile(rf"\s*{_CLOCK}\s*-->\s*{_CLOCK}(?:\s.*)?")
 _NOT_SPOKEN = re.compile(r"<[^<>]*>|\{\\[^{}]*\}|\[[^\[\]]*\]")
 _BETWEEN_WORDS = re.compile(r"\[|<(\w+:)?br\b")
 # Duration of a word without times and without timed neighbours, seconds: the mean of spoken English.
-_UNTIMED = 0.3
+UNTIMED = 0.3
 _INNER = re.compile(rf"<{_CLOCK}>")
 _HIGHLIGHT = re.compile(r"<(u|b|font|c)(?:[ .][^<>]*)?>([^<>]*)</\1>", re.IGNORECASE)
 
@@ -178,8 +178,8 @@ def filled(entries: Sequence[Entry], begin: float | None = None, end: float | No
         after = entries[len(out) + len(run)].start if len(out) + len(run) < len(entries) else end
         start = out[-1].end if out else begin
         if start is None:
-            start = max(0.0, (after or 0.0) - _UNTIMED * len(run))
-        last = max(start, after) if after is not None else start + _UNTIMED * len(run)
+            start = max(0.0, (after or 0.0) - UNTIMED * len(run))
+        last = max(start, after) if after is not None else start + UNTIMED * len(run)
         edges = np.linspace(start, last, len(run) + 1).tolist()
         out += [replace(e, start=a, end=b, guessed=True) for e, a, b in zip(run, edges, edges[1:], strict=False)]
     return out
@@ -193,6 +193,9 @@ def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
         if _CUE.fullmatch(row[0]) is None:
             raise InputError(source, f"line {text.count(chr(10), 0, row.end()) + 1}: {row[0].strip()[:60]!r} is not a "
                              "pair of times", "write 00:00:01,000 --> 00:00:02,500")
+    unread = re.search(r"""<[^>]*\b(?:begin|end|dur)=["'](?!(?:\d+:){0,2}\d+(?:[.,]\d+)?s?["'])([^"'>]*)""", text)
+    if unread:
+        raise InputError(source, f"{unread[1][:30]!r} is not hours, minutes and seconds", "write times as 00:00:01.500")
     cues: list[Entry] = []
     number, at = 1, 0
     for match in TIMED_LINES[source[source.rindex("."):].lower()].finditer(text):
@@ -203,7 +206,7 @@ def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
         # The last line of LRC has no end: its words are counted from the last time in it.
         inner = [*_INNER.finditer(line)]
         known, rest = (_clock(inner[-1].groups()), line[inner[-1].end():]) if inner else (start, line)
-        end = known + _UNTIMED * len(written_words(marked_text(_plain(rest))[0]))
+        end = known + UNTIMED * len(written_words(marked_text(_plain(rest))[0]))
         if len(clock) > 4:
             end = _clock(clock[5:]) + (start if clock[4] else 0.0)
         number, at = number + text.count("\n", at, match.start(3)), match.start(3)
@@ -216,7 +219,7 @@ def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
     return _of_cues(cues)
 
 
-_ANY_TIME = r"""["'](?:(?:(\d{1,4}):)?(\d{1,4}):)?(\d{1,6})(?:[.,:](\d+))?s?["']"""
+_ANY_TIME = r"""["'](?:(?:(\d{1,4}):)?(\d{1,4}):)?(\d{1,6})(?:[.,](\d+))?s?["']"""
 TIMED_LINES = {
     # In WebVTT a line of spaces is a line; rolling captions have one above the first.
     **dict.fromkeys((".srt", ".vtt"), re.compile(
