@@ -68,3 +68,16 @@ def test_the_chains_to_some_joints_move_them_as_the_whole_body_does() -> None:
     few = Motion(skeleton, motion.rotations[:, joints], motion.root_positions, 60.0)
     np.testing.assert_array_equal(kinematics.positions_of(few)[:, [joints.index(end) for end in ends]],
                                   kinematics.positions_of(motion)[:, ends])
+
+
+def test_what_is_left_of_a_motion_dies_away_smoothly() -> None:
+    time = np.arange(-3, 60) / 60.0
+    old, new = 0.2 * np.sin(3 * time)[:, None], (0.5 + 0.1 * time)[:, None]
+    out = new[3:] + kinematics.quintic_offset(old[:3], new[:3], time[3:], 0.5, 60.0)
+    joined = np.concatenate([old[:3], out])
+    assert out[-1] == pytest.approx(new[-1])
+    assert np.abs(out[31:] - new[34:]).max() < 1e-12, "nothing is left after the fade"
+    # Place, velocity and acceleration pass over: the third difference has no spike at the seam.
+    third = np.abs(np.diff(joined[:, 0], 3)) * 60.0 ** 3
+    assert third[:3].max() < 3.0 * third[3:30].max()
+    assert kinematics.quintic_offset(old[:2], new[:2], time[3:], 0.5, 60.0) == pytest.approx(0.0)
