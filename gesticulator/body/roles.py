@@ -43,7 +43,7 @@ CHANGES = 1.0
 """Seconds in which one role passes into the next."""
 ONE_HANDED, DOMINANT, HANGING = 0.4, 0.7, 0.55
 """Probability that one hand gestures alone; that it is the performance's dominant one; that the other hangs by then."""
-FOLLOWS = 0.8
+FOLLOWS = 0.75
 """How far the other hand follows the dominant one where both gesture."""
 WAITS = 0.35
 """Share of its movement that a hand which waits still makes."""
@@ -52,7 +52,9 @@ RAISED, RAISES = 0.8, 0.3
 deviation between roles."""
 LOWEST, HIGHEST = 0.2, 1.6
 """Least and greatest of these shares."""
-INNER, OUTER, NEAR = 0.4, 1.12, 0.6
+UPPER_ARM = 0.45
+"""Share of it that the upper arm takes: a posture is made by the elbow, and elbows stay near the body."""
+INNER, OUTER, NEAR = 0.4, 1.15, 0.6
 """Factors on small and on large deviations, and where one passes into the other."""
 LIFTS = 0.25
 """How much higher a posture is for a requested hand height of one standard deviation over the mean."""
@@ -173,7 +175,9 @@ def shown(roles: Roles, statistics: Statistics, speaker: int, names: Sequence[st
         moved = arm - _UP_AGAIN * low * (1.0 - sunk) * resting
         size = (arm ** 2).mean(axis=1, keepdims=True)
         factor = OUTER - (OUTER - INNER) * np.exp(-size / NEAR ** 2)
-        posture = (-raised[:, k, None] * (1.0 - sunk) * resting
+        upper = np.repeat([name.endswith("Arm") and not name.endswith("ForeArm") for name in names], 3)[columns]
+        lift = raised[:, k, None] * (1.0 - sunk) * np.where(upper, UPPER_ARM, 1.0)
+        posture = (-lift * resting
                    + (sunk + (1.0 - sunk) * gestures[:, k, None] * factor) * moved)
         hanging = resting + SWAY * (moved - resting)
         out[:, columns] = posture + hangs[:, k, None] * (hanging - posture)
