@@ -145,7 +145,8 @@ def tables(name: str) -> dict[str, Table]:
 
 def test_the_figures_of_the_readme_are_those_that_are_stored() -> None:
     quality, claims = tables("quality.json"), tables("claims.json")["Claims"].facts
-    motion, controls = tables("motion.json"), tables("style_editing.json")["Style editing"].rows
+    motion = tables("motion.json")
+    controls = motion["Controls, words, interpreters, cost"].rows
     perceived = motion["Perceptual figures"].rows
     same = tables("stability.json")["The same sound exported again, against its first rendering"].rows
     speed, onsets = result("realtime.json"), [row["f"] for row in result("onsets.json")["rows"].values()]
@@ -172,7 +173,8 @@ def test_the_figures_of_the_readme_are_those_that_are_stored() -> None:
         eye(size, "value", "speakers"), eye("pauses with a moving hand, %", "value", "speakers"),
         eye("forearm outward, of the time, %", "value", "speakers"), eye(timing, *others),
         [f"{apart('6 dB quieter')} / {apart('MP3, 192 kbit/s')}", apart("another seed")],
-        [", ".join(f"{row['in_order']:.0f}" for row in controls.values())],
+        [", ".join(re.findall(r"in order in (\d+) %", " ".join(
+            str(row["reason"]) for name, row in controls.items() if ", mid over low, " in name)))],
         [shown(right, "lstm", "free_running", 1),
          *(shown(right, name, "free_running", 1, False) for name in ("previous lexeme and speaker", "majority"))],
         [f"{sum(onsets) / len(onsets):.2f}"],

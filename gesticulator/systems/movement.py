@@ -250,7 +250,7 @@ _LOWEST, _HIGHEST = 0.55, -0.45
 """How far towards the resting pose an arm's first pose may be, as a share of the way from the mean pose."""
 _BEGINS = 0.6
 """Deviation from there where a performance begins, in deviations of the arms' joints: people begin anywhere."""
-_ROLES_APART = 40.0
+_ROLES_APART = 15.0
 """Most seconds by which the sound moves the changes of the arms' roles."""
 _POSTURE = 0.8
 """Deviation of the trunk's first pose in lean, turn and tilt, in deviations of each joint."""
