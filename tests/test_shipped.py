@@ -34,8 +34,8 @@ def test_the_example_is_gestured_in_speech_and_rests_in_its_pause(example: Perfo
     start, stop = max(rested.pauses, key=lambda pause: pause[1] - pause[0])
     assert stop - start > 3.0, "the example has a pause of several seconds"
     speech = rested.in_speech()
-    # Between coming to rest, a little more than two seconds, and getting ready for the next phrase, two thirds of one.
-    rest = float(rested.between(start + 2.2, stop - 2 / 3).mean())
+    # Between coming to rest, 2.3 seconds, and getting ready for the next phrase, two thirds of one.
+    rest = float(rested.between(start + 2.3, stop - 2 / 3).mean())
     assert speech > 0.15, "m/s"
     assert rest < 0.1, "m/s"
     assert rest < 0.4 * speech
