@@ -15,8 +15,9 @@ With x the deviation of an arm from the speaker's mean pose, m that of the other
     shown = z + hangs (p + SWAY (y' - p) - z)
 
 where r is the root mean square of y, l how far it is lowered, 0 to 1 towards p, s = 3 l^2 - 2 l^3, and s' that of the
-other arm. At rest, l = 1 for both, every role shows the resting pose itself. All is a function of the pose and of seed
-and time, so files, streams and edited plans agree; the generator never sees it.
+other arm; in the upper arm `raised` is less (`UPPER_ARM`). At rest, l = 1 for both, every role shows the resting pose.
+All is a function of the pose and of seed and time, so files, streams and edited plans agree; the generator never sees
+it.
 
 The numbers were chosen on the twelve sounds of the GENEA 2020 study at five seeds and by raters who saw pictures
 without names (docs/results.md).
@@ -53,11 +54,11 @@ deviation between roles."""
 LOWEST, HIGHEST = 0.2, 1.6
 """Least and greatest of these shares."""
 UPPER_ARM = 0.45
-"""Share of it that the upper arm takes: a posture is made by the elbow, and elbows stay near the body."""
+"""Share of `raised` that the upper arm takes: the elbow makes a posture, and elbows stay near the body."""
 INNER, OUTER, NEAR = 0.4, 1.15, 0.6
 """Factors on small and on large deviations, and where one passes into the other."""
 LIFTS = 0.25
-"""How much higher a posture is for a requested hand height of one standard deviation over the mean."""
+"""What is added to `raised` for a requested hand height of one standard deviation over the mean."""
 SWAY = 0.12
 """Share of its movement that a hanging arm still makes."""
 _UP_AGAIN = 0.6
