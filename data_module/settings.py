@@ -108,7 +108,7 @@ def from_dict(cls: type[T], data: Mapping[str, Any]) -> T:
     _check_names(cls, data, "")
     try:
         return msgspec.convert(data, cls)
-    except msgspec.ValidationError as error:
+    except (msgspec.ValidationError, UnicodeEncodeError) as error:
         wrong, _, place = str(error).partition(" - at `$.")
         raise InputError(place.rstrip("`") or "settings", f"cannot be used ({wrong[:200]})",
                          "change it, or use a matching version of gesticulator") from None

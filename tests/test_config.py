@@ -56,6 +56,11 @@ def test_a_value_that_cannot_be_is_refused_by_the_name_of_its_setting(setting: s
         with_settings(preset("tiny"), [setting])
 
 
+def test_a_value_of_no_characters_is_refused() -> None:
+    with pytest.raises(InputError, match="cannot be used"):
+        with_settings(preset("tiny"), ["encoder.width=\udcff"])
+
+
 def test_unknown_preset_and_foreign_settings_are_refused() -> None:
     with pytest.raises(InputError, match="default"):
         preset("large")

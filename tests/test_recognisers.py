@@ -157,3 +157,9 @@ def test_texts_in_a_script_without_spaces_are_spread_over_their_tokens(tmp_path:
     assert found.words is not None and found.words[0].start == 0.0 and found.words[-1].end == 1.2
     assert "".join(word.text for word in found.words) == "今天天气很好"
     assert _read(tmp_path, ".json", json.dumps(samples.whisperx(SPOKEN))).timing == "words"
+
+
+def test_a_nameless_part_is_no_list_of_words(tmp_path: Path) -> None:
+    items = [{"text": "hello", "start": 0.1, "": 0.3}, {"text": "there", "start": 0.3, "end": 0.5}]
+    with pytest.raises(InputError, match=r"\[0\].end: .* is not a time"):
+        _read(tmp_path, ".json", json.dumps(items))

@@ -295,10 +295,11 @@ def test_who_is_interrupted_stops_and_lets_her_hands_down(latency: str) -> None:
         hands = [stream.skeleton.index(side + "Hand") for side in ("Right", "Left")]
         hung = np.linalg.norm((positions_of(motion)[:, hands] - rest[hands]), axis=-1).max(-1)
         slow = frame + round(0.3 * FPS)
-        assert found[0][slow] < 0.36, at
-        # From there on they go down as evenly as 0.9 s allow, on arcs that are up to 1.6 times as long as the straight
-        # way (a hand beside the trunk goes down in front of it): who has less than 0.09 m to go stays under it.
-        assert found[0][slow:].max() < max(0.3, 3.3 * hung[slow]), at
+        # It comes from a raised posture.
+        assert found[0][slow] < 0.42, at
+        # From there on they go down as evenly as 0.9 s allow, on arcs that are up to twice as long as the straight
+        # way (a hand beside the trunk goes down in front of it): who has less than 0.07 m to go stays under it.
+        assert found[0][slow:].max() < max(0.3, 4.2 * hung[slow]), at
         assert hung[frame + round(1.2 * FPS)] < 0.06, "what is left is the life of hands that hang"
 
 

@@ -201,7 +201,7 @@ def test_ctrl_c_says_how_to_go_on_and_leaves_no_traceback(tiny_store: Path, tmp_
     """While processes cut blocks, and again while a stage is trained; the second run goes on from the first."""
     command = [sys.executable, "-m", "gesticulator", "train", "--data", str(tiny_store), "--out", str(tmp_path / "b"),
                "--preset", "tiny", "--threads"]
-    for threads, sign in (("2", "blocks:"), ("1", "stage 1 of 13: speech")):
+    for threads, sign in (("2", "blocks:"), ("1", "stage 1 of 12: speech")):
         lines = ""
         with subprocess.Popen([*command, threads], stderr=subprocess.PIPE, text=True,
                               start_new_session=True) as process:

@@ -141,7 +141,7 @@ def _words(source: str, item: Mapping[str, Any], where: str) -> list[Entry]:
     """The words of an object, without what is not spoken."""
     key = next((key for key in _WORDS if _is_words(key, item.get(key))), "")
     entries: list[Entry] = []
-    for place, word in _numbered(item.get(key) or (), _below(where, key)):
+    for place, word in _numbered(item[key] if key else (), _below(where, key)):
         kind = str(_of(word, "type", "Type") or "").lower() if isinstance(word, Mapping) else ""
         if kind == "punctuation":
             mark = str(_of(_best(word, place)[0], *_TEXTS) or "").strip()
