@@ -278,7 +278,7 @@ def test_who_listens_nods_in_the_pauses_of_the_other() -> None:
 # ---------------------------------------------------------------------------------------------------- interrupt
 
 @pytest.mark.parametrize("latency", ["full", "low"])
-def test_who_is_interrupted_stops_and_lets_her_hands_down(latency: str) -> None:
+def test_who_is_interrupted_stops_and_lets_the_hands_down(latency: str) -> None:
     """At many moments of a gesture, of hands that hang nearly and of hands that are high and fast; with frames that are
     taken back."""
     rest = resting()

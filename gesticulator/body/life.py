@@ -94,6 +94,12 @@ def normal(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> Array:
     return np.asarray(np.sqrt(-2.0 * np.log(first)) * np.cos(2.0 * np.pi * second))
 
 
+def smooth_step(s: Array) -> Array:
+    """3 s^2 - 2 s^3, with s clipped to 0 to 1."""
+    u: Array = np.clip(s, 0.0, 1.0)
+    return u * u * (3.0 - 2.0 * u)
+
+
 def noise(seed: int, channels: NDArray[np.int64], times: Array, steps: Array) -> Array:
     """[T, C] smooth noise of standard deviation 1 at `times` [T], one normal coefficient every `steps` [C] seconds."""
     where = np.asarray(times, dtype=np.float64)[:, None] / steps

@@ -35,7 +35,7 @@ import numpy as np
 
 from data_module.motion.kinematics import minimum_jerk
 from data_module.types import Array
-from gesticulator.body.life import SIDES, normal
+from gesticulator.body.life import SIDES, normal, smooth_step
 from gesticulator.bundle.features import Statistics
 
 PERIOD, JITTER = 6.5, 0.4
@@ -119,9 +119,9 @@ def role_at(seed: int, variation: int, time: float) -> Role:
 
 @dataclass(frozen=True)
 class Roles:
-    """The roles of a performance, a value that `shown` replaces. shift: seconds by which the sound moves the changes,
-    so that two files of a seed do not change at the same second; fixed: the role that is shown instead of the drawn
-    one, or None; before: the role shown when that last changed, at `since` seconds."""
+    """The roles of a performance, a value: `for_block` gives that of the next block. shift: seconds by which the sound
+    moves the changes, so that two files of a seed do not change at the same second; fixed: the role that is shown
+    instead of the drawn one, or None; before: the role shown when that last changed, at `since` seconds."""
 
     seed: int
     variation: int
@@ -162,7 +162,7 @@ def shown(roles: Roles, statistics: Statistics, speaker: int, names: Sequence[st
     gestures, follows, hangs, raised = (np.array([role[k] for role in drawn]) for k in range(4))
     raised = raised + LIFTS * np.broadcast_to(height, len(block))[:, None]
     arms = [block[:, columns].astype(np.float64) for columns in both]
-    sinks = [_smooth_step(_lowered(arm, rest[columns])) for arm, columns in zip(arms, both, strict=True)]
+    sinks = [smooth_step(_lowered(arm, rest[columns])) for arm, columns in zip(arms, both, strict=True)]
     at_rest = np.minimum(*sinks)
     out = block.astype(np.float64)
     for k, (arm, columns) in enumerate(zip(arms, both, strict=True)):
@@ -172,7 +172,7 @@ def shown(roles: Roles, statistics: Statistics, speaker: int, names: Sequence[st
         mirrored = (other * np.tile(_MIRRORED, len(columns) // 3) - mean) / scale
         arm = arm + follows[:, k, None] * (1.0 - at_rest) * (mirrored - arm)
         low = _lowered(arm, resting)
-        sunk = _smooth_step(low)
+        sunk = smooth_step(low)
         moved = arm - _UP_AGAIN * low * (1.0 - sunk) * resting
         size = (arm ** 2).mean(axis=1, keepdims=True)
         factor = OUTER - (OUTER - INNER) * np.exp(-size / NEAR ** 2)
@@ -188,7 +188,3 @@ def shown(roles: Roles, statistics: Statistics, speaker: int, names: Sequence[st
 def _lowered(arm: Array, rest: Array) -> Array:
     """[K, 1] how far an arm [K, D] is on its way from the mean pose to the resting pose [D], 0 to 1."""
     return np.clip(arm @ rest / (rest @ rest), 0.0, 1.0)[:, None]
-
-
-def _smooth_step(share: Array) -> Array:
-    return share * share * (3.0 - 2.0 * share)

@@ -34,11 +34,12 @@ from data_module.motion.representation import Representation
 from data_module.motion.skeletons import SIDES
 from data_module.types import Array, Word
 from gesticulator.body.clips import exchanged_joints
+from gesticulator.body.life import smooth_step
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import Statistics, representation_of
 from gesticulator.directing.cues import TimedCue, cues_at
 from gesticulator.directing.lexeme_names import lexeme_names
-from gesticulator.directing.strokes import FINE, LARGE, StrokeMemory, smooth_step
+from gesticulator.directing.strokes import FINE, LARGE, StrokeMemory
 from gesticulator.options import InferenceOptions
 
 STRONGER, WEAKER, FINER = 0.8, 0.5, 0.8

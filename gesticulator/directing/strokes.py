@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.types import Array
+from gesticulator.body.life import smooth_step
 
 REMEMBERED = 20.0
 """T, seconds after which a movement is forgotten in any case: a displacement of 10 cm decays by 5 mm per second."""
@@ -122,9 +123,3 @@ class StrokeMemory:
         rows, knots = self._rows, knots[:, None]
         paths: Array = rows.paths[knots] - rows.paths[since]
         return paths / self._scale.path + (rows.times[knots] - rows.times[since]) / REMEMBERED
-
-
-def smooth_step(s: Array) -> Array:
-    """3 s^2 - 2 s^3, with s clipped to 0 to 1."""
-    u: Array = np.clip(s, 0.0, 1.0)
-    return u * u * (3.0 - 2.0 * u)

@@ -300,14 +300,14 @@ def begun(bundle: Bundle, setup: loop.Setup, state: loop.State, speech: SpeechBl
     arms = np.repeat([name.endswith("Arm") for name in names], 3)
     # The spectrum of this block and, if it is known, the next one, without the energy in the last column.
     heard = bundle.statistics.low.apply(speech.low)[frames:(2 if speech.foreseen else 3) * frames, :-1].mean(0)
-    *numbers, shift = state.keys.of_voice(heard, 6 + arms.sum())
-    deviations = math.sqrt(12.0) * (np.array(numbers[2:]) - 0.5)
-    pose = _first_of(bundle, setup, np.array(numbers[:2]), deviations[:3])
+    numbers = state.keys.of_voice(heard, 6 + arms.sum())
+    deviations = math.sqrt(12.0) * (numbers[2:-1] - 0.5)
+    pose = _first_of(bundle, setup, numbers[:2], deviations[:3])
     pose[arms] += _BEGINS * deviations[3:].astype(np.float32)
     rest = state.rest.fork()
     rest.begin_in(pose.astype(np.float64))
     past = np.repeat(pose[None], frames, axis=0)
-    roles = state.roles and replace(state.roles, shift=_ROLES_APART * float(shift))
+    roles = state.roles and replace(state.roles, shift=_ROLES_APART * float(numbers[-1]))
     return replace(state, past=past, generated=past, rest=rest, roles=roles)
 
 
