@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from data_module import intervals
 from data_module.blocks import cut
 from data_module.errors import InputError
 from data_module.motion.motion_beats import acting_positions, acting_speed, motion_beats
@@ -27,6 +26,7 @@ from eval.clip.excerpts import evenly
 from eval.metrics import audio_clusters, pmb
 from eval.metrics.encode import EncodedMotion, latents_of
 from eval.metrics.evaluate import WIDE
+from eval.pictures import intervals
 from eval.pictures.canvas import STYLE
 from eval.pictures.embedding import embed, embedding_panels, joint_embedding, neighbours_agree
 from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curves, interval_bars, overview, size_sweep
@@ -70,7 +70,7 @@ def onset_intervals(rg: RgRows, rows: Summaries) -> Picture:
     """RG Fig. 5 and 8a."""
     store = rg.context.store
     infos = evenly(store, "train", COUNTED)
-    counted = np.sum([intervals.measure(store.load(info.name).speech)[1] for info in infos], axis=0)
+    counted = np.sum([intervals.measure(store.load(info.name).speech) for info in infos], axis=0)
     return interval_bars(counted, f"{store.corpus}, {len(infos)} recordings: {intervals.within_bounds(counted[0])}")
 
 
