@@ -203,6 +203,7 @@ TRANSCRIPTS = {
         "start": 0.7, "end": 0.95, "text": "friend"}]}),
     ".tsv": "start\tend\ttext\n100\t500\thello [nod] there\n700\t950\tfriend\n",
     **dict.fromkeys((".ass", ".ssa"), "[Events]\nDialogue: 0,0:00:00.10,0:00:00.50,D,,0,0,0,,hello {\\i1}there\n"),
+    ".csv": 'start,end,text\n100,500,"hello there"\n',
     ".sbv": "0:00:00.100,0:00:00.500\nhello there\n", ".lrc": "[00:00.10]hello there\n[00:00.70]friend\n",
     ".ctm": "a 1 0.10 0.30 hello 0.9 lex\n", ".jsonl": '{"text": "hello"}\n{"text": "there"}\n',
     **dict.fromkeys((".ttml", ".dfxp"),
