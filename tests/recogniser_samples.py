@@ -338,6 +338,29 @@ def lrc(words: Words) -> str:
         f" <{_clock(start, '.')}>{word}" for word, start, _ in part) + "\n" for part in _parts(words))
 
 
+def ttml_words(words: Words) -> str:
+    """A span for each word, whose times count from the beginning of its line."""
+    return '<tt xmlns="http://www.w3.org/ns/ttml"><body><div>' + "".join(
+        f'<p begin="{_ms(part[0][1])}ms" end="{part[-1][2]:.3f}s">' + " ".join(
+            f'<span begin="{start - part[0][1]:.3f}s" dur="{_ms(end) - _ms(start)}ms">{word}</span>'
+            for word, start, end in part) + "</p>" for part in _parts(words)) + "</div></body></tt>"
+
+
+def ttml_syllables(words: Words) -> str:
+    """As lyrics are written: all times count from the beginning of the recording, and a word may have several spans."""
+    def span(text: str, start: float, end: float) -> str:
+        return f'<span begin="{_ms(start) * 10_000}t" end="{_ms(end) * 10_000}t">{text}</span>'
+
+    lines = []
+    for part in _parts(words):
+        halves = [[half["offsets"] | half for half in _halves(*word)] for word in part]
+        spans = " ".join("".join(span(half["text"].strip(), half["from"] / 1000, half["to"] / 1000) for half in word)
+                         for word in halves)
+        lines.append(f'<p begin="{_clock(part[0][1], ".")}" end="{_clock(part[-1][2], ".")}">{spans}</p>')
+    return ('<tt xmlns="http://www.w3.org/ns/ttml" xmlns:p="http://www.w3.org/ns/ttml#parameter" '
+            'p:tickRate="10000000"><body><div>' + "".join(lines) + "</div></body></tt>")
+
+
 def ass_coloured(words: Words) -> str:
     """As NeMo's aligner highlights words: the line anew for each."""
     return "".join(
@@ -355,6 +378,7 @@ FILES: dict[str, tuple[str, Callable[[Words], str]]] = {
     "ass, coloured": (".ass", ass_coloured), "sbv": (".sbv", lambda words: _lines(words, "{},{}\n{}\n\n")),
     "ttml": (".ttml", lambda words: '<tt xmlns="http://www.w3.org/ns/ttml">' + _lines(
         words, '<p begin="{}" xml:id="c" end="{}"><span>{}</span></p>', "<br/>") + "</tt>"),
+    "ttml, words": (".ttml", ttml_words), "ttml, syllables": (".dfxp", ttml_syllables),
     "ctm": (".ctm", lambda words: "".join(f"a 1 {a:.3f} {b - a:.3f} {word} 0.9\n" for word, a, b in words)),
 }
 """Sample -> its suffix, and what writes it."""

@@ -17,7 +17,7 @@ from data_module.errors import InputError, shown
 from data_module.files import parse_json
 from data_module.text.alignment import written_words
 from data_module.text.marks import marked_text
-from data_module.text.transcript_formats import UNTIMED, Content, Entry, filled, shared_in_cue, spoken_tier
+from data_module.text.transcript_formats import Content, Entry, filled, shared_in_cue, spoken_tier, usual_length
 
 __all__ = ["words_json"]
 
@@ -190,7 +190,8 @@ def _entry(source: str, item: object, where: str) -> Entry:
     pair = _of(item, "timestamp", "timestamps")
     if isinstance(pair, list) and len(pair) == 2:
         if pair[1] is None and pair[0] is not None:
-            pair[1] = _seconds(source, pair[0], f"{where}.timestamp[0]") + UNTIMED * max(1, _count(text))
+            # The last phrase of a recording may have no end.
+            pair[1] = _seconds(source, pair[0], f"{where}.timestamp[0]") + usual_length(text)
         times = {"start": pair[0], "end": pair[1]}
     elif isinstance(item.get("offsets"), Mapping):
         times = item["offsets"]

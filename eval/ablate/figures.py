@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from data_module import intervals
 from data_module.blocks import cut
 from data_module.controls import FEATURES, LEVELS, UNITS, Controls, measure
 from data_module.errors import InputError
@@ -29,7 +28,7 @@ from eval.clip.excerpts import evenly
 from eval.metrics import audio_clusters, pmb
 from eval.metrics.encode import EncodedMotion, latents_of
 from eval.metrics.evaluate import WIDE
-from eval.pictures import plots
+from eval.pictures import intervals, plots
 from eval.pictures.canvas import STYLE
 from eval.pictures.embedding import embed, embedding_panels, joint_embedding, neighbours_agree
 from eval.pictures.strips import PAGE, Source, draw_page, save_strip
@@ -74,7 +73,7 @@ def onset_intervals(rg: RgRows, rows: Summaries) -> Picture:
     """RG Fig. 5 and 8a."""
     store = rg.context.store
     infos = evenly(store, "train", COUNTED)
-    counted = np.sum([intervals.measure(store.load(info.name).speech)[1] for info in infos], axis=0)
+    counted = np.sum([intervals.measure(store.load(info.name).speech) for info in infos], axis=0)
     within = intervals.within_bounds(counted[0])
     return plots.interval_bars(counted, f"{store.corpus}, {len(infos)} recordings: {within}")
 

@@ -23,12 +23,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from data_module.blocks import BlockSettings
-from data_module.intervals import STEP, Counts
 from data_module.speech.onsets import merged
 from data_module.types import Array, Beats, Speech, Word
 from eval.metrics import pmb
 from eval.pictures.canvas import canvas, legend, row_without_scale
 from eval.pictures.embedding import Labels, colours
+from eval.pictures.intervals import STEP, Counts
 from eval.pictures.strips import draw_wave
 from gesticulator.export.figure import FLOOR, INK, SOFT
 
