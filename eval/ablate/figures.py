@@ -121,16 +121,15 @@ def style_editing(rg: RgRows, rows: Summaries) -> Picture:
     bundle = rg.trained("style-editing", SHOWN_SEED)[0]
     system, levels, recording = Gesticulator(bundle), bundle.levels, shown_recording(rg)
     assert levels is not None, "the row trains with controls"
-    shown: dict[str, dict[str, tuple[float, Array]]] = {}
-    for column, feature in enumerate(FEATURES):
-        asked = {level: levels.value(feature, level) for level in LEVELS}
+
+    def measured(feature: str, target: float) -> tuple[float, Array]:
         # The same seed at every level: only the request differs.
-        shown[f"{feature}, {UNITS[feature]}"] = {
-            level: (value, measure(system(
-                recording.speech, speaker=recording.info.speaker, seed=SHOWN_SEED,
-                controls=Controls(**{feature: value})).motion)[:, column])
-            for level, value in asked.items()}
-    return plots.editing_panels(shown, FPS)
+        motion = system(recording.speech, speaker=recording.info.speaker, seed=SHOWN_SEED,
+                        controls=Controls(**{feature: target})).motion
+        return target, measure(motion)[:, FEATURES.index(feature)]
+
+    return plots.editing_panels({f"{feature}, {UNITS[feature]}": {
+        level: measured(feature, levels.value(feature, level)) for level in LEVELS} for feature in FEATURES}, FPS)
 
 
 def curves(rg: RgRows, rows: Summaries) -> Picture:
