@@ -196,7 +196,7 @@ class Lstm:
                 c = opened[:, width:2 * width] * c + opened[:, :width] * np.tanh(new)
                 rows[:, time] = h = opened[:, 3 * width:] * np.tanh(c)
             ends.append((h, c))
-        return rows, (np.stack([h for h, _ in ends]), np.stack([c for _, c in ends]))
+        return rows, (np.array([h for h, _ in ends]), np.array([c for _, c in ends]))
 
 
 class Gru:

@@ -221,6 +221,8 @@ def _check_scale(samples: NDArray[np.floating[Any]], name: object, rate: float, 
 
 def _mixed(samples: NDArray[np.floating[Any]], channel: int | None = None) -> Samples:
     """[n, channels] as [n]: the mean of the channels, or one of them."""
+    if channel is None and samples.shape[1] == 1:
+        channel = 0
     return np.ascontiguousarray(samples.mean(axis=1) if channel is None else samples[:, channel], dtype=np.float32)
 
 

@@ -133,7 +133,7 @@ def _gumbel(normal_numbers: Array) -> Array:
 def _log_normal(numbers: Array) -> Array:
     """[M] the logarithm of the standard normal distribution function."""
     # The smaller of the two tails, so that no digit is lost; the import of scipy.special takes twice numpy's time.
-    tails = np.array([0.5 * math.erfc(abs(number) * math.sqrt(0.5)) for number in numbers.tolist()])
+    tails = 0.5 * np.array(list(map(math.erfc, (np.abs(numbers) * math.sqrt(0.5)).tolist())))
     return np.where(numbers > 0.0, np.log1p(-tails), np.log(tails))
 
 
