@@ -4,8 +4,8 @@
     gesticulator build trinity --source DIR --out STORE   # a published data set; --help lists them all
     gesticulator build folder --help                      # the options of one of them
 
-The result does not depend on the number of workers. A report (minutes, blocks, intervals, units, missing joints,
-omissions with reasons) is printed and written to STORE/report.json.
+The result does not depend on the number of workers. A report (minutes, blocks, units, missing joints, omissions with
+reasons) is printed and written to STORE/report.json.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from data_module.errors import InputError
-from data_module.files import lock, write_text
+from data_module.files import lock, new_folder, write_text
 
 if TYPE_CHECKING:
     from data_module.build_report import Outcome
@@ -45,7 +45,7 @@ class Workshop:
         """Write one recording."""
         import warnings
 
-        from data_module import intervals
+        from data_module.blocks import cut
         from data_module.build_report import Outcome
         from data_module.corpora.base import DroppedError, Imported, load
         from data_module.corpora.folder import write_recording
@@ -77,13 +77,12 @@ class Workshop:
         if self.dataset is not None:
             write_recording(self.dataset, recording)
             _share(sound, self.dataset / sound.name)
-        blocks, apart = intervals.measure(recording.speech)
         known = "given" if recording.speech.words else ""
         unit, words = (recording.unit, recording.words) if isinstance(recording, Imported) else ("", known)
         # A warning is repeated for every file that a recording has; the report needs it once.
         messages = tuple(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
-        return Outcome(item.info.name, recording.speech.duration, character.absent, blocks, apart, unit, words,
-                       warnings=messages)
+        return Outcome(item.info.name, recording.speech.duration, character.absent, len(cut(recording.speech)), unit,
+                       words, warnings=messages)
 
 
 def _share(file: Path, place: Path) -> None:
@@ -96,8 +95,8 @@ def _share(file: Path, place: Path) -> None:
         shutil.copyfile(file, place)
 
 
-def build(workshop: Workshop, workers: int) -> Iterator[str]:
-    """Build the store of a workshop whose reader is open, and return the lines of its report. `InputError` if nothing
+def build(workshop: Workshop, workers: int) -> dict[str, Any]:
+    """Fill the store of a workshop whose reader is open, and return the content of its report. `InputError` if nothing
     is usable."""
     from tqdm import tqdm
 
@@ -108,24 +107,21 @@ def build(workshop: Workshop, workers: int) -> Iterator[str]:
         workshop.dataset.mkdir()
     items: Sequence[Item] = reader.items()
     outcomes: dict[str, Outcome] = {}
-    try:
-        # disable=None: no bar if the output is not a terminal.
-        with tqdm(total=len(items), unit="recording", disable=None) as bar:
-            for outcome in _made(workshop, items, workers):
-                outcomes[outcome.name] = outcome
-                bar.update()
-        infos = [replace(item.info, seconds=outcomes[item.info.name].seconds) for item in items
-                 if not outcomes[item.info.name].dropped]
-        if not infos:
-            reason = next((outcome.dropped for outcome in outcomes.values()), "it is empty")
-            raise InputError(workshop.source or workshop.corpus, f"has no recording that can be used ({reason})",
-                             "see the formats in --help")
-        content = reports.summary(infos, [outcomes[item.info.name] for item in items], reader.notes())
-        write_text(writer.partial / reports.FILE, json.dumps(content, indent=1, ensure_ascii=False))
-        return reports.report_lines(writer.finish([info.name for info in infos]), content)
-    except BaseException:
-        writer.discard()
-        raise
+    # disable=None: no bar if the output is not a terminal.
+    with tqdm(total=len(items), unit="recording", disable=None) as bar:
+        for outcome in _made(workshop, items, workers):
+            outcomes[outcome.name] = outcome
+            bar.update()
+    infos = [replace(item.info, seconds=outcomes[item.info.name].seconds) for item in items
+             if not outcomes[item.info.name].dropped]
+    if not infos:
+        reason = next((outcome.dropped for outcome in outcomes.values()), "it is empty")
+        raise InputError(workshop.source or workshop.corpus, f"has no recording that can be used ({reason})",
+                         "see the formats in --help")
+    content = reports.summary(infos, [outcomes[item.info.name] for item in items], reader.notes())
+    write_text(writer.path / reports.FILE, json.dumps(content, indent=1, ensure_ascii=False))
+    writer.finish([info.name for info in infos])
+    return content
 
 
 _workshop: Workshop | None = None
@@ -230,10 +226,11 @@ def run(arguments: argparse.Namespace) -> int:
     # Before numpy is imported, which reads these variables once; processes are parallel already.
     for variable in _ONE_THREAD:
         os.environ.setdefault(variable, "1")
+    from data_module.build_report import report_lines
     from data_module.corpora.base import Options
     from data_module.corpora.table import open_corpus, reader_of
     from data_module.motion.joint_map import read_joint_table
-    from data_module.store import StoreWriter
+    from data_module.store import Store, StoreWriter
 
     for name in ("workers", "fps", "unit"):
         value = getattr(arguments, name)
@@ -246,9 +243,11 @@ def run(arguments: argparse.Namespace) -> int:
     with lock(arguments.out, "a build", beside=True):
         reader = open_corpus(arguments.corpus, arguments.source, options)
         settings = {**reader.settings(), **({} if table is None else {"joints": table})}
-        writer = StoreWriter(arguments.out, arguments.corpus, settings, options.seed, reader.licence)
-        dataset = None if arguments.no_dataset else writer.partial / DATASET
-        workshop = Workshop(arguments.corpus, arguments.source, options, writer, dataset, reader)
-        for line in build(workshop, arguments.workers):
+        with new_folder(arguments.out) as unfinished:
+            writer = StoreWriter(unfinished, arguments.corpus, settings, options.seed, reader.licence)
+            dataset = None if arguments.no_dataset else unfinished / DATASET
+            content = build(Workshop(arguments.corpus, arguments.source, options, writer, dataset, reader),
+                            arguments.workers)
+        for line in report_lines(Store.open(arguments.out), content):
             print(line)
     return 0

@@ -1,4 +1,4 @@
-"""The report of a build: minutes, blocks, intervals, missing joints, and omissions with their reasons.
+"""The report of a build: minutes, blocks, missing joints, and omissions with their reasons.
 
 It is printed and written to `report.json` in the store. It does not depend on the run (time, order), so equal builds
 have equal reports.
@@ -6,12 +6,9 @@ have equal reports.
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from data_module.intervals import BINS, Counts, within_bounds
 from data_module.store import SPLITS, RecordingInfo, Store
 
 FILE = "report.json"
@@ -30,7 +27,6 @@ class Outcome:
     seconds: float = 0.0
     absent: tuple[str, ...] = ()
     blocks: int = 0
-    intervals: Counts = field(default_factory=lambda: np.zeros((2, BINS), np.int64), compare=False)
     unit: str = ""
     words: str = ""
     dropped: str = ""
@@ -51,7 +47,6 @@ def report_lines(store: Store, content: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {_WORDS.get(how, how)} in {count} recordings"
     for joint, count in content["lacking"].items():
         yield f"  joint {joint} is missing in {count} recordings: it follows its parent and is masked"
-    yield f"  {within_bounds(content['intervals']['onsets'])}"
     for name, why in content["dropped"].items():
         yield f"  dropped {name}: {why}"
     for name, lines in content["warnings"].items():
@@ -79,7 +74,6 @@ def summary(infos: Sequence[RecordingInfo], outcomes: Sequence[Outcome], notes: 
     """The content of report.json. infos: the recordings in the store; outcomes: of all recordings, including dropped
     ones."""
     used = {outcome.name: outcome for outcome in outcomes if not outcome.dropped}
-    onsets, beats = sum((outcome.intervals for outcome in used.values()), np.zeros((2, BINS), np.int64)).tolist()
     return {
         "recordings": len(infos), "minutes": _minutes(infos), "blocks": sum(o.blocks for o in used.values()),
         # Blocks and minutes by split: whether a corpus suffices depends on its training part.
@@ -87,7 +81,6 @@ def summary(infos: Sequence[RecordingInfo], outcomes: Sequence[Outcome], notes: 
         "units": _counted(outcome.unit for outcome in used.values() if outcome.unit),
         "words": _counted(outcome.words for outcome in used.values()),
         "lacking": _counted(joint for outcome in used.values() for joint in outcome.absent),
-        "intervals": {"onsets": onsets, "beats": beats},
         "dropped": {outcome.name: outcome.dropped for outcome in outcomes if outcome.dropped},
         "warnings": {outcome.name: list(outcome.warnings) for outcome in outcomes if outcome.warnings},
         "notes": list(notes),

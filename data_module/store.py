@@ -10,7 +10,6 @@ import hashlib
 import io
 import json
 import os
-import shutil
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 
 from data_module.arrays import as_floats, read_npz
 from data_module.errors import InputError, shown
-from data_module.files import file_hash, is_free, read_json, rename, write_bytes, write_text
+from data_module.files import file_hash, read_json, write_bytes, write_text
 from data_module.motion import rotation
 from data_module.motion.skeletons import CHARACTERS, JOINTS, resized
 from data_module.speech.audio import load_speech, write_flac
@@ -159,18 +158,13 @@ class Store:
 
 
 class StoreWriter:
-    """Writes a store, recording by recording, in any order and from several processes at once, to `OUT.partial`, which
-    is renamed at the end. `InputError` if something is at `path`."""
+    """Writes a store into a folder, recording by recording, in any order and from several processes at once."""
 
     def __init__(self, path: str | os.PathLike[str], corpus: str, settings: Mapping[str, Any], seed: int,
                  licence: str) -> None:
         self.path = Path(path)
-        self.partial = self.path.with_name(self.path.name + ".partial")
         self._head = {"format": FORMAT, "corpus": corpus, "settings": settings, "seed": seed, "licence": licence}
-        if not is_free(self.path):
-            raise InputError(self.path, "is already there", "delete it or choose another folder")
-        self.discard()
-        (self.partial / _FOLDER).mkdir(parents=True)
+        (self.path / _FOLDER).mkdir(parents=True)
 
     def add(self, recording: Recording, character: Motion | None = None) -> Path:
         """Write one recording with its motion, or `character` in its place, on the character in any of its sizes; its
@@ -182,7 +176,7 @@ class StoreWriter:
         if abs(motion.duration - recording.speech.duration) > 1.0 / motion.fps:
             raise ValueError(f"{info.name}: {motion.duration:.3f} s of motion for "
                              f"{recording.speech.duration:.3f} s of speech")
-        sound, arrays = _files(self.partial, info.name)
+        sound, arrays = _files(self.path, info.name)
         write_flac(sound, recording.speech)
         write_bytes(arrays, _pack(_arrays(recording)))
         entry = asdict(info) | {"seconds": round(recording.speech.duration, 6), "frames": len(motion),
@@ -193,23 +187,17 @@ class StoreWriter:
         return sound
 
     def finish(self, names: Sequence[str]) -> Store:
-        """Write the list of the recordings in the order of `names`, which must all exist, and rename the store."""
+        """Write the list of the recordings in the order of `names`, which must all exist."""
         entries = [read_json(self._entry(name), "build it again") for name in names]
         # So that equal stores have equal files.
         for name in names:
             self._entry(name).unlink()
         listing = self._head | {"fingerprint": _fingerprint(entries), "recordings": entries}
-        write_text(self.partial / _LISTING, json.dumps(listing, indent=1))
-        if self.path.exists():
-            self.path.rmdir()
-        rename(self.partial, self.path)
+        write_text(self.path / _LISTING, json.dumps(listing, indent=1))
         return Store.open(self.path)
 
-    def discard(self) -> None:
-        shutil.rmtree(self.partial, ignore_errors=True)
-
     def _entry(self, name: str) -> Path:
-        return self.partial / _FOLDER / f"{name}.json"
+        return self.path / _FOLDER / f"{name}.json"
 
 
 def _files(folder: Path, name: str) -> tuple[Path, Path]:

@@ -76,7 +76,9 @@ INTERPRETERS: Registry[InterpreterEntry] = Registry("interpreters", "an interpre
         "q_network_literal", section="cql_literal", model="interpreters.cql:QNetwork", temperature=0.0,
         doubt="cql-literal is RACER's as published, for comparison: it repeats few lexemes, and lstm chooses better"),
     "statistical": InterpreterEntry(
-        "the speaker's lexeme frequencies", "interpreters.statistical:StatisticalInterpreter"),
+        "the speaker's lexeme frequencies", "interpreters.statistical:StatisticalInterpreter",
+        doubt="statistical draws lexemes without listening to the speech; lstm chooses better by the judge of "
+              "rewards"),
 }, InterpreterEntry)
 """By name; the default is the first that a bundle has."""
 

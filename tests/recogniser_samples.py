@@ -260,6 +260,11 @@ JSON: dict[str, Callable[[Words], Any]] = {
     "google, speakers": google_speakers, "google, protobuf": google_protobuf, "azure": azure,
     "azure, batch": azure_batch, "azure, fast": azure_fast, "mfa": mfa, "transformers": transformers, "aws": aws,
     "speechmatics": speechmatics, "elevenlabs": elevenlabs, "gladia": gladia, "deepgram": deepgram,
+    "dashscope": lambda words: {"transcripts": [{"channel_id": 0, "sentences": [{
+        "begin_time": _ms(words[0][1]), "end_time": _ms(words[-1][2]), "words": [
+            {"begin_time": _ms(start), "end_time": _ms(end), "text": word} for word, start, end in words]}]}]},
+    "soniox": lambda words: {"text": _text(words), "tokens": [
+        {"text": f" {word}", "start_ms": _ms(start), "end_ms": _ms(end)} for word, start, end in words]},
     "nemo": nemo, "nemo, manifest": nemo_manifest, "nemo, speakers": nemo_speakers,
     "list": lambda words: _plain(words, "text"), "text": lambda words: {"text": _text(words)},
 }
@@ -338,6 +343,29 @@ def lrc(words: Words) -> str:
         f" <{_clock(start, '.')}>{word}" for word, start, _ in part) + "\n" for part in _parts(words))
 
 
+def ttml_words(words: Words) -> str:
+    """A span for each word, whose times count from the beginning of its line."""
+    return '<tt xmlns="http://www.w3.org/ns/ttml"><body><div>' + "".join(
+        f'<p begin="{_ms(part[0][1])}ms" end="{part[-1][2]:.3f}s">' + " ".join(
+            f'<span begin="{start - part[0][1]:.3f}s" dur="{_ms(end) - _ms(start)}ms">{word}</span>'
+            for word, start, end in part) + "</p>" for part in _parts(words)) + "</div></body></tt>"
+
+
+def ttml_syllables(words: Words) -> str:
+    """As lyrics are written: all times count from the beginning of the recording, and a word may have several spans."""
+    def span(text: str, start: float, end: float) -> str:
+        return f'<span begin="{_ms(start) * 10_000}t" end="{_ms(end) * 10_000}t">{text}</span>'
+
+    lines = []
+    for part in _parts(words):
+        halves = [[half["offsets"] | half for half in _halves(*word)] for word in part]
+        spans = " ".join("".join(span(half["text"].strip(), half["from"] / 1000, half["to"] / 1000) for half in word)
+                         for word in halves)
+        lines.append(f'<p begin="{_clock(part[0][1], ".")}" end="{_clock(part[-1][2], ".")}">{spans}</p>')
+    return ('<tt xmlns="http://www.w3.org/ns/ttml" xmlns:p="http://www.w3.org/ns/ttml#parameter" '
+            'p:tickRate="10000000"><body><div>' + "".join(lines) + "</div></body></tt>")
+
+
 def ass_coloured(words: Words) -> str:
     """As NeMo's aligner highlights words: the line anew for each."""
     return "".join(
@@ -355,8 +383,14 @@ FILES: dict[str, tuple[str, Callable[[Words], str]]] = {
     "ass, coloured": (".ass", ass_coloured), "sbv": (".sbv", lambda words: _lines(words, "{},{}\n{}\n\n")),
     "ttml": (".ttml", lambda words: '<tt xmlns="http://www.w3.org/ns/ttml">' + _lines(
         words, '<p begin="{}" xml:id="c" end="{}"><span>{}</span></p>', "<br/>") + "</tt>"),
+    "csv": (".csv", lambda words: "start,end,text\n" + "".join(
+        f'{_ms(part[0][1])},{_ms(part[-1][2])},"{_text(part)}"\n' for part in _parts(words))),
+    "jsonl, nemo's manifest": (".jsonl", lambda words: "".join(json.dumps(
+        {"audio_filepath": "a.wav", "offset": part[0][1], "duration": part[-1][2] - part[0][1], "text": _text(part)}
+    ) + "\n" for part in _parts(words))),
+    "ttml, words": (".ttml", ttml_words), "ttml, syllables": (".dfxp", ttml_syllables),
     "ctm": (".ctm", lambda words: "".join(f"a 1 {a:.3f} {b - a:.3f} {word} 0.9\n" for word, a, b in words)),
 }
 """Sample -> its suffix, and what writes it."""
-WITHOUT_TIMES = {"srt", "vtt", "tsv", "text", "ass", "ass, coloured", "sbv", "ttml"}
+WITHOUT_TIMES = {"srt", "vtt", "tsv", "text", "ass", "ass, coloured", "sbv", "ttml", "csv", "jsonl, nemo's manifest"}
 """Samples without the times of words."""

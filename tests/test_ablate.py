@@ -74,7 +74,7 @@ def test_random_codes_are_normal_and_repeat() -> None:
 def test_rows_and_figures_of_the_paper(ablation: Ablation, tmp_path: Path) -> None:
     names = ["ours", "no-lexemes", "random-style", "style-editing"]
     drawn = {"figure-2": "svg", "figure-6": "png", "figure-9-ours": "png", "figure-9-performer": "png",
-             "figure-11": "svg", "figure-14": "svg", "figure-17": "png"}
+             "figure-10": "svg", "figure-11": "svg", "figure-14": "svg", "figure-17": "png"}
     here = into(ablation, tmp_path / "ablation")
     facts = ablate(here, *names, *drawn, "figure-16")
     assert set(names) <= set(facts["rows"]) and "performer" in facts["rows"]

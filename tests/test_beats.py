@@ -17,6 +17,7 @@ from data_module.speech.mel import mel_bands
 from data_module.speech.onsets import LOOK_AHEAD, OnsetTracker, RiseTracker, detect_onsets, merged
 from data_module.speech.silence import LoudnessTracker, frame_levels
 from data_module.types import Array, BeatFlag, Beats, Samples, Speech
+from eval.pictures import intervals
 
 RATE = 16000
 RANGES = [(0.2, 0.5), (0.3, 0.6), (0.2, 1.0), (0.5, 1.0), (0.25, 0.5)]
@@ -68,7 +69,7 @@ def test_every_interval_is_in_range(onsets: Array, loud: Array, extra: float, pr
     settings = BeatSettings(*preset, rule=rule)
     duration = preset[0] + extra
     beats = place_beats(onsets, loud, duration, settings)
-    assert in_range(beats.intervals, settings)
+    assert in_range(np.diff(beats.times), settings)
     assert beats.times[-1] == duration
     assert beats.flags[0] == beats.flags[-1] == BeatFlag.BOUNDARY
     assert (beats.flags[1:-1] != BeatFlag.BOUNDARY).all()
@@ -261,3 +262,15 @@ def test_mel_bands_are_librosas_to_the_last_bit(rate: int, half: int, bands: int
     with warnings.catch_warnings(action="ignore", category=UserWarning):  # some of so many bands are empty
         theirs = librosa.filters.mel(sr=rate, n_fft=2 * half, n_mels=bands, fmax=top, norm="slaney" if area else None)
     np.testing.assert_array_equal(mel_bands(rate, 2 * half, bands, top, equal_area=area), theirs)
+
+
+@pytest.mark.parametrize(("apart", "beats"), [(0.33, (0.25, 0.4)), (0.77, (0.2, 0.55))])
+def test_intervals_of_a_ticking_clock(apart: float, beats: tuple[float, float]) -> None:
+    ticks = np.arange(apart, 5.9, apart)
+    speech = Speech(clicks(ticks, 6.0, noise=1e-5), RATE)
+    onsets, within = intervals.measure(speech)
+    assert onsets.sum() == len(ticks) - 1 == onsets[int(apart / intervals.STEP)]
+    assert intervals.within_bounds(onsets).startswith("100% of" if apart < 0.5 else "0% of")
+    # Ticks that are too far apart get pseudo-beats between them.
+    assert within.sum() == len(find_beats(speech).times) - 1
+    assert within[round(beats[0] / intervals.STEP):round(beats[1] / intervals.STEP)].sum() >= within.sum() - 2

@@ -16,12 +16,11 @@ from scipy.spatial.transform import Rotation
 from data_module.blocks import cut
 from data_module.corpora.table import CORPORA
 from data_module.files import lock
-from data_module.intervals import STEP, measure, within_bounds
 from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh, write_bvh
 from data_module.motion.skeletons import WHOLE_BODY
 from data_module.store import Store
-from data_module.types import Motion, Skeleton, Speech
+from data_module.types import Motion, Skeleton
 from gesticulator.cli import main
 
 FILLED = WHOLE_BODY.names[16:]
@@ -62,7 +61,7 @@ def test_two_workers_give_the_same_bytes_and_a_store_is_not_overwritten(
     command = ["build", *_of(toy_corpus), "--out", str(out), "--workers", "2"]
     assert main(command) == 0
     told, said = json.loads((out / "report.json").read_text(encoding="utf-8")), capfd.readouterr().out
-    assert f"{told['blocks']} blocks" in said and "between onsets" in said
+    assert f"{told['blocks']} blocks" in said
     assert any(f"warning: {minutes} minutes of training data are little" in said for minutes in (2, 3))
     # Its seed and settings are those of the fixture, so every byte must be, too.
     mine, theirs = _contents(out), _contents(tiny_store)
@@ -70,6 +69,10 @@ def test_two_workers_give_the_same_bytes_and_a_store_is_not_overwritten(
     assert [name for name in mine if mine[name] != theirs[name]] == []
     assert "is already there" in refused(*command)
     assert _contents(out) == mine and not (tmp_path / "store.partial").exists()
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("dear")
+    assert "is already there" in refused("build", *_of(toy_corpus), "--out", str(tmp_path / "mine"))
+    assert (tmp_path / "mine" / "letter.txt").read_text() == "dear"
 
 
 @pytest.mark.parametrize(("arguments", "wrong"), [
@@ -243,29 +246,3 @@ def test_the_report_counts_what_is_in_the_store(tiny_store: Path) -> None:
         infos = [info for info in store.recordings if info.split == split]
         assert (own["recordings"], own["blocks"]) == (len(infos), sum(blocks[info.name] for info in infos))
         assert own["minutes"] == pytest.approx(sum(info.seconds for info in infos) / 60, abs=1e-3)
-    # d_min and d_max are 0.2 and 0.5 s: no beats are closer or farther apart.
-    beats = np.array(told["intervals"]["beats"])
-    assert beats[round(0.2 / STEP):round(0.5 / STEP) + 1].sum() == beats.sum() == told["blocks"]
-
-
-def _ticking(apart: float, seconds: float = 6.0) -> Speech:
-    """A tick every `apart` seconds from `apart` on."""
-    rng = np.random.default_rng(1)
-    samples = 1e-5 * rng.normal(size=round(seconds * 16000))
-    for place in np.arange(apart, seconds - 0.1, apart):
-        at = round(place * 16000)
-        samples[at:at + 400] += 0.3 * rng.normal(size=400) * np.exp(-np.arange(400) / 100)
-    return Speech(samples.astype(np.float32), 16000)
-
-
-@pytest.mark.parametrize(("apart", "beats"), [(0.33, (0.25, 0.4)), (0.77, (0.2, 0.55))])
-def test_intervals_of_a_ticking_clock(apart: float, beats: tuple[float, float]) -> None:
-    blocks, found = measure(_ticking(apart))
-    ticks = len(np.arange(apart, 5.9, apart))
-    onsets, within = found
-    place = int(apart / STEP)
-    assert onsets.sum() == ticks - 1 == onsets[place]
-    assert within_bounds(onsets).startswith("100% of" if apart < 0.5 else "0% of")
-    # Ticks that are too far apart get pseudo-beats between them.
-    assert within.sum() == blocks
-    assert within[round(beats[0] / STEP):round(beats[1] / STEP)].sum() >= blocks - 2

@@ -33,7 +33,8 @@ def test_the_published_presets_keep_the_greedy_choice() -> None:
         assert preset(name).selection.q_temperature == 0
 
 
-@pytest.mark.parametrize(("bundle", "name"), [("default", "cql"), ("paper", "cql"), ("paper", "cql-literal")])
+@pytest.mark.parametrize(("bundle", "name"), [
+    ("default", "cql"), ("default", "statistical"), ("paper", "cql"), ("paper", "cql-literal")])
 def test_a_policy_that_is_no_better_is_remarked_upon(bundle: str, name: str) -> None:
     system = Gesticulator(bundles.load(NAMED[bundle]))
     with warnings.catch_warnings(record=True) as caught:

@@ -122,7 +122,7 @@ def _read(folder: Path, suffix: str, content: str, seconds: float = 4.0) -> tupl
 
 # The recogniser hears no mark: a mark in its output is a text that was synthesised, or edited. Its pieces are no words.
 MARKED = sorted(set(FILES) - {"whisper.cpp", "whisper.cpp -ml 1", "vtt, rolling", "srt, highlighted", "srt, coloured",
-                              "vtt, highlighted", "text", "ctm", "ttml"})
+                              "vtt, highlighted", "text", "ctm", "ttml", "ttml, words", "ttml, syllables"})
 WRITTEN = {**FILES, "textgrid": (".TextGrid", lambda words: _textgrid(words))}
 
 

@@ -118,6 +118,29 @@ def test_strips_join_the_pairs_that_the_metric_counts() -> None:
     assert axis.texts[0].get_text() == f"PMB {100 * count / seen.sum():.0f} %\n{count} of {seen.sum()}"
 
 
+# --------------------------------------------------------------------------------------------------------- Fig. 10
+
+def test_editing_panels_show_what_was_asked_beside_what_was_measured() -> None:
+    rng = np.random.default_rng(2)
+    panels = {title: {level: (asked, asked + 0.1 * rng.standard_normal(81))
+                      for level, asked in {"low": 0.1, "mid": 0.3, "high": 0.6}.items()}
+              for title in ("height, m", "speed, m/s")}
+    figure = plots.editing_panels(panels, fps=20)
+    rows = zip(figure.axes[::2], figure.axes[1::2], panels.items(), strict=True)
+    for curves, boxes, (title, levels) in rows:
+        assert curves.get_ylabel() == title and curves.get_ylim() == boxes.get_ylim()
+        drawn = lines_of(curves)
+        for level, (_, values) in levels.items():
+            np.testing.assert_allclose(drawn[level].get_xdata(), np.arange(81) / 20)
+            np.testing.assert_array_equal(drawn[level].get_ydata(), values)
+        for axis in (curves, boxes):
+            flat = {line.get_ydata()[0] for line in axis.lines
+                    if len(line.get_ydata()) == 2 and list(line.get_xdata()) == [0, 1]}
+            assert flat == {0.1, 0.3, 0.6}, "what was asked for crosses both panels"
+        medians = [line.get_ydata()[0] for line in boxes.lines if len(set(line.get_ydata())) == 1]
+        assert {float(np.median(values)) for _, values in levels.values()} <= set(medians)
+
+
 # --------------------------------------------------------------------------------------------------------- Fig. 18
 
 def test_sweep_shows_means_intervals_and_sizes() -> None:

@@ -1,6 +1,7 @@
 """Every recogniser's transcript: the same words give the same words and times, whatever program wrote them."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,12 @@ def test_emphasis_in_a_line_is_no_time(tmp_path: Path) -> None:
     assert found.timing == "cues" and found.text == "I really mean it you do not"
 
 
+@pytest.mark.parametrize("label", ["[SPEAKER_00]: ", "SPEAKER_01: ", "[Speaker A]: "])
+def test_who_speaks_is_neither_spoken_nor_a_mark(label: str, tmp_path: Path) -> None:
+    found = _read(tmp_path, ".srt", f"1\n00:00:00,000 --> 00:00:02,000\n{label}I mean it\n")
+    assert [(word.text, word.marks) for word in found.words or ()] == [("I", ()), ("mean", ()), ("it", ())]
+
+
 def test_a_list_of_word_segments_is_read_with_what_it_lacks_and_in_order(tmp_path: Path) -> None:
     words: list[dict[str, Any]] = samples.whisperx(SPOKEN)["word_segments"]
     words[1:5] = [{"word": "2266"}, words[1], words[2], {"word": "?"}, words[4], words[3]]
@@ -127,17 +134,43 @@ def test_what_cannot_be_used_is_refused(content: Any, said: str, tmp_path: Path)
     assert said in str(caught.value)
 
 
-@pytest.mark.parametrize(("times", "start", "end"), [
-    ("begin='00:01:01.5' xml:id='a' end='00:01:02'", 61.5, 62), ('dur="0.5s" begin="1.5s"', 1.5, 2)])
-def test_times_of_ttml(times: str, start: float, end: float, tmp_path: Path) -> None:
-    found = _read(tmp_path, ".dfxp", f"<tt:tt>\n<tt:p {times}>so<tt:br/>be\n it &amp; on</tt:p></tt:tt>")
-    assert [(cue.text, cue.start, cue.end) for cue in found.cues] == [("so be it & on", start, end)]
+@pytest.mark.parametrize(("root", "times", "start", "end"), [
+    ("", "begin='00:01:01.5' xml:id='a' end='00:01:02'", 61.5, 62), ("", 'dur="0.5s" begin="1.5s"', 1.5, 2),
+    ("", 'begin="250ms" end="0.1m"', .25, 6), ("", 'begin="59" end="1:04"', 59, 64),
+    ('p:frameRate="25"', 'begin="00:00:01:05" end="50f"', 1.2, 2),
+    # A tick is a second, or a frame where their rate is given.
+    ("", 'begin="1t" end="2t"', 1, 2), ('p:frameRate="24"', 'begin="12t" end="48t"', .5, 2),
+    ('p:tickRate="90000"', 'begin="45000t" dur="90000t"', .5, 1.5),
+    # At 29.97 frames a second; as a time code, 30 of them are called a second.
+    ('p:frameRate="30" p:frameRateMultiplier="1000 1001"', 'begin="1800f" end="00:01:01:15"', 60.06, 61.5005),
+])
+def test_times_of_ttml(root: str, times: str, start: float, end: float, tmp_path: Path) -> None:
+    text = f"<tt:tt xmlns:tt='tt' xmlns:p='p' {root}>\n" + (
+        f"<tt:p {times}>so<tt:br/>be\n it &amp; <tt:metadata>not</tt:metadata>on</tt:p></tt:tt>")
+    [cue] = _read(tmp_path, ".dfxp", text).cues
+    assert (cue.text, cue.start, cue.end) == ("so be it & on", pytest.approx(start), pytest.approx(end))
 
 
-@pytest.mark.parametrize("time", ["00:00:01:12", "15000000t", "1500ms", "36f"])
-def test_times_of_ttml_in_frames_ticks_or_thousandths_are_refused(time: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=f"'{time}' is not hours, minutes and seconds"):
-        _read(tmp_path, ".ttml", f'<tt><p begin="0.5s" end="1s">a</p><p begin="{time}" end="4s">b</p></tt>')
+@pytest.mark.parametrize("times", [
+    # By the standard, and as lyrics have them.
+    ("10s", "5s", "0.5s", "1s", "0.25s"), ("10s", "15s", "15.5s", "16s", "15.75s")])
+def test_times_of_ttml_count_from_what_is_around_or_from_the_recording(times: tuple[str, ...], tmp_path: Path) -> None:
+    text = ('<tt><body begin="{}"><div begin="{}"><p begin="{}" end="{}">so <span begin="{}">it</span></p>'
+            "</div></body></tt>").format(*times)
+    found = _read(tmp_path, ".ttml", text).words or ()
+    assert [(word.text, word.start, word.end) for word in found] == [("so", 15.5, 15.75), ("it", 15.75, 16.0)]
+
+
+@pytest.mark.parametrize(("content", "said"), [
+    ("<tt>\n<p begin='1s' end='2s'>a</tt>", "is not XML (mismatched tag: line 2, column"),
+    ("<tt>\n\n<p begin='1 o&apos;clock'>a</p></tt>", "\"1 o'clock\" is not a time"),
+    ("<tt frameRate='0'/>", "has a rate of frames or ticks that is no number above 0"), ("<tt/>", "has no words"),
+    ("<tt><p begin='2s' end='1s'>a</p></tt>", "the line 'a': ends at 1 s, before it starts at 2 s"),
+    ("<p>" + "<span>" * 9999 + "</span>" * 9999 + "</p>", "has no words"),
+])
+def test_broken_ttml_is_refused(content: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=re.escape(said)):
+        _read(tmp_path, ".ttml", content)
 
 
 @pytest.mark.parametrize(("content", "said"), [

@@ -93,16 +93,6 @@ def test_bytes_and_fingerprint_depend_on_the_content_alone(tmp_path: Path) -> No
     assert one.fingerprint == two.fingerprint != other.fingerprint
 
 
-def test_a_finished_store_and_a_foreign_folder_are_not_overwritten(tmp_path: Path) -> None:
-    _store(tmp_path / "s", _recording("a"))
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "letter.txt").write_text("dear")
-    for folder in (tmp_path / "s", tmp_path / "mine"):
-        with pytest.raises(InputError, match="already there"):
-            StoreWriter(folder, "test", SETTINGS, 3, "none")
-    assert (tmp_path / "mine" / "letter.txt").read_text() == "dear"
-
-
 def _edited(change: Callable[[dict[str, Any]], object]) -> Callable[[Path], object]:
     """Change the listing of a store."""
     def edit(store: Path) -> None:

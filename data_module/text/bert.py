@@ -24,12 +24,9 @@ class BertEncoder:
         self._layers = [_Layer(tensors.within(f"encoder.layer.{number}"), config)
                         for number in range(config["num_hidden_layers"])]
 
-    def __call__(self, batch: Sequence[Sequence[int]]) -> list[Floats]:
-        """The last layer's vectors [n, width] of the pieces of each sequence (n of at most `longest`)."""
-        return [*self.layers(batch)][-1]
-
     def layers(self, batch: Sequence[Sequence[int]]) -> Iterator[list[Floats]]:
-        """The vectors of each layer, which is computed when it is asked for: all of them take .4 s for long texts."""
+        """The vectors [n, width] of the pieces of each sequence (n of at most `longest`) after each layer, which is
+        computed when it is asked for: all of them take .4 s for long texts."""
         # No padding: the rows of all sequences go through the layers together, and attend within their own.
         ends = np.cumsum([len(pieces) for pieces in batch])[:-1]
         rows = self._norm(self._pieces[np.concatenate(batch)]

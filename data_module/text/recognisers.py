@@ -17,7 +17,7 @@ from data_module.errors import InputError, shown
 from data_module.files import parse_json
 from data_module.text.alignment import written_words
 from data_module.text.marks import marked_text
-from data_module.text.transcript_formats import UNTIMED, Content, Entry, filled, shared_in_cue, spoken_tier
+from data_module.text.transcript_formats import Content, Entry, filled, shared_in_cue, spoken_tier, usual_length
 
 __all__ = ["words_json"]
 
@@ -47,6 +47,7 @@ class _Clock(NamedTuple):
 
 _CLOCKS = (
     _Clock("start", "end"), _Clock("startTime", "endTime"), _Clock("start_time", "end_time"),
+    _Clock("start_ms", "end_ms", MILLISECOND), _Clock("begin_time", "end_time", MILLISECOND),
     _Clock("StartTime", "EndTime"), _Clock("time_begin", "time_end"),
     # Google's. As numbers, gentle's count letters and NeMo's the steps of a model, whatever a step lasts.
     _Clock("startOffset", "endOffset", texts=True), _Clock("start_offset", "end_offset", texts=True),
@@ -190,11 +191,14 @@ def _entry(source: str, item: object, where: str) -> Entry:
     pair = _of(item, "timestamp", "timestamps")
     if isinstance(pair, list) and len(pair) == 2:
         if pair[1] is None and pair[0] is not None:
-            pair[1] = _seconds(source, pair[0], f"{where}.timestamp[0]") + UNTIMED * max(1, _count(text))
+            # The last phrase of a recording may have no end.
+            pair[1] = _seconds(source, pair[0], f"{where}.timestamp[0]") + usual_length(text)
         times = {"start": pair[0], "end": pair[1]}
     elif isinstance(item.get("offsets"), Mapping):
         times = item["offsets"]
-    clock = next((clock for clock in _CLOCKS if _tells(times, clock)), _CLOCKS[0])
+    clock = next((clock for both in (True, False) for clock in _CLOCKS if _tells(times, clock, both)), _CLOCKS[0])
+    if "audio_filepath" in item:
+        clock = clock._replace(unit=1.0)  # NeMo's manifests count in seconds
     start, end = times.get(clock.start), times.get(clock.end)
     if end is None and (start is None or clock.texts):
         until = _of(item, *_RESULT_ENDS)
@@ -204,8 +208,10 @@ def _entry(source: str, item: object, where: str) -> Entry:
     return Entry(text, first, first + last if clock.lasts else last, where)
 
 
-def _tells(item: Mapping[str, Any], clock: _Clock) -> bool:
-    """Whether an object has the times of a clock. A length alone may be that of the whole recording."""
+def _tells(item: Mapping[str, Any], clock: _Clock, both: bool) -> bool:
+    """Whether an object has the times of a clock, or one of them. A length alone may be that of the whole recording."""
+    if both and (item.get(clock.start) is None or item.get(clock.end) is None):
+        return False
     time = _of(item, clock.start) if clock.lasts else _of(item, clock.start, clock.end)
     return time is not None and not (clock.texts and isinstance(time, (int, float)))
 

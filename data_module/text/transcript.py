@@ -23,14 +23,15 @@ from data_module.text import transcript_formats as formats
 from data_module.text.marks import marked_text, marked_words, with_marks
 from data_module.text.recognisers import words_json
 from data_module.text.transcript_formats import Content, Entry
+from data_module.text.ttml import ttml
 from data_module.types import Speech, Word
 
 __all__ = ["Text", "Transcript", "as_transcript", "read_transcript", "timed_transcript", "with_transcript"]
 
 FORMATS: dict[str, Callable[[str, str, str | None], Content]] = {
     ".txt": lambda source, text, speaker: Content(text=text), ".textgrid": formats.textgrid,
-    ".tsv": formats.tsv, ".ctm": formats.ctm, ".json": words_json, ".jsonl": words_json,
-    **dict.fromkeys(formats.TIMED_LINES, formats.timed_lines),
+    ".tsv": formats.tsv, ".csv": formats.comma_separated, ".ctm": formats.ctm, ".ttml": ttml, ".dfxp": ttml,
+    ".json": words_json, ".jsonl": words_json, **dict.fromkeys(formats.TIMED_LINES, formats.timed_lines),
 }
 """Readers by suffix: (file, its text, speaker) to its content."""
 

@@ -31,11 +31,11 @@ NUMBER = r"[-+]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][-+]?\d++)?+"
 _TOKEN = re.compile(rf'"((?:[^"]++|"")*+)"|(?<![^\s=])({NUMBER})(?!\S)|(<exists>)|"')
 _CLOCK = r"(?:(\d{1,4}):)?(\d{1,4}):(\d{1,4})(?:[.,](\d+))?"
 _CUE = re.compile(rf"\s*{_CLOCK}\s*-->\s*{_CLOCK}(?:\s.*)?")
-# Tags, positions of the SubStation kind, and descriptions of sounds.
-_NOT_SPOKEN = re.compile(r"<[^<>]*>|\{\\[^{}]*\}|\[[^\[\]]*\]")
+# Tags, positions of the SubStation kind, descriptions of sounds, and names of unknown speakers.
+_NOT_SPOKEN = re.compile(r"<[^<>]*>|\{\\[^{}]*\}|\[[^\[\]]*\]|\bSPEAKER_\d+:")
 _BETWEEN_WORDS = re.compile(r"\[|<(\w+:)?br\b")
 # Duration of a word without times and without timed neighbours, seconds: the mean of spoken English.
-UNTIMED = 0.3
+_UNTIMED = 0.3
 _INNER = re.compile(rf"<{_CLOCK}>")
 _HIGHLIGHT = re.compile(r"<(u|b|font|c)(?:[ .][^<>]*)?>([^<>]*)</\1>", re.IGNORECASE)
 
@@ -143,6 +143,11 @@ def ctm(source: str, text: str, speaker: str | None = None) -> Content:
         lambda row: f"{row[2]}\t{float(row[2]) + float(row[3])}\t{row[4]}" if row[1] else "", text))
 
 
+def comma_separated(source: str, text: str, speaker: str | None = None) -> Content:
+    """The same as `tsv` with commas, as whisper.cpp writes it."""
+    return tsv(source, re.sub(r'^([^,\n]*),([^,\n]*),"?(.*?)"?$', r"\1\t\2\t\3", text, flags=re.M))
+
+
 def _timed(row: Sequence[str]) -> bool:
     """Whether a row begins with a start and an end."""
     return len(row) >= 2 and all(re.fullmatch(NUMBER, value.strip()) for value in row[:2])
@@ -178,8 +183,8 @@ def filled(entries: Sequence[Entry], begin: float | None = None, end: float | No
         after = entries[len(out) + len(run)].start if len(out) + len(run) < len(entries) else end
         start = out[-1].end if out else begin
         if start is None:
-            start = max(0.0, (after or 0.0) - UNTIMED * len(run))
-        last = max(start, after) if after is not None else start + UNTIMED * len(run)
+            start = max(0.0, (after or 0.0) - _UNTIMED * len(run))
+        last = max(start, after) if after is not None else start + _UNTIMED * len(run)
         edges = np.linspace(start, last, len(run) + 1).tolist()
         out += [replace(e, start=a, end=b, guessed=True) for e, a, b in zip(run, edges, edges[1:], strict=False)]
     return out
@@ -188,14 +193,11 @@ def filled(entries: Sequence[Entry], begin: float | None = None, end: float | No
 # ---------------------------------------------------------------------------------------------------- subtitles
 
 def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
-    """SubRip, WebVTT, SubStation, TTML, SBV and LRC, by the file's suffix; a line of LRC lasts until the next one."""
+    """SubRip, WebVTT, SubStation, SBV and LRC, by the file's suffix; a line of LRC lasts until the next one."""
     for row in re.finditer(r"^\s*\d+:[^>\n]*-->.*$", text, re.M):
         if _CUE.fullmatch(row[0]) is None:
             raise InputError(source, f"line {text.count(chr(10), 0, row.end()) + 1}: {row[0].strip()[:60]!r} is not a "
                              "pair of times", "write 00:00:01,000 --> 00:00:02,500")
-    unread = re.search(r"""<[^>]*\b(?:begin|end|dur)=["'](?!(?:\d+:){0,2}\d+(?:[.,]\d+)?s?["'])([^"'>]*)""", text)
-    if unread:
-        raise InputError(source, f"{unread[1][:30]!r} is not hours, minutes and seconds", "write times as 00:00:01.500")
     cues: list[Entry] = []
     number, at = 1, 0
     for match in TIMED_LINES[source[source.rindex("."):].lower()].finditer(text):
@@ -206,44 +208,45 @@ def timed_lines(source: str, text: str, speaker: str | None = None) -> Content:
         # The last line of LRC has no end: its words are counted from the last time in it.
         inner = [*_INNER.finditer(line)]
         known, rest = (_clock(inner[-1].groups()), line[inner[-1].end():]) if inner else (start, line)
-        end = known + UNTIMED * len(written_words(marked_text(_plain(rest))[0]))
+        end = known + usual_length(plain_text(rest))
         if len(clock) > 4:
-            end = _clock(clock[5:]) + (start if clock[4] else 0.0)
+            end = _clock(clock[4:])
         number, at = number + text.count("\n", at, match.start(3)), match.start(3)
         cue = Entry(line.replace("\\N", " "), start, end, f"line {number}")
         # NeMo's aligner shows a line anew for each word, in other colours.
-        if cues and "\\c&" in line and _plain(cues[-1].text) == _plain(cue.text):
+        if cues and "\\c&" in line and plain_text(cues[-1].text) == plain_text(cue.text):
             cues[-1] = replace(cues[-1], end=end)
         else:
             cues.append(cue)
-    return _of_cues(cues)
+    return content_of(cues)
 
 
-_ANY_TIME = r"""["'](?:(?:(\d{1,4}):)?(\d{1,4}):)?(\d{1,6})(?:[.,](\d+))?s?["']"""
 TIMED_LINES = {
     # In WebVTT a line of spaces is a line; rolling captions have one above the first.
     **dict.fromkeys((".srt", ".vtt"), re.compile(
-        rf"^[ \t]*{_CLOCK}[ \t]*-->[ \t]*(){_CLOCK}(?:[ \t].*)?$((?:\n.+(?:\n.*\S.*)*)?)", re.M)),
-    **dict.fromkeys((".ass", ".ssa"), re.compile(rf"^Dialogue:[^,\n]*,{_CLOCK},(){_CLOCK},(?:[^,\n]*,){{6}}(.*)$",
+        rf"^[ \t]*{_CLOCK}[ \t]*-->[ \t]*{_CLOCK}(?:[ \t].*)?$((?:\n.+(?:\n.*\S.*)*)?)", re.M)),
+    **dict.fromkeys((".ass", ".ssa"), re.compile(rf"^Dialogue:[^,\n]*,{_CLOCK},{_CLOCK},(?:[^,\n]*,){{6}}(.*)$",
                                                  re.M)),
-    ".lrc": re.compile(rf"^\[{_CLOCK}\](.*)$", re.M), ".sbv": re.compile(rf"^{_CLOCK},(){_CLOCK}\n((?:.+\n?)+)", re.M),
-    **dict.fromkeys((".ttml", ".dfxp"), re.compile(
-        rf"<(?:\w+:)?p\b(?=[^>]*\bbegin={_ANY_TIME})(?=[^>]*\b(?:end|(dur))={_ANY_TIME})[^>]*>(.*?)</(?:\w+:)?p>",
-        re.S))}
-"""By suffix: the time of a line, whether the next one is a length, that one, and the text."""
+    ".lrc": re.compile(rf"^\[{_CLOCK}\](.*)$", re.M), ".sbv": re.compile(rf"^{_CLOCK},{_CLOCK}\n((?:.+\n?)+)", re.M)}
+"""By suffix: the time of a line, that of its end where it has one, and the text."""
 
 
-def _of_cues(cues: Sequence[Entry]) -> Content:
+def content_of(cues: Sequence[Entry]) -> Content:
     # One time inside a line is enough: the first word of each line has the time of its cue.
     if any(_INNER.search(cue.text) for cue in cues):
         return Content(words=tuple(_timed_inside(cues)))
     lines = _highlighted_lines(cues)
     if lines is None:
-        return Content(cues=tuple(replace(cue, text=_plain(cue.text)) for cue in cues))
+        return Content(cues=tuple(replace(cue, text=plain_text(cue.text)) for cue in cues))
     return Content(words=tuple(word for line in lines for word in _words_of_line(line)))
 
 
-def _plain(text: str) -> str:
+def usual_length(text: str) -> float:
+    """Seconds that a text without times takes."""
+    return _UNTIMED * len(written_words(marked_text(text)[0]))
+
+
+def plain_text(text: str) -> str:
     """A line as it is spoken: without tags and notes in brackets; marks of gestures stay."""
     # A tag may stand inside of a word, unless it is a break.
     spoken = _NOT_SPOKEN.sub(
@@ -263,7 +266,7 @@ def _highlight(cue: Entry) -> tuple[int, int] | None:
     spans = list(_HIGHLIGHT.finditer(cue.text))
     if len(spans) != 1:
         return None
-    before, inside = (len(_plain(part).split()) for part in (cue.text[:spans[0].start()], spans[0][2]))
+    before, inside = (len(plain_text(part).split()) for part in (cue.text[:spans[0].start()], spans[0][2]))
     return (before, before + inside) if inside else None
 
 
@@ -276,7 +279,8 @@ def _highlighted_lines(cues: Sequence[Entry]) -> list[list[Entry]] | None:
     for cue in cues:
         span = _highlight(cue)
         # The highlight only moves forward in a line; a step back means that the line is spoken again.
-        again = bool(lines) and _plain(lines[-1][-1].text) == _plain(cue.text) and (span is None or span[0] >= place)
+        again = bool(lines) and plain_text(lines[-1][-1].text) == plain_text(cue.text) and (
+            span is None or span[0] >= place)
         if again:
             lines[-1].append(cue)
             repeated = repeated or (span is not None and place > 0)
@@ -290,7 +294,7 @@ def _highlighted_lines(cues: Sequence[Entry]) -> list[list[Entry]] | None:
 def _words_of_line(cues: Sequence[Entry]) -> list[Entry]:
     """The words of a line with the times at which each is highlighted; a line without highlights is spread over its
     time, and other words have no times."""
-    tokens = _plain(cues[0].text).split()
+    tokens = plain_text(cues[0].text).split()
     words: list[Entry] = []
     at = 0
     for cue in cues:
@@ -302,7 +306,7 @@ def _words_of_line(cues: Sequence[Entry]) -> list[Entry]:
         words.append(Entry(" ".join(tokens[span[0]:span[1]]), cue.start, cue.end, cue.where))
         at = span[1]
     if not words:
-        return shared_in_cue(Entry(_plain(cues[0].text), cues[0].start, cues[-1].end, cues[0].where))
+        return shared_in_cue(Entry(plain_text(cues[0].text), cues[0].start, cues[-1].end, cues[0].where))
     return words + [Entry(token, None, None, cues[-1].where) for token in tokens[at:]]
 
 
@@ -312,7 +316,7 @@ def _timed_inside(cues: Sequence[Entry]) -> Iterator[Entry]:
     """The words of cues with times inside; a line that repeats one of the cue before is left out."""
     before: list[str] = []
     for cue in cues:
-        lines = [_plain(line) for line in cue.text.split("\n")]
+        lines = [plain_text(line) for line in cue.text.split("\n")]
         for line, plain in zip(cue.text.split("\n"), lines, strict=True):
             # A rolling caption shows the line before once more, without times.
             if plain and (plain not in before or _INNER.search(line)):
@@ -326,7 +330,7 @@ def _pieces(line: str, cue: Entry) -> Iterator[Entry]:
     starts = [cue.start, *(_clock(match.groups()) for match in _INNER.finditer(line)), cue.end]
     ends = [0, *(edge for match in _INNER.finditer(line) for edge in match.span()), len(line)]
     for (start, end), first, last in zip(itertools.pairwise(starts), ends[::2], ends[1::2], strict=True):
-        text = _plain(line[first:last])
+        text = plain_text(line[first:last])
         piece = Entry(text, start, max(start, end), cue.where)
         if len(written_words(marked_text(text)[0])) > 1:
             yield from shared_in_cue(piece)

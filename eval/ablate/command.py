@@ -29,8 +29,8 @@ from eval.ablate.rows import CONTROLS, REFERENCES, ROWS, TABLES, base
 from gesticulator.training.presets import PRESETS
 
 SEEDS = 3
-FIGURES = ("figure-2", "figure-5", "figure-6", "figure-9-performer", "figure-9-ours", "figure-11", "figure-14",
-           "figure-15", "figure-16", "figure-17", "figure-18")
+FIGURES = ("figure-2", "figure-5", "figure-6", "figure-9-performer", "figure-9-ours", "figure-10", "figure-11",
+           "figure-14", "figure-15", "figure-16", "figure-17", "figure-18")
 """Those of `eval.ablate.figures`, which is imported when one is drawn."""
 
 

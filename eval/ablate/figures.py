@@ -14,23 +14,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from data_module import intervals
 from data_module.blocks import cut
+from data_module.controls import FEATURES, LEVELS, UNITS, Controls, measure
 from data_module.errors import InputError
 from data_module.motion.motion_beats import acting_positions, acting_speed, motion_beats
 from data_module.speech.beats import find_beats
 from data_module.speech.onsets import detect_onsets
 from data_module.store import Recording
+from data_module.types import Array
 from eval.ablate.rows import COLUMNS, OURS, PERFORMER, REAL_TAKE, ROWS, TABLES
-from eval.ablate.run import RgRows, configured
+from eval.ablate.run import SHOWN_SEED, RgRows, configured
 from eval.clip.excerpts import evenly
 from eval.metrics import audio_clusters, pmb
 from eval.metrics.encode import EncodedMotion, latents_of
 from eval.metrics.evaluate import WIDE
+from eval.pictures import intervals, plots
 from eval.pictures.canvas import STYLE
 from eval.pictures.embedding import embed, embedding_panels, joint_embedding, neighbours_agree
-from eval.pictures.plots import Overview, beat_strips, cluster_bars, delta_curves, interval_bars, overview, size_sweep
 from eval.pictures.strips import PAGE, Source, draw_page, save_strip
+from gesticulator.gesticulator import Gesticulator
+from gesticulator.options import FPS
 from gesticulator.training.stages import LABELS
 
 if TYPE_CHECKING:
@@ -70,8 +73,9 @@ def onset_intervals(rg: RgRows, rows: Summaries) -> Picture:
     """RG Fig. 5 and 8a."""
     store = rg.context.store
     infos = evenly(store, "train", COUNTED)
-    counted = np.sum([intervals.measure(store.load(info.name).speech)[1] for info in infos], axis=0)
-    return interval_bars(counted, f"{store.corpus}, {len(infos)} recordings: {intervals.within_bounds(counted[0])}")
+    counted = np.sum([intervals.measure(store.load(info.name).speech) for info in infos], axis=0)
+    within = intervals.within_bounds(counted[0])
+    return plots.interval_bars(counted, f"{store.corpus}, {len(infos)} recordings: {within}")
 
 
 def lexicon(rg: RgRows, rows: Summaries) -> Picture:
@@ -92,11 +96,11 @@ def pipeline(rg: RgRows, rows: Summaries) -> Picture:
     """RG Fig. 2, on a stretch of real data."""
     recording, motion = shown_recording(rg), rg.motions(OURS)[0]
     rhythm = rg.first.config.rhythm
-    shown = Overview(recording.speech, find_beats(recording.speech, rhythm.beats),
-                     cut(recording.speech, rhythm).edges, encoded(rg, OURS)[0].labels,
-                     acting_speed(acting_positions(motion), motion.fps), motion.fps, motion_beats(motion),
-                     recording.speech.words or (), rg.first.get(LABELS).silent.tolist())
-    return overview(shown, start_of(recording), STRETCH)
+    shown = plots.Overview(recording.speech, find_beats(recording.speech, rhythm.beats),
+                           cut(recording.speech, rhythm).edges, encoded(rg, OURS)[0].labels,
+                           acting_speed(acting_positions(motion), motion.fps), motion.fps, motion_beats(motion),
+                           recording.speech.words or (), rg.first.get(LABELS).silent.tolist())
+    return plots.overview(shown, start_of(recording), STRETCH)
 
 
 def strip(name: str) -> Draw:
@@ -112,11 +116,28 @@ def strip(name: str) -> Draw:
     return drawn
 
 
+def style_editing(rg: RgRows, rows: Summaries) -> Picture:
+    """RG Fig. 10, its last column: a feature of the hands at three levels that are asked for throughout a recording."""
+    bundle = rg.trained("style-editing", SHOWN_SEED)[0]
+    system, levels, recording = Gesticulator(bundle), bundle.levels, shown_recording(rg)
+    assert levels is not None, "the row trains with controls"
+
+    def measured(feature: str, target: float) -> tuple[float, Array]:
+        # The same seed at every level: only the request differs.
+        motion = system(recording.speech, speaker=recording.info.speaker, seed=SHOWN_SEED,
+                        controls=Controls(**{feature: target})).motion
+        return target, measure(motion)[:, FEATURES.index(feature)]
+
+    return plots.editing_panels({f"{feature}, {UNITS[feature]}": {
+        level: measured(feature, levels.value(feature, level)) for level in LEVELS} for feature in FEATURES}, FPS)
+
+
 def curves(rg: RgRows, rows: Summaries) -> Picture:
     """RG Fig. 11."""
     beside = [PERFORMER, REAL_TAKE, "shuffled"]
     names = [*(line.row for line in TABLES["RG Table 1"].lines), *beside]
-    return delta_curves({name: rows[name]["pmb_curve"] for name in names if name in rows}, pmb.DELTAS, dashed=beside)
+    shown = {name: rows[name]["pmb_curve"] for name in names if name in rows}
+    return plots.delta_curves(shown, pmb.DELTAS, dashed=beside)
 
 
 def clusters(rg: RgRows, rows: Summaries) -> Picture:
@@ -129,7 +150,7 @@ def clusters(rg: RgRows, rows: Summaries) -> Picture:
     levels = {f"{kind} level": audio_clusters.cluster(
         features[every][:, frames:2 * frames].float().mean(dim=1).numpy())
         for kind, features in (("low", corpus.low), ("high", corpus.high))}
-    return cluster_bars({name: audio_clusters.association(levels, [
+    return plots.cluster_bars({name: audio_clusters.association(levels, [
         clip.labels[voiced] for clip, voiced in zip(encoded(rg, name), spoken, strict=True)])
         for name in (PERFORMER, OURS)})
 
@@ -154,7 +175,7 @@ def strips_of_beats(rg: RgRows, rows: Summaries) -> Picture:
     for name in (*_RANGES, PERFORMER):
         rhythm = configured(rg.first.config, OURS if name == PERFORMER else name).rhythm
         shown[name] = (motion_beats(rg.motions(name)[0]), onsets, cut(recording.speech, rhythm).edges)
-    return beat_strips(shown, start_of(recording), STRETCH, WIDE)
+    return plots.beat_strips(shown, start_of(recording), STRETCH, WIDE)
 
 
 def sizes(rg: RgRows, rows: Summaries) -> Picture:
@@ -167,7 +188,7 @@ def sizes(rg: RgRows, rows: Summaries) -> Picture:
                       for value in [rows[f"size-{size}"]["figures"][key]]] for title, key in keys.items()}
     beside = rows.get(f"{PERFORMER}-val")
     reference = {title: beside["figures"][key].mean for title, key in keys.items()} if beside else {}
-    return size_sweep(there, bounds, reference, rg.first.config.lexicon.size)
+    return plots.size_sweep(there, bounds, reference, rg.first.config.lexicon.size)
 
 
 # ------------------------------------------------------------------------------------------------------------ the list
@@ -189,6 +210,7 @@ FIGURES: dict[str, PaperFigure] = {
     "figure-5": PaperFigure(onset_intervals), "figure-6": PaperFigure(lexicon, dots=True),
     "figure-9-performer": PaperFigure(strip(PERFORMER), (PERFORMER,), dots=True),
     "figure-9-ours": PaperFigure(strip(OURS), (OURS,), dots=True),
+    "figure-10": PaperFigure(style_editing, ("style-editing",)),
     "figure-11": PaperFigure(curves), "figure-14": PaperFigure(clusters, (PERFORMER, OURS)),
     "figure-15": PaperFigure(panels(*_STEPS), _STEPS, dots=True),
     "figure-16": PaperFigure(strips_of_beats, (*_RANGES, PERFORMER)),

@@ -1,6 +1,7 @@
 """The papers' figures, drawn from plain arrays: what a report shows beside its tables.
 
     interval_bars      intervals between onsets and between beats      RG Fig. 5, 8a
+    editing_panels     what was asked of the hands and what they did    RG Fig. 10
     delta_curves       PMB against its tolerance                        RG Fig. 11
     cluster_bars       entropy of lexemes within clusters of sound      RG Fig. 14
     beat_strips        motion beats beside onsets                       RG Fig. 16
@@ -22,12 +23,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from data_module.blocks import BlockSettings
-from data_module.intervals import STEP, Counts
 from data_module.speech.onsets import merged
 from data_module.types import Array, Beats, Speech, Word
 from eval.metrics import pmb
 from eval.pictures.canvas import canvas, legend, row_without_scale
 from eval.pictures.embedding import Labels, colours
+from eval.pictures.intervals import STEP, Counts
 from eval.pictures.strips import draw_wave
 from gesticulator.export.figure import FLOOR, INK, SOFT
 
@@ -41,6 +42,30 @@ DASHES = ((0, (5, 2)), (0, (5, 2, 1, 2)), (0, (10, 3)))
 
 Triple = tuple[float, float, float]
 """A mean and the two ends of its interval."""
+
+
+# ---------------------------------------------------------------------------------------------------------- Fig. 10
+
+def editing_panels(panels: Mapping[str, Mapping[str, tuple[float, Array]]], fps: float) -> Figure:
+    """What was asked of a feature and what the motion shows, over time and as boxes (the last column of RG Fig. 10).
+
+    panels: the feature's title -> level -> (the target, the values measured [T] at fps), in one unit. A box holds
+    the quartiles, its whiskers 5 and 95 %.
+    """
+    figure = canvas(2.2 * len(panels))
+    axes = figure.subplots(len(panels), 2, squeeze=False, sharey="row", width_ratios=(4, 1))
+    for (curves, boxes), (title, levels) in zip(axes, panels.items(), strict=True):
+        for number, (level, (target, values)) in enumerate(levels.items()):
+            look: dict[str, Any] = {"color": PALETTE[number], "marker": MARKERS[number]}
+            curves.plot(np.arange(len(values)) / fps, values, label=level, markevery=max(1, len(values) // 12), **look)
+            for axis in (curves, boxes):
+                axis.axhline(target, color=PALETTE[number], linestyle=DASHES[0])
+        boxes.boxplot([values for _, values in levels.values()], tick_labels=list(levels), whis=(5, 95),
+                      showfliers=False, widths=0.5)
+        curves.set(ylabel=title, xlabel="s")
+        curves.grid(axis="y")
+    legend(figure, axes[:, 0])
+    return figure
 
 
 # ---------------------------------------------------------------------------------------------------------- Fig. 11

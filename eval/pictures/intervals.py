@@ -24,11 +24,11 @@ def within_bounds(onsets: Counts) -> str:
     return f"{share:.0%} of the intervals between onsets lie between {bounds.d_min:g} and {bounds.d_max:g} s"
 
 
-def measure(speech: Speech) -> tuple[int, Counts]:
-    """The number of blocks of a recording with the default settings, and its intervals."""
+def measure(speech: Speech) -> Counts:
+    """The intervals of a recording with the default settings."""
     settings = BlockSettings()
     blocks = cut(speech, settings)
     onsets = detect_onsets(speech.samples, speech.sample_rate, settings.beats.merge)
     # Beats lie on a grid of 10 ms, so many intervals fall on the edge of a bin, up to rounding errors.
     places = (np.minimum((part / STEP + 1e-6).astype(int), BINS - 1) for part in (np.diff(onsets), blocks.durations))
-    return len(blocks), np.array([np.bincount(part, minlength=BINS) for part in places])
+    return np.array([np.bincount(part, minlength=BINS) for part in places])
