@@ -95,12 +95,6 @@ class MelFrontEnd:
         return 2 * round(0.032 * self.sample_rate)
 
     @cached_property
-    def _starts(self) -> NDArray[np.int64]:
-        """First samples of the spectra: each is centred on its hop, so that the rows of a block cover the block."""
-        return np.array([round((k + 0.5) * self.samples_per_frame / self.hops)
-                         for k in range(self.frames * self.hops)])
-
-    @cached_property
     def _taper(self) -> Features:
         return np.hanning(self._window + 1)[:-1].astype(np.float32)
 
@@ -116,7 +110,9 @@ class MelFrontEnd:
         count, length = windows.shape
         padded = np.zeros((count, length + self._window), np.float32)
         padded[:, self._window // 2:self._window // 2 + length] = windows
-        at = np.lib.stride_tricks.sliding_window_view(padded, self._window, axis=1)[:, self._starts]
+        # A spectrum is centred on its hop, so that the rows of a block cover the block.
+        starts = [round((k + 0.5) * self.samples_per_frame / self.hops) for k in range(self.frames * self.hops)]
+        at = np.lib.stride_tricks.sliding_window_view(padded, self._window, axis=1)[:, starts]
         spectrum = np.fft.rfft(at * self._taper, axis=-1)
         power = (spectrum.real ** 2 + spectrum.imag ** 2) @ self._filters
         logs = self._log(power.astype(np.float32, copy=False))  # it is, and NumPy does not say so
