@@ -34,8 +34,7 @@ _FEW_ROWS = 64
 class Tensors:
     """The tensors of a part by name, each taken once and with its shape."""
 
-    def __init__(self, arrays: Mapping[str, NDArray[Any]], source: object = "the weights"
-                 ) -> None:
+    def __init__(self, arrays: Mapping[str, NDArray[Any]], source: object = "the weights") -> None:
         """source: where they are from, for the messages."""
         self._arrays, self._source, self._prefix = dict(arrays), source, ""
 
