@@ -30,7 +30,7 @@ def measure(path: Path) -> dict[str, float]:
     ours = detect_onsets(samples, SAMPLE_RATE)
     whole = merged(librosa.onset.onset_detect(y=samples, sr=SAMPLE_RATE, units="time"), TOLERANCE)
     f, precision, recall = mir_eval.onset.f_measure(whole, ours, window=TOLERANCE)
-    intervals = find_beats(Speech(samples, SAMPLE_RATE)).intervals
+    intervals = np.diff(find_beats(Speech(samples, SAMPLE_RATE)).times)
     seconds = len(samples) / SAMPLE_RATE
     return {"seconds": seconds, "onsets_per_second": len(ours) / seconds, "librosa_per_second": len(whole) / seconds,
             "f": f, "precision": precision, "recall": recall, "mean_interval": float(intervals.mean())}

@@ -161,11 +161,6 @@ class Beats:
         if self.times[0] != 0 or (np.diff(self.times) <= 0).any():
             raise ValueError("beats must rise strictly from 0")
 
-    @property
-    def intervals(self) -> Array:
-        """[N] seconds between neighbours."""
-        return np.diff(self.times)
-
 
 @dataclass(frozen=True)
 class Blocks:

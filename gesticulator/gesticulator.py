@@ -10,7 +10,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from data_module.controls import FEATURES, Controls, Curve, parse
+from data_module.controls import FEATURES, LEVELS, LIMITS, UNITS, Controls, Curve, Levels
 from data_module.errors import InputError, shown
 from data_module.speech.audio import SAMPLE_RATE, SpeechInput, amplified, as_speech, resample
 from data_module.types import Blocks, Speech
@@ -37,6 +37,13 @@ if TYPE_CHECKING:
     from gesticulator.stream import Stream
 
 __all__ = ["Gesticulator"]
+
+# Spreads from the mean of the training data beyond which a hand control is far from them.
+_FAR = 3.0
+
+
+class ControlWarning(UserWarning):
+    """A control value is valid, but far from the training data."""
 
 
 class Gesticulator:
@@ -382,6 +389,30 @@ def hand_controls(bundle: Bundle, options: InferenceOptions) -> Controls:
             return value
         # The same parser as on the command line, so a level and a number mean the same.
         text = value if isinstance(value, str) else repr(float(value))
-        return parse(f"--hand-{feature}", text, feature, levels)
+        return hand_target(f"--hand-{feature}", text, feature, levels)
 
     return Controls(**{name: number(name, hand) for name, hand in zip(FEATURES, options.hands, strict=True)})
+
+
+def hand_target(flag: str, text: str, feature: str, levels: Levels) -> float:
+    """The target of a feature from "low", "mid" or "high", or a number in its unit. `InputError` names the flag. A
+    value far from the training data gives a `ControlWarning` and is used."""
+    plain = text.strip()
+    if plain.lower() in LEVELS:
+        return levels.value(feature, plain.lower())
+    try:
+        number, (low, high) = float(plain), LIMITS[feature]
+    except ValueError:
+        raise InputError(f"{flag} {text!r}", f"is neither a level nor a number ({UNITS[feature]})",
+                         f"give {', '.join(LEVELS)} or a number such as {levels.value(feature, 'mid'):.2f}") from None
+    if not low <= number <= high:  # also NaN
+        raise InputError(f"{flag} {plain}", f"is not a possible {feature} of a hand",
+                         f"give {UNITS[feature]} from {low:g} to {high:g}")
+    index = FEATURES.index(feature)
+    if abs(number - levels.mean[index]) > _FAR * levels.spread[index]:
+        # Attributed to this module, because commands show only the warnings of our packages.
+        warnings.warn(ControlWarning(
+            f"{flag} {plain}: a {feature} of {number:g} {UNITS[feature]} is far from the training data (low "
+            f"{levels.value(feature, 'low'):.2f}, high {levels.value(feature, 'high'):.2f}); expect less"),
+            stacklevel=1)
+    return number

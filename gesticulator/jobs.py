@@ -452,4 +452,7 @@ def _suffix_of(name: str, chosen: str | None) -> str:
         return suffix if suffix in WRITERS else next((two for two in WRITERS if two.startswith(f"{suffix}.")), suffix)
     if chosen is not None:
         raise InputError("--format", f"is for folders, and {name} is a file", "leave it out")
-    return suffix_of(name) or f".{FORMAT}"
+    if not suffix_of(name):
+        raise InputError(name, "has no suffix",
+                         f"end it with one of {', '.join(sorted(WRITERS))}, or with / for a folder")
+    return suffix_of(name)

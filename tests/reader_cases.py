@@ -203,6 +203,7 @@ TRANSCRIPTS = {
         "start": 0.7, "end": 0.95, "text": "friend"}]}),
     ".tsv": "start\tend\ttext\n100\t500\thello [nod] there\n700\t950\tfriend\n",
     **dict.fromkeys((".ass", ".ssa"), "[Events]\nDialogue: 0,0:00:00.10,0:00:00.50,D,,0,0,0,,hello {\\i1}there\n"),
+    ".csv": 'start,end,text\n100,500,"hello there"\n',
     ".sbv": "0:00:00.100,0:00:00.500\nhello there\n", ".lrc": "[00:00.10]hello there\n[00:00.70]friend\n",
     ".ctm": "a 1 0.10 0.30 hello 0.9 lex\n", ".jsonl": '{"text": "hello"}\n{"text": "there"}\n',
     **dict.fromkeys((".ttml", ".dfxp"),
@@ -504,20 +505,21 @@ def _read_tables(file: Path) -> object:
 
 def _read_words_of_a_command(file: Path) -> object:
     """Each line of the file as what a user writes on a command line."""
-    from data_module import controls
+    from data_module.controls import Levels
     from data_module.settings import with_settings
     from gesticulator.batch import parse_shard
+    from gesticulator.gesticulator import hand_target
     from gesticulator.jobs import _cue, _seconds
     from gesticulator.live.vmc import read_target
     from gesticulator.options import RANGES
     from interpreters.settings import LstmConfig
 
-    levels = controls.Levels(np.zeros((3, 3)), np.zeros(3), np.ones(3))
+    levels = Levels(np.zeros((3, 3)), np.zeros(3), np.ones(3))
     lines = file.read_bytes().decode("utf-8", "surrogateescape").split("\n")
     readers: tuple[Callable[[str], object], ...] = (
         read_target, parse_shard, _cue, lambda text: with_settings(LstmConfig(), [text]),
         lambda text: RANGES["seed"].parse("--seed", text), lambda text: RANGES["temperature"].parse("-t", text),
-        _seconds, lambda text: controls.parse("--height", text, "height", levels))
+        _seconds, lambda text: hand_target("--height", text, "height", levels))
     refusals = []
     for read, line in zip(readers, lines, strict=False):
         try:

@@ -260,6 +260,11 @@ JSON: dict[str, Callable[[Words], Any]] = {
     "google, speakers": google_speakers, "google, protobuf": google_protobuf, "azure": azure,
     "azure, batch": azure_batch, "azure, fast": azure_fast, "mfa": mfa, "transformers": transformers, "aws": aws,
     "speechmatics": speechmatics, "elevenlabs": elevenlabs, "gladia": gladia, "deepgram": deepgram,
+    "dashscope": lambda words: {"transcripts": [{"channel_id": 0, "sentences": [{
+        "begin_time": _ms(words[0][1]), "end_time": _ms(words[-1][2]), "words": [
+            {"begin_time": _ms(start), "end_time": _ms(end), "text": word} for word, start, end in words]}]}]},
+    "soniox": lambda words: {"text": _text(words), "tokens": [
+        {"text": f" {word}", "start_ms": _ms(start), "end_ms": _ms(end)} for word, start, end in words]},
     "nemo": nemo, "nemo, manifest": nemo_manifest, "nemo, speakers": nemo_speakers,
     "list": lambda words: _plain(words, "text"), "text": lambda words: {"text": _text(words)},
 }
@@ -378,9 +383,14 @@ FILES: dict[str, tuple[str, Callable[[Words], str]]] = {
     "ass, coloured": (".ass", ass_coloured), "sbv": (".sbv", lambda words: _lines(words, "{},{}\n{}\n\n")),
     "ttml": (".ttml", lambda words: '<tt xmlns="http://www.w3.org/ns/ttml">' + _lines(
         words, '<p begin="{}" xml:id="c" end="{}"><span>{}</span></p>', "<br/>") + "</tt>"),
+    "csv": (".csv", lambda words: "start,end,text\n" + "".join(
+        f'{_ms(part[0][1])},{_ms(part[-1][2])},"{_text(part)}"\n' for part in _parts(words))),
+    "jsonl, nemo's manifest": (".jsonl", lambda words: "".join(json.dumps(
+        {"audio_filepath": "a.wav", "offset": part[0][1], "duration": part[-1][2] - part[0][1], "text": _text(part)}
+    ) + "\n" for part in _parts(words))),
     "ttml, words": (".ttml", ttml_words), "ttml, syllables": (".dfxp", ttml_syllables),
     "ctm": (".ctm", lambda words: "".join(f"a 1 {a:.3f} {b - a:.3f} {word} 0.9\n" for word, a, b in words)),
 }
 """Sample -> its suffix, and what writes it."""
-WITHOUT_TIMES = {"srt", "vtt", "tsv", "text", "ass", "ass, coloured", "sbv", "ttml"}
+WITHOUT_TIMES = {"srt", "vtt", "tsv", "text", "ass", "ass, coloured", "sbv", "ttml", "csv", "jsonl, nemo's manifest"}
 """Samples without the times of words."""

@@ -145,6 +145,20 @@ def test_a_cut_file_is_refused_where_its_header_says_so_and_else_read_as_far_as_
         assert audio.load_speech(cut).duration == pytest.approx(4.0 * share, abs=0.01 if suffix == "wav" else 0.5)
 
 
+@pytest.mark.parametrize("tag", [b"", b"ID3\4\0\0\0\0\1\x48" + bytes(200)])
+@pytest.mark.parametrize("behind", [b"", b"TAG" + bytes(125), b"APETAGEX" + bytes(4000), b"\xff\xf3\x18\xc4\0"])
+def test_an_mp3_is_read_to_its_end_whatever_its_first_frame_tells_of_the_others(tmp_path: Path, tag: bytes,
+                                                                                 behind: bytes) -> None:
+    """A variable bit rate without a count, whose first frames are the largest; and two files that were joined."""
+    rng = np.random.default_rng(0)
+    counted = encoded(np.concatenate([0.5 * rng.uniform(-1, 1, 4000), tone(16000, 6.0)]), 16000, "MP3", None)
+    assert audio.load_speech(put(tmp_path, "a.mp3", tag + counted)).duration == pytest.approx(6.25, abs=0.01)
+    uncounted = counted[counted.index(counted[:2], 4):]
+    assert b"Info" not in uncounted and b"Xing" not in uncounted
+    for data, seconds in ((tag + uncounted + behind, 6.25), (2 * (tag + counted) + behind, 12.5)):
+        assert audio.load_speech(put(tmp_path, "b.mp3", data)).duration == pytest.approx(seconds, abs=0.4)
+
+
 def test_a_flac_without_a_length_is_read_to_its_end(tmp_path: Path) -> None:
     data = bytearray(encoded(tone(16000), 16000, "FLAC"))
     data[21] &= 0xF0
@@ -231,7 +245,8 @@ def test_a_stream_is_read_as_a_file_is(tmp_path: Path, suffix: str, kind: str, s
 # ---------------------------------------------------------------------------------------------------- containers
 
 CONTAINERS = [("m4a", "mp4", "aac"), ("mp4", "mp4", "aac"), ("mov", "mov", "pcm_s16le"), ("webm", "webm", "libopus"),
-              ("mkv", "matroska", "flac"), ("avi", "avi", "pcm_s16le"), ("aac", "adts", "aac")]
+              ("mkv", "matroska", "flac"), ("avi", "avi", "pcm_s16le"), ("aac", "adts", "aac"), ("wtv", "wtv", "mp2"),
+              ("mxf", "mxf_opatom", "pcm_s16le")]
 
 
 def contained(samples: Samples, kind: str, codec: str, rate: int = 48000, picture: bool = False, late: float = 0.0,
@@ -326,6 +341,19 @@ def test_sound_that_begins_late_in_a_video_begins_late(tmp_path: Path) -> None:
     samples = audio.load_speech(path).samples
     assert np.abs(samples[:7900]).max() < 1e-3 < np.abs(samples[8100:8200]).max()
     assert len(samples) == pytest.approx(40000, abs=200)
+
+
+def test_of_several_tracks_the_first_is_taken_which_is_said(tmp_path: Path) -> None:
+    data = contained(tone(48000), "matroska", "flac")
+    av = pytest.importorskip("av")
+    with av.open(io.BytesIO(data)) as old, av.open(str(tmp_path / "two.mkv"), "w") as new:
+        tracks = [new.add_stream_from_template(old.streams.audio[0]) for _ in range(2)]
+        for packet in old.demux(audio=0):
+            if packet.dts is not None:
+                packet.stream = tracks[0]
+                new.mux(packet)
+    with pytest.warns(audio.SoundWarning, match="has 2 tracks of sound, of which the first is taken"):
+        check_tone(audio.load_speech(tmp_path / "two.mkv"), 0.05)
 
 
 def test_videos_that_cannot_be_used_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

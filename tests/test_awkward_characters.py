@@ -399,6 +399,17 @@ def test_a_robot_without_a_spine_whose_feet_hang_elsewhere_is_moved_with_contact
     assert np.isfinite(found(probe_motion()).rotations).all() and found.contacts
 
 
+def test_legs_beside_the_hips_stay_where_they_are_and_so_do_the_hips(tmp_path: Path) -> None:
+    body = figure()
+    body.above = [("rig", UPRIGHT, 1.0)]
+    body.parents |= {f"{side}UpLeg": None for side in SIDES}
+    found = Retargeter(read_character(write(tmp_path / "apart.glb", body)))
+    places = found(probe_motion()).world_matrices()[:, :, :3, 3]
+    hips, thigh, foot, hand = (np.ptp(places[:, found.mapping.joints[name]], axis=0).max()
+                               for name in ("Hips", "LeftUpLeg", "RightFoot", "LeftHand"))
+    assert max(hips, thigh, foot) < 1e-6 and hand > 0.1
+
+
 @pytest.mark.parametrize("rigid", [True, False])
 def test_a_rigid_head_on_its_bone_is_a_head(rigid: bool, tmp_path: Path) -> None:
     """Robots and figures of game kits have parts without a skin that hang on bones."""

@@ -13,6 +13,7 @@ from data_module.controls import Curve, Levels
 from data_module.errors import InputError
 from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, Motion
+from gesticulator.gesticulator import ControlWarning, hand_target
 
 SHOULDER = np.array([-0.18, 0.49, -0.035])
 """The right shoulder joint over the hips at rest, added up from the table of the character's bones."""
@@ -142,15 +143,15 @@ def test_impossible_controls_are_refused() -> None:
 @pytest.mark.parametrize(("text", "expected"), [("low", 0.2), ("mid", 0.5), (" HIGH ", 0.9), ("0.35", 0.35),
                                                 ("6e-1", 0.6), ("0", 0.0)])
 def test_levels_and_numbers(text: str, expected: float) -> None:
-    assert controls.parse("--hand-speed", text, "speed", levels()) == pytest.approx(expected)
+    assert hand_target("--hand-speed", text, "speed", levels()) == pytest.approx(expected)
 
 
 @given(st.text(max_size=12))
 def test_any_text_is_understood_or_refused_by_name(text: str) -> None:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", controls.ControlWarning)
+        warnings.simplefilter("ignore", ControlWarning)
         try:
-            got = controls.parse("--hand-radius", text, "radius", levels())
+            got = hand_target("--hand-radius", text, "radius", levels())
         except InputError as error:
             said = str(error)
         else:
@@ -163,14 +164,14 @@ def test_any_text_is_understood_or_refused_by_name(text: str) -> None:
                                   "0_4", "\0", "x" * 5000])
 def test_nonsense_names_its_flag(text: str) -> None:
     with pytest.raises(InputError, match="--hand-radius"):
-        controls.parse("--hand-radius", text, "radius", levels())
+        hand_target("--hand-radius", text, "radius", levels())
 
 
 def test_what_training_never_saw_is_said_and_used() -> None:
-    with pytest.warns(controls.ControlWarning, match=r"--hand-height 1\.1.*far from the training data.*high 0\.40"):
-        assert controls.parse("--hand-height", "1.1", "height", levels()) == 1.1
+    with pytest.warns(ControlWarning, match=r"--hand-height 1\.1.*far from the training data.*high 0\.40"):
+        assert hand_target("--hand-height", "1.1", "height", levels()) == 1.1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert controls.parse("--hand-height", "0.5", "height", levels()) == 0.5
+        assert hand_target("--hand-height", "0.5", "height", levels()) == 0.5
 
 

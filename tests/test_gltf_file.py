@@ -38,6 +38,16 @@ def _changed_glb(folder: Path, change: Change) -> Path:
     return save(folder / "a.glb", parsed.document, parsed.binary)
 
 
+@pytest.mark.parametrize("behind", [b"junk", b"\xff" * 20])
+def test_what_stands_behind_a_whole_glb_does_not_matter(behind: bytes, tmp_path: Path) -> None:
+    data = as_glb(draw(3, "mixamo", "A"))
+    (tmp_path / "a.glb").write_bytes(data + behind)
+    assert read_gltf(tmp_path / "a.glb").document == GlbFile.parse(data).document
+    (tmp_path / "a.glb").write_bytes(data[:-4])
+    with pytest.raises(InputError, match="is cut off"):
+        read_gltf(tmp_path / "a.glb")
+
+
 # ---------------------------------------------------------------------------------------------------- numbers
 
 @pytest.mark.parametrize("with_view", [True, False])

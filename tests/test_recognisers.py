@@ -89,6 +89,12 @@ def test_emphasis_in_a_line_is_no_time(tmp_path: Path) -> None:
     assert found.timing == "cues" and found.text == "I really mean it you do not"
 
 
+@pytest.mark.parametrize("label", ["[SPEAKER_00]: ", "SPEAKER_01: ", "[Speaker A]: "])
+def test_who_speaks_is_neither_spoken_nor_a_mark(label: str, tmp_path: Path) -> None:
+    found = _read(tmp_path, ".srt", f"1\n00:00:00,000 --> 00:00:02,000\n{label}I mean it\n")
+    assert [(word.text, word.marks) for word in found.words or ()] == [("I", ()), ("mean", ()), ("it", ())]
+
+
 def test_a_list_of_word_segments_is_read_with_what_it_lacks_and_in_order(tmp_path: Path) -> None:
     words: list[dict[str, Any]] = samples.whisperx(SPOKEN)["word_segments"]
     words[1:5] = [{"word": "2266"}, words[1], words[2], {"word": "?"}, words[4], words[3]]

@@ -82,7 +82,7 @@ def load_speech(source: str | os.PathLike[str] | BinaryIO) -> Speech:
     def read(channel: int | None = None) -> tuple[Samples, _Survey]:
         with decoder(raw, name) as sound:
             _check_rate(sound.rate, name)
-            survey = _Survey(sound.rate, sound.centre)
+            survey = _Survey(sound.rate, sound.centre, sound.tracks)
             return np.concatenate(list(_mono(sound, name, survey, channel))), survey
 
     try:
@@ -236,8 +236,8 @@ def _centred(samples: Samples) -> Samples:
 class _Survey:
     """Where in the channels of a recording the speech is, and whether it is clipped; from its pieces, in order."""
 
-    def __init__(self, rate: int, centre: int = 2) -> None:
-        self.rate, self._channels, self._centre = rate, 1, centre
+    def __init__(self, rate: int, centre: int = 2, tracks: int = 1) -> None:
+        self.rate, self._channels, self._centre, self._tracks = rate, 1, centre, tracks
         self._powers: list[NDArray[np.float32]] = []
         self._counts = np.zeros(_LEVELS + 1, np.int64)
 
@@ -270,6 +270,8 @@ class _Survey:
         return int(np.argmax(clear)) if clear[-1] < min(_NOISY, clear.max() / _CLEARER) else None
 
     def warn(self, name: object, channel: int | None) -> None:
+        if self._tracks > 1:
+            _warn(name, f"has {self._tracks} tracks of sound, of which the first is taken")
         if channel is not None:
             why = "of which it is the centre" if self._channels in _WITH_CENTRE and channel == self._centre \
                 else "as the speech is lost when they are mixed"

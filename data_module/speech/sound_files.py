@@ -39,12 +39,13 @@ _MOST_OFFSET = 60.0
 class Sound:
     """A sound file that is being decoded. rate: samples per second. frames: samples per channel that its header
     promises, 0 if unknown. pieces: samples [n, channels], to be iterated once; they raise `BrokenSoundError`. centre:
-    which channel that is in 5.1 and 7.1."""
+    which channel that is in 5.1 and 7.1. tracks: how many sounds there are, of which this is the first."""
 
     rate: int
     frames: int
     pieces: Iterator[NDArray[np.float32]]
     centre: int = 2
+    tracks: int = 1
 
 
 class NoSoundError(Exception):
@@ -63,13 +64,15 @@ _OPEN_END = 1 << 40
 _HEAD = 1 << 16
 # How the header of a WAV ends whose length was left open, as 0, by a program that could not go back to fill it in.
 _OPEN_WAV = b"data\0\0\0\0"
-# (offset, bytes there, FFmpeg's name of the format): MP4 and M4A, WebM, AVI, WMA and WMV, AMR, MPEG, Flash, DTS, Real.
+# (offset, bytes there, FFmpeg's name of the format): MP4 and M4A, WebM, AVI, WMA and WMV, AMR, MPEG, Flash, DTS, Real,
+# MXF of cameras, DV, and WTV of television.
 _CONTAINERS: tuple[tuple[int, bytes, str], ...] = (
     (4, b"ftyp", "mov,mp4,m4a,3gp,3g2,mj2"), (4, b"moov", "mov,mp4,m4a,3gp,3g2,mj2"),
     (4, b"mdat", "mov,mp4,m4a,3gp,3g2,mj2"), (0, b"\x1aE\xdf\xa3", "matroska,webm"), (8, b"AVI ", "avi"),
     (0, b"0&\xb2u\x8ef\xcf\x11", "asf"), (0, b"#!AMR", "amr"), (0, b"\0\0\x01\xba", "mpeg"),
     (0, b"FLV", "flv"), (0, b"\x7f\xfe\x80\x01", "dts"), (0, b"TTA1", "tta"), (0, b"Creative V", "voc"),
-    (0, b".RMF", "rm"), (0, b".ra\xfd", "rm"),
+    (0, b".RMF", "rm"), (0, b".ra\xfd", "rm"), (0, b"\x06\x0e+4\x02\x05\x01\x01\r\x01\x02", "mxf"),
+    (0, b"\x1f\x07\0", "dv"), (0, b"\xb7\xd8\0 7I\xda\x11", "wtv"),
 )
 # The same for formats of which libsndfile reads some codecs only: WAV, Ogg, AIFF, CAF; and for WavPack, which it lacks.
 _SECOND_TRY = ((8, b"WAVE", "wav"), (0, b"OggS", "ogg"), (0, b"FORM", "aiff"), (0, b"caff", "caf"), (0, b"wvpk", "wv"))
@@ -80,16 +83,20 @@ _BY_NAME = {".sln": "PCM_16", ".ul": "ULAW", ".ulaw": "ULAW", ".mulaw": "ULAW", 
             ".gsm": "gsm", ".g722": "g722"}
 _TELEPHONE = {"samplerate": 8000, "channels": 1, "format": "RAW"}
 _HEADED = (b"RIFF", b".snd", b"OggS", b"fLaC")
+# Bytes of the longest first frame of an MP3, samples in one, and more bytes than any file has.
+_FIRST_FRAME, _FRAME_SAMPLES, _ENDLESS = 2881, 1152, 1 << 44
 # Streams of frames without a header, of which FFmpeg guesses the length from the first frame.
 _HEADLESS = frozenset({"aac", "ac3", "eac3", "dts"})
 
 
 class Patched(io.RawIOBase):
     """A binary file with the four bytes at `place`, if that is not 0, replaced by 0xFF, and seeks that never fail:
-    libsndfile seeks before the start of damaged files, and Python would print the exception on the terminal."""
+    libsndfile seeks before the start of damaged files, and Python would print the exception on the terminal. endless:
+    its length, where that is asked for, is far more than it is."""
 
-    def __init__(self, raw: BinaryIO, place: int = 0) -> None:
-        self._raw, self._place = raw, place
+    def __init__(self, raw: BinaryIO, place: int = 0, endless: bool = False) -> None:
+        self._raw, self._place, self._endless = raw, place, endless
+        self._beyond = 0
 
     def readable(self) -> bool:
         return True
@@ -98,13 +105,13 @@ class Patched(io.RawIOBase):
         return True
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        try:
-            return self._raw.seek(offset, whence)
-        except (OSError, ValueError):
-            return self._raw.tell()
+        self._beyond = _ENDLESS if self._endless and (offset, whence) == (0, io.SEEK_END) else 0
+        with contextlib.suppress(OSError, ValueError):
+            self._raw.seek(offset, whence)
+        return self.tell()
 
     def tell(self) -> int:
-        return self._raw.tell()
+        return self._raw.tell() + self._beyond
 
     def readinto(self, target: Buffer) -> int:
         view = memoryview(target).cast("B")
@@ -171,28 +178,57 @@ def _sndfile(raw: BinaryIO, head: bytes, encoding: str = "") -> Iterator[Sound]:
 
     # The decoder would trust a length of 0; one beyond the end of the file it corrects.
     place = head.find(_OPEN_WAV) + 4 if head[:4] == b"RIFF" and _OPEN_WAV in head else 0
+    # An MP3 begins with an ID3 tag or a frame.
+    mpeg = not encoding and (head[:3] == b"ID3" or _is_frame(head))
+    endless = False
+    if mpeg:
+        place, endless = _miscounted(raw, head)
     try:
-        file = ForwardOnlyFile(io.BufferedReader(Patched(raw, place)),
+        file = ForwardOnlyFile(io.BufferedReader(Patched(raw, place, endless)),
                                **({**_TELEPHONE, "subtype": encoding} if encoding else {}))
     except (soundfile.SoundFileError, TypeError, ValueError) as error:
         raise NoSoundError from error
-    # Of an MP3 (an ID3 tag or a frame) without a count in its header the decoder guesses the length from that frame.
-    mpeg = head[:3] == b"ID3" or (len(head) > 1 and head[0] == 0xFF and head[1] & 0xE0 == 0xE0)
-    frames = 0 if (mpeg and not encoding) or file.frames > _OPEN_END else int(file.frames)
+    frames = 0 if mpeg or file.frames > _OPEN_END else int(file.frames)
     with file:
         # Vorbis and Opus, but not FLAC, have the centre between left and right, and libsndfile leaves it there.
         centre = 1 if file.format == "OGG" and file.subtype != "FLAC" else 2
-        yield Sound(int(file.samplerate), frames, _of_sndfile(file), centre)
+        yield Sound(int(file.samplerate), frames, _of_sndfile(file, endless), centre)
 
 
-def _of_sndfile(file: Any) -> Iterator[NDArray[np.float32]]:
+def _is_frame(data: bytes) -> bool:
+    """Whether MPEG audio begins here."""
+    return len(data) > 1 and data[0] == 0xFF and data[1] & 0xE0 == 0xE0
+
+
+def _miscounted(raw: BinaryIO, head: bytes) -> tuple[int, bool]:
+    """Where the count of frames of an MP3 stands that is not that of the whole file (0: nowhere), as of several files
+    that were joined, and whether the decoder is to read on until the file ends. It would stop at the count or, without
+    one, where the file ends if all frames are as large as the first."""
+    # Seven bits a byte hold the length of an ID3 tag.
+    start = 10 + sum(byte << 7 * place for place, byte in enumerate(head[9:5:-1])) if head[:3] == b"ID3" else 0
+    raw.seek(start)
+    frame = raw.read(_FIRST_FRAME)
+    at = max(frame.find(mark) for mark in (b"Xing", b"Info"))
+    # Flags tell which of both is there, then come the frames and the bytes.
+    counted, size = at >= 0 and frame[at + 7] & 3 == 3, int.from_bytes(frame[at + 12:at + 16])
+    raw.seek(start + size)
+    behind = raw.read(3)
+    raw.seek(0)
+    joined = counted and (behind == b"ID3" or _is_frame(behind))
+    return start + at if joined else 0, joined or (at < 0 and b"VBRI" not in frame)
+
+
+def _of_sndfile(file: Any, endless: bool) -> Iterator[NDArray[np.float32]]:
+    """endless: it may end in anything, such as half a frame or a tag, with which the piece before it is lost."""
     import soundfile
 
-    size = max(1, PIECE // file.channels)
+    size = _FRAME_SAMPLES if endless else max(1, PIECE // file.channels)
     while True:
         try:
             piece = file.read(size, dtype="float32", always_2d=True)
         except soundfile.SoundFileError as error:
+            if endless:
+                return
             raise BrokenSoundError(str(getattr(error, "error_string", None) or error).rstrip(". ")) from None
         if len(piece) == 0:
             return
@@ -226,7 +262,8 @@ def container(raw: BinaryIO, kind: str, name: object) -> Iterator[Sound]:
         begin = float(stream.start_time * stream.time_base) if stream.start_time and stream.time_base else 0.0
         late = begin - (file.start_time or 0) / av.time_base if begin else 0.0
         late = late if _OFFSET < late < _MOST_OFFSET else 0.0
-        yield Sound(rate, round((seconds + late) * rate), _of_container(file, stream, rate, late, seconds))
+        yield Sound(rate, round((seconds + late) * rate), _of_container(file, stream, rate, late, seconds),
+                    tracks=len(file.streams.audio))
 
 
 def _of_container(file: Any, stream: Any, rate: int, late: float, seconds: float) -> Iterator[NDArray[np.float32]]:

@@ -36,6 +36,8 @@ SOUNDS = frozenset((
 _VARIANT = "[\U0001f3fb-\U0001f3ff]?\ufe0f?(?:\u200d[\u2640\u2642]\ufe0f?)?"
 _BRACKET = r"\[(?P<bracket>[^\W\d_][\w '’.:/-]{0,39})(?<![\s:])\](?!\()"
 _TAG = r"</?(?:mark|bookmark)\b(?P<tag>[^<>]{0,200})>"
+# Whom recognisers name before what is said, as a mark would be written.
+_SPEAKER = re.compile(r"speaker \w{1,2}|unknown")
 _MARK = re.compile(rf"{_BRACKET}|{_TAG}|(?P<emoji>{'|'.join(EMOJI)}){_VARIANT}", re.IGNORECASE)
 _ATTRIBUTE = re.compile(r"""\b(?:name|mark)\s*=\s*["']\s*gesture[.:]\s*([^"']{1,60})["']""", re.IGNORECASE)
 _OTHER_TAG = re.compile(r"<[/?!]?[a-zA-Z][^<>]*>")
@@ -87,7 +89,7 @@ def _names(match: re.Match[str]) -> Iterator[str]:
         yield EMOJI[match["emoji"]]
     elif match["bracket"]:
         name = mark_name(match["bracket"])
-        if name not in SOUNDS:
+        if name not in SOUNDS and not _SPEAKER.fullmatch(name):
             yield name
     elif match["tag"] and (attribute := _ATTRIBUTE.search(match["tag"])):
         yield mark_name(attribute[1])

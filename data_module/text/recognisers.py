@@ -47,6 +47,7 @@ class _Clock(NamedTuple):
 
 _CLOCKS = (
     _Clock("start", "end"), _Clock("startTime", "endTime"), _Clock("start_time", "end_time"),
+    _Clock("start_ms", "end_ms", MILLISECOND), _Clock("begin_time", "end_time", MILLISECOND),
     _Clock("StartTime", "EndTime"), _Clock("time_begin", "time_end"),
     # Google's. As numbers, gentle's count letters and NeMo's the steps of a model, whatever a step lasts.
     _Clock("startOffset", "endOffset", texts=True), _Clock("start_offset", "end_offset", texts=True),
@@ -195,7 +196,9 @@ def _entry(source: str, item: object, where: str) -> Entry:
         times = {"start": pair[0], "end": pair[1]}
     elif isinstance(item.get("offsets"), Mapping):
         times = item["offsets"]
-    clock = next((clock for clock in _CLOCKS if _tells(times, clock)), _CLOCKS[0])
+    clock = next((clock for both in (True, False) for clock in _CLOCKS if _tells(times, clock, both)), _CLOCKS[0])
+    if "audio_filepath" in item:
+        clock = clock._replace(unit=1.0)  # NeMo's manifests count in seconds
     start, end = times.get(clock.start), times.get(clock.end)
     if end is None and (start is None or clock.texts):
         until = _of(item, *_RESULT_ENDS)
@@ -205,8 +208,10 @@ def _entry(source: str, item: object, where: str) -> Entry:
     return Entry(text, first, first + last if clock.lasts else last, where)
 
 
-def _tells(item: Mapping[str, Any], clock: _Clock) -> bool:
-    """Whether an object has the times of a clock. A length alone may be that of the whole recording."""
+def _tells(item: Mapping[str, Any], clock: _Clock, both: bool) -> bool:
+    """Whether an object has the times of a clock, or one of them. A length alone may be that of the whole recording."""
+    if both and (item.get(clock.start) is None or item.get(clock.end) is None):
+        return False
     time = _of(item, clock.start) if clock.lasts else _of(item, clock.start, clock.end)
     return time is not None and not (clock.texts and isinstance(time, (int, float)))
 

@@ -30,8 +30,8 @@ __all__ = ["Text", "Transcript", "as_transcript", "read_transcript", "timed_tran
 
 FORMATS: dict[str, Callable[[str, str, str | None], Content]] = {
     ".txt": lambda source, text, speaker: Content(text=text), ".textgrid": formats.textgrid,
-    ".tsv": formats.tsv, ".ctm": formats.ctm, ".json": words_json, ".jsonl": words_json,
-    **dict.fromkeys(formats.TIMED_LINES, formats.timed_lines), ".ttml": ttml, ".dfxp": ttml,
+    ".tsv": formats.tsv, ".csv": formats.comma_separated, ".ctm": formats.ctm, ".ttml": ttml, ".dfxp": ttml,
+    ".json": words_json, ".jsonl": words_json, **dict.fromkeys(formats.TIMED_LINES, formats.timed_lines),
 }
 """Readers by suffix: (file, its text, speaker) to its content."""
 

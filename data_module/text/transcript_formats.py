@@ -31,8 +31,8 @@ NUMBER = r"[-+]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][-+]?\d++)?+"
 _TOKEN = re.compile(rf'"((?:[^"]++|"")*+)"|(?<![^\s=])({NUMBER})(?!\S)|(<exists>)|"')
 _CLOCK = r"(?:(\d{1,4}):)?(\d{1,4}):(\d{1,4})(?:[.,](\d+))?"
 _CUE = re.compile(rf"\s*{_CLOCK}\s*-->\s*{_CLOCK}(?:\s.*)?")
-# Tags, positions of the SubStation kind, and descriptions of sounds.
-_NOT_SPOKEN = re.compile(r"<[^<>]*>|\{\\[^{}]*\}|\[[^\[\]]*\]")
+# Tags, positions of the SubStation kind, descriptions of sounds, and names of unknown speakers.
+_NOT_SPOKEN = re.compile(r"<[^<>]*>|\{\\[^{}]*\}|\[[^\[\]]*\]|\bSPEAKER_\d+:")
 _BETWEEN_WORDS = re.compile(r"\[|<(\w+:)?br\b")
 # Duration of a word without times and without timed neighbours, seconds: the mean of spoken English.
 _UNTIMED = 0.3
@@ -141,6 +141,11 @@ def ctm(source: str, text: str, speaker: str | None = None) -> Content:
         raise InputError(source, f"holds the words of {len(recordings)} recordings", "leave those of one in it")
     return tsv(source, _CTM.sub(
         lambda row: f"{row[2]}\t{float(row[2]) + float(row[3])}\t{row[4]}" if row[1] else "", text))
+
+
+def comma_separated(source: str, text: str, speaker: str | None = None) -> Content:
+    """The same as `tsv` with commas, as whisper.cpp writes it."""
+    return tsv(source, re.sub(r'^([^,\n]*),([^,\n]*),"?(.*?)"?$', r"\1\t\2\t\3", text, flags=re.M))
 
 
 def _timed(row: Sequence[str]) -> bool:

@@ -82,6 +82,8 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, memoryview | None]:
     while at + 8 <= len(data):
         size, kind = struct.unpack_from("<II", data, at)
         if at + 8 + size > len(data):
+            if BINARY_CHUNK in chunks:
+                break  # it is followed by something else
             raise InputError(path, "is cut off", "copy or export it again")
         # The first chunk of a kind counts; GLB allows one of each and unknown ones after them.
         chunks.setdefault(kind, memoryview(data)[at + 8:at + 8 + size])

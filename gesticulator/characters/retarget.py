@@ -35,7 +35,7 @@ from data_module.motion import rotation, skeletons
 from data_module.types import Array, Motion
 from gesticulator.characters.body_surface import keep_hands_out
 from gesticulator.characters.frames import Body, measure
-from gesticulator.characters.mapping import SIDES, RigMapping, check
+from gesticulator.characters.mapping import SIDES, RigMapping, ancestors, check
 from gesticulator.characters.rig import Character, CharacterMotion
 from gesticulator.characters.twist import share_roll
 from gesticulator.contacts.limbs import Pose, bend, pose_of
@@ -74,9 +74,10 @@ class Retargeter:
         self.mapping = mapping or find_joints(character)
         check(self.mapping, character)
         self.body: Body = measure(character, self.mapping)
-        # If the feet are not below the legs in the tree, moving hips would tear the legs off them.
-        whole = self.mapping.legs or "LeftUpLeg" not in self.mapping.joints
-        self.legs = whole and legs
+        # If the feet are not below the legs in the tree, or these not below the hips, moving hips would tear them off.
+        thighs = [self.mapping.joints[side + "UpLeg"] for side in SIDES if side + "UpLeg" in self.mapping.joints]
+        hang = all(self.mapping.joints["Hips"] in ancestors(character.parents, thigh) for thigh in thighs)
+        self.legs = legs and hang and (self.mapping.legs or not thighs)
         self.contacts = False  # contacts bend arms on purpose, so their directions are checked without
         plain = self(probe_motion())
         self.contacts = contacts
