@@ -194,7 +194,7 @@ def main() -> int:
             for wrong, times in Counter(wrong for _, wrong in one.failed).items():
                 print(f"    {times} x {wrong} (input {next(n for n, w in one.failed if w == wrong)})", flush=True)
     failures = sum(map(len, found.values()))
-    print(f"all: {asked.inputs} inputs, {failures} failures")
+    print(f"all: {asked.inputs} inputs of seed {asked.seed}, {failures} failures")
     return 1 if failures else 0
 
 

@@ -34,8 +34,7 @@ _FEW_ROWS = 64
 class Tensors:
     """The tensors of a part by name, each taken once and with its shape."""
 
-    def __init__(self, arrays: Mapping[str, NDArray[Any]], source: object = "the weights"
-                 ) -> None:
+    def __init__(self, arrays: Mapping[str, NDArray[Any]], source: object = "the weights") -> None:
         """source: where they are from, for the messages."""
         self._arrays, self._source, self._prefix = dict(arrays), source, ""
 
@@ -196,7 +195,7 @@ class Lstm:
                 c = opened[:, width:2 * width] * c + opened[:, :width] * np.tanh(new)
                 rows[:, time] = h = opened[:, 3 * width:] * np.tanh(c)
             ends.append((h, c))
-        return rows, (np.stack([h for h, _ in ends]), np.stack([c for _, c in ends]))
+        return rows, (np.array([h for h, _ in ends]), np.array([c for _, c in ends]))
 
 
 class Gru:

@@ -154,7 +154,7 @@ class FlowRunner:
         guided = 1 if shared else rows
         # Row -> context: every sample with all inputs, then the guided rows once for each left-out input.
         of = np.repeat(np.arange(len(contexts)), [rows, *[guided] * (len(contexts) - 1)])
-        conditions = [(scale[of], shift[of]) for scale, shift in self._head.conditions(contexts)]
+        conditions = self._head.conditions(contexts, of)
         u, step, before = noise, 1.0 / steps, None
         v = self._head(u, 0.0, conditions, gains, guided)
         for i in range(1, steps + 1):
@@ -179,10 +179,10 @@ class _Head:
         self._leave = tensors.dense("leave", hidden, width)
         self._times: dict[float, tuple[Floats, float, float]] = {}
 
-    def conditions(self, contexts: Floats) -> list[tuple[Floats, Floats]]:
-        """Scale and shift of every layer for contexts [..., C]."""
-        both = (layer(contexts) for layer in self._condition)
-        return [(1 + each[..., :self._hidden], each[..., self._hidden:]) for each in both]
+    def conditions(self, contexts: Floats, of: NDArray[np.int64]) -> list[tuple[Floats, Floats]]:
+        """Scale and shift [R, W] of every layer for R rows; of: [R] their contexts, among [B, C]."""
+        both = (layer(contexts)[of] for layer in self._condition)
+        return [(1 + each[:, :self._hidden], each[:, self._hidden:]) for each in both]
 
     def __call__(self, noisy: Floats, time: float, conditions: list[tuple[Floats, Floats]], gains: Floats,
                  guided: int) -> Floats:

@@ -129,8 +129,7 @@ class DecisionBatch:
     cloned: Tensor
 
 
-def conservative_q_loss(values: Tensor, next_value: Tensor, done: DecisionBatch, gamma: float
-                        ) -> tuple[Tensor, Tensor]:
+def conservative_q_loss(values: Tensor, next_value: Tensor, done: DecisionBatch, gamma: float) -> tuple[Tensor, Tensor]:
     """The terms of RACER Eq. 11, unweighted: E[log sum_a exp Q(s, a) - Q(s, a_data)] and E[(Q(s, a_data) - y)^2] / 2.
     values: [B, T, S] Q(s, .); next_value: [B, T] max_a' of the target at s'. The first mean is over valid steps, the
     second over those of them whose next value is known."""

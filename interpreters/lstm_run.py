@@ -7,25 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_module.layers_run import (
-    BlockDense,
-    Floats,
-    Lstm,
-    Tensors,
-    gelu,
-    log_softmax,
-    side_by_side,
-    sigmoid,
-)
-from interpreters.base import (
-    BlockFeatures,
-    InterpreterByEar,
-    InterpreterDefaults,
-    InterpreterSizes,
-    Need,
-    Scores,
-    pose_of,
-)
+from data_module import layers_run as layers
+from data_module.layers_run import BlockDense, Floats, gelu, side_by_side
+from interpreters import base
+from interpreters.base import BlockFeatures, InterpreterByEar, Need, Scores
 from interpreters.settings import HALF_BLOCKS, LstmConfig
 
 __all__ = ["LstmRunner"]
@@ -41,12 +26,12 @@ class LstmRunState:
     rows: Floats | None = None
 
 
-class LstmRunner(InterpreterDefaults):
+class LstmRunner(base.InterpreterDefaults):
     """P_s: previous lexeme, three blocks of high-level audio, text and the speaker to scores over the lexicon."""
 
     name = "lstm"
 
-    def __init__(self, config: LstmConfig, sizes: InterpreterSizes, tensors: Tensors) -> None:
+    def __init__(self, config: LstmConfig, sizes: base.InterpreterSizes, tensors: layers.Tensors) -> None:
         self.config, self._sizes, frames, size = config, sizes, sizes.frames, len(sizes.lexemes)
         vectors = tensors.take("lexemes", *sizes.lexemes.shape)
         self._encode_audio = BlockDense(tensors.within("encode_audio"), frames, sizes.high, config.audio_features,
@@ -65,7 +50,7 @@ class LstmRunner(InterpreterDefaults):
         width = count * (config.audio_features + config.text_features + self._control_width) + self._vectors.shape[1]
         width += config.pose_features + (sizes.speakers if config.use_speaker else 0)
         self._enter = tensors.dense("enter", width, config.width) if self._by_block else None
-        self._lstm = Lstm(tensors.within("lstm"), config.width if self._by_block else width, config.width)
+        self._lstm = layers.Lstm(tensors.within("lstm"), config.width if self._by_block else width, config.width)
         self._classify = tensors.dense("classify", (2 if self._by_block else 1) * config.width, size)
 
     @property
@@ -108,7 +93,7 @@ class LstmRunner(InterpreterDefaults):
         if self._text_head is not None:
             assert features.text is not None
             logits = logits + self._text_head(features.text, self._vectors[previous_lexeme], states[0].speaker)
-        scores = log_softmax(logits.astype(np.float64))
+        scores = layers.log_softmax(logits.astype(np.float64))
         return [(scores[i], LstmRunState(None, state.speaker, rows[i:i + 1]) if memory else
                  LstmRunState((h[:, i:i + 1], c[:, i:i + 1]), state.speaker)) for i, state in enumerate(states)]
 
@@ -130,7 +115,7 @@ class LstmRunner(InterpreterDefaults):
         if self._encode_pose is not None:
             if features.past is None:
                 raise ValueError("this interpreter needs the pose; give it the previous block")
-            parts.append(gelu(self._encode_pose(np.concatenate(pose_of(features.past, features.durations))))[None])
+            parts.append(gelu(self._encode_pose(np.concatenate(base.pose_of(features.past, features.durations))))[None])
         if self._enter is None:
             return side_by_side(parts)[:, None]
         row = side_by_side([parts[0].reshape(len(audio), -1), *(part.ravel() for part in parts[1:])])
@@ -140,7 +125,8 @@ class LstmRunner(InterpreterDefaults):
 class _TextHead:
     """The scores from the words (`interpreters.text_head.TextHead`)."""
 
-    def __init__(self, config: LstmConfig, sizes: InterpreterSizes, lexeme_width: int, tensors: Tensors) -> None:
+    def __init__(self, config: LstmConfig, sizes: base.InterpreterSizes, lexeme_width: int, tensors: layers.Tensors
+                 ) -> None:
         bottleneck, width = config.text_bottleneck or sizes.text, config.text_head
         self._narrow, self._hidden, self._weigh, self._out = (
             tensors.dense(name, width_in, out) for name, width_in, out in (
@@ -153,4 +139,4 @@ class _TextHead:
         count = len(text)
         parts = [text[i * count // HALF_BLOCKS:-(-(i + 1) * count // HALF_BLOCKS)].mean(0) for i in range(HALF_BLOCKS)]
         words = gelu(self._hidden(self._narrow(np.stack(parts)).ravel()))
-        return self._out(words * sigmoid(self._weigh(np.concatenate([previous, speaker]))))
+        return self._out(words * layers.sigmoid(self._weigh(np.concatenate([previous, speaker]))))

@@ -184,6 +184,16 @@ def test_broken_tables_are_named_by_line(content: str, said: str, tmp_path: Path
     assert said in str(caught.value)
 
 
+def test_a_token_without_times_leaves_the_end_of_its_word(tmp_path: Path) -> None:
+    file = tmp_path / "a.json"
+    file.write_text(json.dumps({"transcription": [
+        {"offsets": {"from": 100, "to": 300}, "text": " hel"}, {"text": "lo"},
+        {"offsets": {"from": 400, "to": 600}, "text": " there"}]}))
+    words = read_transcript(file).words
+    assert words is not None
+    assert [(word.text, word.start, word.end) for word in words] == [("hello", 0.1, 0.3), ("there", 0.4, 0.6)]
+
+
 def test_texts_in_a_script_without_spaces_are_spread_over_their_tokens(tmp_path: Path) -> None:
     part = samples.whisper([("今天天气很好", 0.0, 1.2)])
     found = _read(tmp_path, ".json", json.dumps(part))

@@ -70,12 +70,17 @@ def joint_positions(skeleton: Skeleton, rotations: Array, root_positions: Array 
 
 def positions_of_some(motion: Motion, joints: Sequence[int]) -> Array:
     """As `positions_of` for these joints only, [T, len(joints), 3]; computes only the chains from the root to them."""
-    parents, offsets = motion.skeleton.parents, motion.skeleton.offsets
+    return places_of_some(motion.skeleton, motion.rotations, joints, motion.root_positions)
+
+
+def places_of_some(skeleton: Skeleton, rotations: Array, joints: Sequence[int], root: Array | None = None) -> Array:
+    """As `positions_of_some` for local rotations [T, J, 4]; root: [T, 3] its places, by default the origin."""
+    parents, offsets = skeleton.parents, skeleton.offsets
     order = with_ancestors(parents, tuple(joints))
     # Matrices: for few frames they take a third of the time of quaternions.
-    local = rotation.to_matrix(motion.rotations[:, order]).swapaxes(0, 1)
+    local = rotation.to_matrix(rotations[:, order]).swapaxes(0, 1)
     turns: dict[int, Array] = {}
-    places = {order[0]: motion.root_positions}
+    places = {order[0]: np.zeros((len(rotations), 3)) if root is None else root}
     above = {parents[joint] for joint in order}
     for turn, joint in zip(local, order, strict=True):
         parent = parents[joint]
@@ -83,7 +88,7 @@ def positions_of_some(motion: Motion, joints: Sequence[int]) -> Array:
             places[joint] = places[parent] + turns[parent] @ offsets[joint]
         if joint in above:
             turns[joint] = turn if parent < 0 else turns[parent] @ turn
-    return np.stack([places[joint] for joint in joints], axis=1)
+    return np.array([places[joint] for joint in joints]).swapaxes(0, 1)
 
 
 @lru_cache(maxsize=64)

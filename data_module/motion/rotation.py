@@ -187,8 +187,7 @@ def unroll(v: Array) -> Array:
         angle = np.linalg.norm(out[t], axis=-1, keepdims=True)
         before = out[t - 1]
         before_angle = np.linalg.norm(before, axis=-1, keepdims=True)
-        axis = np.where(angle > 1e-9, out[t] / np.maximum(angle, _EPS),
-                        before / np.maximum(before_angle, _EPS))
+        axis = np.where(angle > 1e-9, out[t] / np.maximum(angle, _EPS), before / np.maximum(before_angle, _EPS))
         # The previous value along this axis: the number of whole turns that comes nearest to it.
         along = np.sum(before * axis, axis=-1, keepdims=True)
         out[t] = axis * (angle + turn * np.round((along - angle) / turn))

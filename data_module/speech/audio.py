@@ -221,7 +221,8 @@ def _check_scale(samples: NDArray[np.floating[Any]], name: object, rate: float, 
 
 def _mixed(samples: NDArray[np.floating[Any]], channel: int | None = None) -> Samples:
     """[n, channels] as [n]: the mean of the channels, or one of them."""
-    return np.ascontiguousarray(samples.mean(axis=1) if channel is None else samples[:, channel], dtype=np.float32)
+    only = 0 if samples.shape[1] == 1 else channel
+    return np.ascontiguousarray(samples.mean(axis=1) if only is None else samples[:, only], dtype=np.float32)
 
 
 def _centred(samples: Samples) -> Samples:

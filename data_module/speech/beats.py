@@ -119,7 +119,7 @@ class BeatTracker:
             if time - self._last_onset >= self.settings.merge - _EPS:
                 distinct.append(time)
                 self._last_onset = time
-        self._onsets = np.concatenate([self._onsets, distinct])
+        self._onsets = np.concatenate([self._onsets, distinct]) if distinct else self._onsets
         loud = self._frames + np.flatnonzero(~np.asarray(silent, dtype=bool))
         self._loud = np.concatenate([self._loud, loud * FRAME])
         self._frames += len(silent)
@@ -134,7 +134,7 @@ class BeatTracker:
         if self._frames * FRAME >= high + FRAME and min(onsets_until, available) >= high + s.d_min:
             return True
         # The first of each that may be a beat; infinity without any.
-        near, loud = (min(times[np.searchsorted(times, low - _EPS):][:1], default=np.inf)
+        near, loud = (min(times[times.searchsorted(low - _EPS):][:1].tolist(), default=np.inf)
                       for times in (self._onsets, self._loud))
         # No onset is in reach. A loud frame is the beat if it leaves room for an onset, and an end, right after it.
         if near > high + _EPS and min(onsets_until, available) > high + _EPS and loud <= max(low, high - s.d_min):

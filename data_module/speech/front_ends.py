@@ -90,7 +90,7 @@ class MelFrontEnd:
         scale = np.maximum(bank.sum(axis=1, keepdims=True), 1e-6) * np.sum(self._taper.astype(np.float64) ** 2)
         return np.ascontiguousarray((bank / scale).T, dtype=np.float32)
 
-    @property
+    @cached_property
     def _window(self) -> int:
         return 2 * round(0.032 * self.sample_rate)
 
@@ -110,10 +110,9 @@ class MelFrontEnd:
         count, length = windows.shape
         padded = np.zeros((count, length + self._window), np.float32)
         padded[:, self._window // 2:self._window // 2 + length] = windows
-        spectra = self.frames * self.hops
         # A spectrum is centred on its hop, so that the rows of a block cover the block.
-        starts = [round((k + 0.5) * self.samples_per_frame / self.hops) for k in range(spectra)]
-        at = np.stack([padded[:, start:start + self._window] for start in starts], axis=1)
+        starts = [round((k + 0.5) * self.samples_per_frame / self.hops) for k in range(self.frames * self.hops)]
+        at = np.lib.stride_tricks.sliding_window_view(padded, self._window, axis=1)[:, starts]
         spectrum = np.fft.rfft(at * self._taper, axis=-1)
         power = (spectrum.real ** 2 + spectrum.imag ** 2) @ self._filters
         logs = self._log(power.astype(np.float32, copy=False))  # it is, and NumPy does not say so

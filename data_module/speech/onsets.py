@@ -133,17 +133,16 @@ class RiseTracker:
         # A spectrum's weights lie side by side: a third of the time of the same sums down a column.
         power = np.add.reduceat(self._weights * power.take(self._bins, axis=1), self._first_of_band, axis=1)
         power = np.ascontiguousarray(power.T)
-        numbers = np.arange(self._frames, self._frames + count)
         if self._frames < len(self._covered):  # the windows after them are filled
+            numbers = np.arange(self._frames, self._frames + count)
             power /= self._covered[np.minimum(numbers, len(self._covered) - 1)]
         # The floor of the power in decibels: that of `_FAINTEST`, moved with the ground.
         faintest = _FAINTEST_DECIBELS + self._ground[:count].astype(np.float32) - np.float32(_LIMIT)
         decibels = np.concatenate([self._before, 10.0 * np.log10(np.maximum(power, _TINY))], axis=1)
         # Both spectra over the same floor: a floor that moves is not a rise.
         rise = np.maximum(decibels[:, _LAG:] - np.maximum(decibels[:, :-_LAG], faintest), 0.0)
-        rise = rise.mean(axis=0).astype(np.float64)
-        if self._frames < _LAG:
-            rise[numbers < _LAG] = 0.0  # there is only padding before them
+        rise = (np.add.reduce(rise, axis=0) / np.float32(_BANDS)).astype(np.float64)
+        rise[:max(_LAG - self._frames, 0)] = 0.0  # there is only padding before them
         self._before = decibels[:, -_LAG:]
         self._sound, self._ground = self._sound[count * self._hop:], self._ground[count:]
         self._frames += count

@@ -293,7 +293,8 @@ def _joined_tokens(source: str, tokens: Sequence[Entry]) -> list[Entry]:
     words: list[Entry] = []
     for token in tokens:
         if words and token.text and not token.text[0].isspace():
-            words[-1] = replace(words[-1], text=words[-1].text + token.text, end=token.end)
+            # A token without times leaves the word's end where it was.
+            words[-1] = replace(words[-1], text=words[-1].text + token.text, end=token.end or words[-1].end)
         else:
             words.append(token)
     out: list[Entry] = []

@@ -63,9 +63,10 @@ def mixed(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> NDArray[np
 
     channel: one, or an array that broadcasts with the numbers.
     """
-    key = _scrambled(np.uint64(seed & _ALL_BITS) + _STEP_OF_BITS * (np.atleast_1d(channel) + 1).astype(np.uint64))
     # Arrays, unlike scalars, overflow without a warning.
-    out = _scrambled(key + _STEP_OF_BITS * np.atleast_1d(numbers).astype(np.uint64))
+    channels = np.array(channel, np.int64, ndmin=1) + 1
+    key = _scrambled(np.uint64(seed & _ALL_BITS) + _STEP_OF_BITS * channels.astype(np.uint64))
+    out = _scrambled(key + _STEP_OF_BITS * np.array(numbers, np.int64, ndmin=1).astype(np.uint64))
     return out if np.ndim(numbers) or np.ndim(channel) else out.reshape(())
 
 
@@ -96,7 +97,7 @@ def normal(seed: int, channel: Channel, numbers: NDArray[np.int64]) -> Array:
 
 def smooth_step(s: Array) -> Array:
     """3 s^2 - 2 s^3, with s clipped to 0 to 1."""
-    u: Array = np.clip(s, 0.0, 1.0)
+    u: Array = np.minimum(np.maximum(s, 0.0), 1.0)
     return u * u * (3.0 - 2.0 * u)
 
 
@@ -153,7 +154,7 @@ class Shifts:
         done = 1.0 - (1.0 + a + a * a / 2.0) * np.exp(-a)
         postures = np.array(self._postures[first:last + 1])
         before = self._postures[first - 1] if first > 0 else np.zeros(len(s.spread))
-        steps = np.diff(postures, axis=0, prepend=before[None])
+        steps = postures - np.concatenate([before[None], postures[:-1]])
         return np.asarray(before + done @ steps)
 
     def begins(self, numbers: NDArray[np.int64]) -> Array:
@@ -330,10 +331,10 @@ class LifeLayer:
         # In the units of the normalised poses; absent joints have none.
         life = self._idle(times).reshape(block.shape) * self._scale
         seconds = span.duration / len(times)
-        steps = np.diff(block, axis=0, prepend=self._shown[None])
+        steps = block - np.concatenate([self._shown[None], block[:-1]])
         # A linear map instead of forward kinematics: head angles are small, and this runs for every block.
         speed = np.linalg.norm(steps @ self._head_moves, axis=1) / seconds
-        stands = np.clip((_HEAD_MOVES - speed) / (_HEAD_MOVES - _HEAD_STANDS), 0.0, 1.0)
+        stands = np.minimum(np.maximum((_HEAD_MOVES - speed) / (_HEAD_MOVES - _HEAD_STANDS), 0.0), 1.0)
         # Full at rest or where the head stands still, whichever is more.
         wanted = _FAINT + (1.0 - _FAINT) * np.maximum(stands, np.array(rests))
         # Number by number: an array of three parts takes longer.

@@ -32,6 +32,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_module.motion.kinematics import minimum_jerk
 from data_module.types import Array
@@ -113,8 +114,10 @@ def role_at(seed: int, variation: int, time: float) -> Role:
     while _drawn(seed, variation, period)[0] * PERIOD > time:
         period -= 1
     begin, role = _drawn(seed, variation, period)
-    share = float(minimum_jerk(np.array(min((time - begin * PERIOD) / CHANGES, 1.0))))
-    return _drawn(seed, variation, period - 1)[1].towards(role, share)
+    passed = (time - begin * PERIOD) / CHANGES
+    if passed >= 1.0:  # most of the time
+        return role
+    return _drawn(seed, variation, period - 1)[1].towards(role, float(minimum_jerk(np.array(passed))))
 
 
 @dataclass(frozen=True)
@@ -156,35 +159,39 @@ def shown(roles: Roles, statistics: Statistics, speaker: int, names: Sequence[st
     """[K, D_m] a block of normalised motion [K, D_m] at `times` [K], its arms in their roles. names: of the J joints,
     three numbers each; height: [K] the requested height of the hands in standard deviations over the mean, 0 without a
     request."""
-    rest = statistics.normalise(statistics.rest_pose[speaker], speaker)
-    both = [np.flatnonzero(np.repeat([name.startswith(side) for name in names], 3)) for side in SIDES]
-    drawn = [roles.at(float(time)) for time in times]
-    gestures, follows, hangs, raised = (np.array([role[k] for role in drawn]) for k in range(4))
+    both, upper = _arms(tuple(names))
+    # [2, K, D] of both arms at once.
+    resting = statistics.normalise(statistics.rest_pose[speaker], speaker)[both][:, None]
+    scale, mean = statistics.deviation[both][:, None], statistics.mean_pose[speaker][both][:, None]
+    gestures, follows, hangs, raised = (part.T[..., None] for part in np.swapaxes(
+        [roles.at(time) for time in times.tolist()], 0, 1))
     raised = raised + LIFTS * np.broadcast_to(height, len(block))[:, None]
-    arms = [block[:, columns].astype(np.float64) for columns in both]
-    sinks = [smooth_step(_lowered(arm, rest[columns])) for arm, columns in zip(arms, both, strict=True)]
-    at_rest = np.minimum(*sinks)
+    arms = np.swapaxes(block[:, both], 0, 1).astype(np.float64)
+    at_rest = smooth_step(_lowered(arms, resting)).min(axis=0)
+    others = (arms * scale + mean)[::-1]
+    mirrored = (others * np.tile(_MIRRORED, both.shape[1] // 3) - mean) / scale
+    arms = arms + follows * (1.0 - at_rest) * (mirrored - arms)
+    low = _lowered(arms, resting)
+    sunk = smooth_step(low)
+    moved = arms - _UP_AGAIN * low * (1.0 - sunk) * resting
+    size = (arms ** 2).mean(axis=-1, keepdims=True)
+    factor = OUTER - (OUTER - INNER) * np.exp(-size / NEAR ** 2)
+    lift = raised * (1.0 - sunk) * np.where(upper, UPPER_ARM, 1.0)
+    posture = -lift * resting + (sunk + (1.0 - sunk) * gestures * factor) * moved
+    hanging = resting + SWAY * (moved - resting)
     out = block.astype(np.float64)
-    for k, (arm, columns) in enumerate(zip(arms, both, strict=True)):
-        resting, scale, mean = rest[columns], statistics.deviation[columns], statistics.mean_pose[speaker][columns]
-        there = both[1 - k]
-        other = arms[1 - k] * statistics.deviation[there] + statistics.mean_pose[speaker][there]
-        mirrored = (other * np.tile(_MIRRORED, len(columns) // 3) - mean) / scale
-        arm = arm + follows[:, k, None] * (1.0 - at_rest) * (mirrored - arm)
-        low = _lowered(arm, resting)
-        sunk = smooth_step(low)
-        moved = arm - _UP_AGAIN * low * (1.0 - sunk) * resting
-        size = (arm ** 2).mean(axis=1, keepdims=True)
-        factor = OUTER - (OUTER - INNER) * np.exp(-size / NEAR ** 2)
-        upper = np.repeat([name.endswith("Arm") and not name.endswith("ForeArm") for name in names], 3)[columns]
-        lift = raised[:, k, None] * (1.0 - sunk) * np.where(upper, UPPER_ARM, 1.0)
-        posture = (-lift * resting
-                   + (sunk + (1.0 - sunk) * gestures[:, k, None] * factor) * moved)
-        hanging = resting + SWAY * (moved - resting)
-        out[:, columns] = posture + hangs[:, k, None] * (hanging - posture)
+    out[:, both] = np.swapaxes(posture + hangs * (hanging - posture), 0, 1)
     return out
 
 
-def _lowered(arm: Array, rest: Array) -> Array:
-    """[K, 1] how far an arm [K, D] is on its way from the mean pose to the resting pose [D], 0 to 1."""
-    return np.clip(arm @ rest / (rest @ rest), 0.0, 1.0)[:, None]
+@lru_cache
+def _arms(names: tuple[str, ...]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """[2, D] the columns of both arms, and which of them are of the upper arm [2, 1, D]."""
+    both = np.array([np.flatnonzero(np.repeat([name.startswith(side) for name in names], 3)) for side in SIDES])
+    upper = np.repeat([name.endswith("Arm") and not name.endswith("ForeArm") for name in names], 3)
+    return both, upper[both][:, None]
+
+
+def _lowered(arms: Array, rest: Array) -> Array:
+    """[2, K, 1] how far each arm [2, K, D] is on its way from the mean pose to the resting pose [2, 1, D], 0 to 1."""
+    return np.asarray(np.clip(arms @ np.swapaxes(rest, 1, 2) / np.vecdot(rest, rest)[..., None], 0.0, 1.0))

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,8 +80,8 @@ _SWINGS = 7
 def cleared(motion: Motion, sits: bool = False) -> Motion:
     """A motion on the default skeleton with the hands outside trunk and face. sits: and above its thighs, those of a
     body that sits; the motion may still lack them."""
-    names = [name for name in (*_JOINTS, *(_SEATED if sits else ())) if name in motion.skeleton.names]
-    pose = limbs.pose_of(replace(motion, root_positions=np.zeros((len(motion), 3))), names)
+    names = _joints_of(motion.skeleton.names, sits)
+    pose = limbs.pose_of(motion, names, from_root=True)
     body, rotations = _Body.of(pose, sits), None
     parts = (*_HAND, *limbs.FINGERTIPS)
     points = [[pose.places[side + part] for part in parts if side + part in names] for side in SIDES]
@@ -95,6 +96,12 @@ def cleared(motion: Motion, sits: bool = False) -> Motion:
             posed, at = (pose.at(frames), body.at(frames)), np.flatnonzero(frames)
             _bend_arm(rotations, motion.skeleton, posed, (side, sign), at)
     return motion if rotations is None else replace(motion, rotations=rotations)
+
+
+@lru_cache(maxsize=16)
+def _joints_of(names: tuple[str, ...], sits: bool) -> list[str]:
+    """The joints that matter, of those that a body has."""
+    return [name for name in (*_JOINTS, *(_SEATED if sits else ())) if name in names]
 
 
 def _bend_arm(rotations: Array, skeleton: Skeleton, posed: tuple[limbs.Pose, _Body], side: tuple[str, float],

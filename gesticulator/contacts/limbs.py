@@ -42,8 +42,9 @@ class Pose:
                     {joint: place[frames] for joint, place in self.places.items()})
 
 
-def pose_of(motion: Motion, names: Sequence[str] | None = None) -> Pose:
-    """World rotations and positions of a motion's joints; of these and those above them, if names are given."""
+def pose_of(motion: Motion, names: Sequence[str] | None = None, from_root: bool = False) -> Pose:
+    """World rotations and positions of a motion's joints; of these and those above them, if names are given. from_root:
+    positions relative to the root."""
     skeleton = motion.skeleton
     # Fewer joints cost less: a stream asks for a dozen of 54 in every block.
     joints: Sequence[int] = range(len(skeleton))
@@ -54,7 +55,8 @@ def pose_of(motion: Motion, names: Sequence[str] | None = None) -> Pose:
     for place, joint in enumerate(joints):
         name, parent = skeleton.names[joint], skeleton.parents[joint]
         if parent < 0:
-            turns[name], places[name] = local[:, place], motion.root_positions
+            root = np.zeros_like(motion.root_positions) if from_root else motion.root_positions
+            turns[name], places[name] = local[:, place], root
         else:
             above = skeleton.names[parent]
             turns[name] = turns[above] @ local[:, place]

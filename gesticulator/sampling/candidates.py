@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module import controls
-from data_module.motion.kinematics import chains, positions_of_some
+from data_module.motion.kinematics import chains, places_of_some, positions_of_some
 from data_module.motion.rotation import cross, from_exponential_map
-from data_module.types import Array, Motion
+from data_module.types import Array
 from gesticulator.body.life import HEAD
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import SpeechBlock, representation_of
@@ -177,8 +177,7 @@ class CandidateChooser:
         else:
             skeleton, joints = self._arms
             rotations = from_exponential_map(poses.reshape(len(poses), -1, 3)[:, joints])
-            places = positions_of_some(Motion(skeleton, rotations, np.zeros((len(poses), 3)), 1.0),
-                                       [joints.index(joint) for joint in self._joints])
+            places = places_of_some(skeleton, rotations, [joints.index(joint) for joint in self._joints])
         return places.reshape(*frames.shape[:2], len(self._joints), 3)
 
     @staticmethod
@@ -194,7 +193,7 @@ class CandidateChooser:
         levels, width, inside = self._statistics.levels, len(controls.FEATURES), hands[:, _BEFORE:]
         assert levels is not None, "there are no controls without levels"
         # The same definition as of the training data (`data_module.controls`), mean over the block.
-        steps = np.linalg.norm(np.diff(hands[:, _BEFORE - 1:], axis=1), axis=-1).mean(-1)
+        steps = np.linalg.norm(_steps(hands[:, _BEFORE - 1:]), axis=-1).mean(-1)
         measured = np.stack([inside[:, :, 0, 1].mean(1), steps.sum(1) / (times[-1] - times[_BEFORE - 1]),
                              np.linalg.norm(inside[..., [0, 2]], axis=-1).mean((1, 2))], axis=-1)
         target, given = control[:, :width].mean(0), control[:, width:].mean(0)
@@ -206,16 +205,15 @@ def beyond(places: Array, times: Array, behind: Array | None = None) -> Array:
     accelerations of wrist and elbow, and place behind the trunk exceed their limits by.
     places: [C, T, 8, 3] as of `CandidateMotion`, at times [T] seconds; behind: `behind_trunk` in the block, if known.
     """
-    velocity = np.diff(places[:, :, :4], axis=1) / np.diff(times)[:, None, None]
-    between = 0.5 * (times[2:] - times[:-2])
-    acceleration = lengths(np.diff(velocity, axis=1) / between[:, None, None])[:, _BEFORE - 2:]
+    velocity, acceleration = _speeds(places[:, :, :4], times)
+    acceleration = lengths(acceleration)[:, _BEFORE - 2:]
     most = (acceleration / np.repeat(_ACCELERATES, 2)).max(1)
     behind = behind_trunk(places[:, _BEFORE:]) if behind is None else behind
     behind = (behind.max((1, 2)) - _BEHIND[0]) / _BEHIND[1]
     wrist, elbow, shoulder = (np.swapaxes(places[:, _BEFORE - 1:, k:k + 2], 1, 2) for k in (0, 2, 4))
     turns, off = swivel(shoulder, elbow, wrist)
     clear = (off > _BENT) & (lengths(wrist - shoulder) > _REACHES)
-    turned = np.abs(turns) / np.diff(times[_BEFORE - 1:]) * (clear[..., 1:] & clear[..., :-1])
+    turned = np.abs(turns) / (times[_BEFORE:] - times[_BEFORE - 1:-1]) * (clear[..., 1:] & clear[..., :-1])
     shares = [lengths(velocity[:, _BEFORE - 1:]).max((1, 2)) / FASTEST, 1.0 + behind,
               turned.max((1, 2)) / _SWIVELS, most[:, :2].max(1), most[:, 2:].max(1)]
     return np.asarray(sum(np.maximum(share - 1.0, 0.0) for share in shares))
@@ -298,10 +296,10 @@ def in_time(hands: Array, times: Array, start: float, onsets: Array) -> Array:
     """[C] share of the hands' braking from `start` on that lies near the onsets [n], seconds: sum b w / (sum b + b_0),
     b(t) = max(0, -ds/dt), s the summed speed of both hands [C, T, 2, 3], metres at times [T], and w(t) a Gaussian of
     the time to the nearest onset. b_0 keeps blocks that hardly move from scoring high."""
-    seconds = np.diff(times)
-    speed = lengths(np.diff(hands, axis=1)).sum(-1) / seconds
+    seconds = times[1:] - times[:-1]
+    speed = lengths(_steps(hands)).sum(-1) / seconds
     between = 0.5 * (times[1:] + times[:-1])
-    braking = np.maximum(-np.diff(speed, axis=1) / np.diff(between), 0.0)
+    braking = np.maximum(-_steps(speed) / (between[1:] - between[:-1]), 0.0)
     counts = times[1:-1] > start + _SEAM
     distance = np.abs(times[1:-1, None] - np.asarray(onsets)).min(axis=1)
     near = np.exp(-0.5 * (distance / _NEAR) ** 2)
@@ -316,8 +314,8 @@ def apart_from_hands(head: Array, hands: Array, times: Array) -> Array:
     metres at times [T] seconds, the frames before the block and those of the block."""
     seconds = times[-1] - times[_BEFORE - 1]
     turns = head[:, _BEFORE - 1:].reshape(*head[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
-    turned = lengths(np.diff(turns, axis=1)).sum(1) / seconds
-    moved = lengths(np.diff(hands[:, _BEFORE - 1:], axis=1)).mean(-1).sum(1) / seconds
+    turned = lengths(_steps(turns)).sum(1) / seconds
+    moved = lengths(_steps(hands[:, _BEFORE - 1:])).mean(-1).sum(1) / seconds
     return np.asarray(np.abs(np.log(turned / _HEAD_TURNS + _LEAST) - np.log(moved / _HANDS_MOVE + _LEAST)))
 
 
@@ -325,15 +323,24 @@ def with_pitch(trunk: Array, times: Array, pitch: Array) -> Array:
     """[C] how far the trunk of each block turns faster than in the other blocks where the pitch [K] is high, and slower
     where it is low. trunk: [C, T, 3 n] rotations of the joints from hips to chest as exponential maps."""
     turns = trunk[:, _BEFORE - 1:].reshape(*trunk[:, _BEFORE - 1:].shape[:2], -1, 3).sum(2)
-    speed = lengths(np.diff(turns, axis=1)) / np.diff(times[_BEFORE - 1:])
+    speed = lengths(_steps(turns)) / (times[_BEFORE:] - times[_BEFORE - 1:-1])
     return np.asarray(((speed - speed.mean(0)) / _TRUNK_TURNS * pitch).mean(1))
 
 
 def jolt(hands: Array, times: Array) -> Array:
     """[C] the hands' acceleration at the start of each block over the mean within it, at most 2; arguments as of
     `apart_from_hands`."""
-    velocity = np.diff(hands, axis=1) / np.diff(times)[:, None, None]
-    between = 0.5 * (times[2:] - times[:-2])
-    acceleration = lengths(np.diff(velocity, axis=1) / between[:, None, None]).sum(-1)
+    acceleration = lengths(_speeds(hands, times)[1]).sum(-1)
     at, inside = acceleration[:, _BEFORE - 2], acceleration[:, _BEFORE - 1:]
     return np.asarray(np.minimum(at / (inside.mean(1) + 1.0), 2.0))
+
+
+def _steps(values: Array) -> Array:
+    """[C, T - 1, ...] differences of values [C, T, ...] over time; `numpy.diff` takes twice as long for few of them."""
+    return np.asarray(values[:, 1:] - values[:, :-1])
+
+
+def _speeds(places: Array, times: Array) -> tuple[Array, Array]:
+    """Velocities [C, T - 1, P, 3] and accelerations [C, T - 2, P, 3] of places [C, T, P, 3] at times [T] seconds."""
+    velocity = _steps(places) / (times[1:] - times[:-1])[:, None, None]
+    return velocity, _steps(velocity) / (0.5 * (times[2:] - times[:-2]))[:, None, None]

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -132,7 +133,7 @@ def _gumbel(normal_numbers: Array) -> Array:
 def _log_normal(numbers: Array) -> Array:
     """[M] the logarithm of the standard normal distribution function."""
     # The smaller of the two tails, so that no digit is lost; the import of scipy.special takes twice numpy's time.
-    tails = np.array([0.5 * math.erfc(abs(number) * math.sqrt(0.5)) for number in numbers.tolist()])
+    tails = 0.5 * np.array(list(map(math.erfc, (np.abs(numbers) * math.sqrt(0.5)).tolist())))
     return np.where(numbers > 0.0, np.log1p(-tails), np.log(tails))
 
 
@@ -406,14 +407,19 @@ def shown(bundle: Bundle, rest: Rest | None, block: Floats, offset: Floats | Non
 
 def _hinged(bundle: Bundle, speaker: int, block: Floats) -> Floats:
     """A block [K, D_m] whose elbows bend as people's do: neither backwards nor until the hand is at the shoulder."""
-    statistics, names = bundle.statistics, CHARACTERS[bundle.config.motion.joints].names
-    columns = [3 * names.index(side + "ForeArm") + 1 for side in SIDES]
+    statistics, columns = bundle.statistics, _hinges(bundle.config.motion.joints)
     signs, scale, mean = np.array([1.0, -1.0]), statistics.deviation[columns], statistics.mean_pose[speaker][columns]
     bends = signs * (block[:, columns] * scale + mean)
     low, high, ease = ELBOW
     inside, out = np.clip(bends, low + ease, high - ease), block.copy()
     out[:, columns] = (signs * (inside + ease * np.tanh((bends - inside) / ease)) - mean) / scale
     return out
+
+
+@cache
+def _hinges(joints: int) -> list[int]:
+    """The columns of the bends of both elbows."""
+    return [3 * CHARACTERS[joints].names.index(side + "ForeArm") + 1 for side in SIDES]
 
 
 def decided(speech: SpeechBlock, lexeme: int, scores: Scores, keys: Keys, gate: float = math.nan) -> Block:

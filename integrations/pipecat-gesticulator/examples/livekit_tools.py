@@ -28,6 +28,8 @@ RATE = 22050
 """Hertz of espeak-ng."""
 CALLS = (("make_gesture", {"name": "shrug", "when": "rain"}), ("set_mood", {"style": "sad"}))
 ANSWER = "Then the train went along the river, and the rain had stopped by the evening."
+OPTIONS = {"text": True, "face": "full"}
+"""Of the stream: marks come with the text, and moods show in the face."""
 
 
 class ScriptedModel(llm.LLM):
@@ -91,7 +93,7 @@ class Speaker(AudioOutput):
 
 async def answer(url: str, recorder: Recorder) -> None:
     """One question and its answer, with poses."""
-    async with connect_resuming(url, Hello(RATE, fps=30, options={"text": True, "face": "full"})) as stream:
+    async with connect_resuming(url, Hello(RATE, fps=30, options=OPTIONS)) as stream:
         agent = GesturingAgent(stream, RATE, instructions="Answer in one sentence.")
         session: AgentSession[None] = AgentSession(llm=ScriptedModel(), tts=EspeakVoice())
         session.output.audio = Speaker(recorder, agent)

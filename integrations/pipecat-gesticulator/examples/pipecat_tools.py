@@ -40,6 +40,8 @@ RATE = 22050
 """Hertz of espeak-ng."""
 CALLS = (("make_gesture", {"name": "shrug", "when": "rain"}), ("set_mood", {"style": "sad"}))
 ANSWER = "Then the train went along the river, and the rain had stopped by the evening."
+OPTIONS = {"text": True, "face": "full"}
+"""Of the stream: marks come with the text, and moods show in the face."""
 
 
 class ScriptedModel(LLMService):
@@ -82,7 +84,7 @@ class EspeakVoice(TTSService):
 
 async def answer(url: str) -> list[Frame]:
     """What comes out of the pipeline for one question."""
-    body = GesticulatorProcessor(url, fps=30, options={"text": True, "face": "full"})
+    body = GesticulatorProcessor(url, fps=30, options=OPTIONS)
     model = ScriptedModel()
     tools = body.register_tools(model)
     context = LLMContext([{"role": "user", "content": "What happened then?"}], tools=tools)

@@ -75,6 +75,8 @@ def test_an_agent_whose_model_calls_a_gesture_makes_it(name: str, url: str, tmp_
         pytest.skip("espeak-ng is not installed")
     monkeypatch.syspath_prepend(str(EXAMPLES))
     example = importlib.import_module(name)
+    # Without gestures of its own, so that what the shoulders do is what was called for.
+    monkeypatch.setitem(example.OPTIONS, "activity", 0.0)
 
     async def joints() -> list[str]:
         async with connect(url, Hello(16000)) as stream:
@@ -90,6 +92,6 @@ def test_an_agent_whose_model_calls_a_gesture_makes_it(name: str, url: str, tmp_
         with wave.open(str(tmp_path / "a.wav")) as sound:
             loud = np.abs(np.frombuffer(sound.readframes(10**8), "<i2").astype(np.int32)) > 1000
             begins.append(30 * loud.argmax() / sound.getframerate())
-    assert rises[0].max() > rises[1].max() + 4, "both shoulders rise by 13 degrees in a shrug"
+    assert rises[0].max() > rises[1].max() + 8, "both shoulders rise by 13 degrees in a shrug"
     # "rain" is spoken 2.3 seconds after the voice begins, for which a busy machine takes its time.
     assert 45 < rises[0].argmax() - begins[0] < 120
