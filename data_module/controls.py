@@ -24,15 +24,12 @@ __all__ = ["Controls", "Curve", "Levels", "measure"]
 FEATURES = ("height", "speed", "radius")
 """Right hand over the hips (m), mean speed of both hands (m/s), mean horizontal distance of both hands from the
 vertical axis through the root (m)."""
-UNITS = {"height": "m", "speed": "m/s", "radius": "m"}
 LEVELS = ("low", "mid", "high")
 QUANTILES = (0.15, 0.5, 0.85)
 WINDOW = 4.0
 """Seconds (RG 7.2.1)."""
 
 _HANDS = ("RightHand", "LeftHand")
-LIMITS = {"height": (-1.5, 2.0), "speed": (0.0, 20.0), "radius": (0.0, 2.0)}
-"""Smallest and greatest values of the features: no body does more."""
 # Spread below which a feature counts as constant, in its unit.
 _LEAST_SPREAD = 1e-3
 

@@ -10,7 +10,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from data_module.controls import FEATURES, LEVELS, LIMITS, UNITS, Controls, Curve, Levels
+from data_module.controls import FEATURES, LEVELS, Controls, Curve, Levels
 from data_module.errors import InputError, shown
 from data_module.speech.audio import SAMPLE_RATE, SpeechInput, amplified, as_speech, resample
 from data_module.types import Blocks, Speech
@@ -397,6 +397,8 @@ def hand_controls(bundle: Bundle, options: InferenceOptions) -> Controls:
 def hand_target(flag: str, text: str, feature: str, levels: Levels) -> float:
     """The target of a feature from "low", "mid" or "high", or a number in its unit. `InputError` names the flag. A
     value far from the training data gives a `ControlWarning` and is used."""
+    from gesticulator.directing.directions import LIMITS, UNITS
+
     plain = text.strip()
     if plain.lower() in LEVELS:
         return levels.value(feature, plain.lower())

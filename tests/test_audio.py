@@ -343,6 +343,13 @@ def test_sound_that_begins_late_in_a_video_begins_late(tmp_path: Path) -> None:
     assert len(samples) == pytest.approx(40000, abs=200)
 
 
+def test_ogg_streams_in_a_row_are_one_sound(tmp_path: Path) -> None:
+    """As a radio station sends them, and as the answers of a speech synthesiser are joined."""
+    data = contained(tone(48000), "ogg", "libopus") + contained(tone(48000, 1.0), "ogg", "libopus")
+    check_tone(speech := audio.load_speech(put(tmp_path, "a.ogg", data)), 0.05)
+    assert speech.duration == pytest.approx(3.0, abs=0.1)
+
+
 def test_of_several_tracks_the_first_is_taken_which_is_said(tmp_path: Path) -> None:
     data = contained(tone(48000), "matroska", "flac")
     av = pytest.importorskip("av")

@@ -35,13 +35,11 @@ class Options:
 
 @dataclass(frozen=True)
 class Item:
-    """A recording that a reader can read. content: data for the reader (picklable). size: amount of work relative to
-    the other recordings (bytes, seconds), for scheduling."""
+    """A recording that a reader can read. content: data for the reader (picklable)."""
 
     info: RecordingInfo
     index: int
     content: Any = None
-    size: float = 1.0
 
 
 @dataclass(frozen=True)

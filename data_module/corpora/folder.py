@@ -93,8 +93,7 @@ class Folder:
                 "split": self._options.split or DEFAULT_SPLIT, "speaker": self._options.speaker}
 
     def items(self) -> Sequence[Item]:
-        return [Item(info, index, size=sum(file.stat().st_size for file in self._pairs[info.name]))
-                for index, info in enumerate(self._infos)]
+        return [Item(info, index) for index, info in enumerate(self._infos)]
 
     def _listed(self) -> list[RecordingInfo]:
         beside = {name: self._fields(name) for name in self._pairs}

@@ -101,7 +101,7 @@ class TakeReader:
 
     def items(self) -> Sequence[Item]:
         """See `Reader.items`."""
-        return [Item(info, index, size=sum(self._takes[info.name].sizes())) for index, info in enumerate(self._infos)]
+        return [Item(info, index) for index, info in enumerate(self._infos)]
 
     def read(self, item: Item) -> Imported:
         """See `Reader.read`."""

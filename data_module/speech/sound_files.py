@@ -153,6 +153,12 @@ def decoder(raw: BinaryIO, name: object) -> Iterator[Sound]:
     raw.seek(0)
     by_name = "" if head.startswith(_HEADED) else _BY_NAME.get(PurePath(str(name)).suffix.lower(), "")
     kind = container_of(head) if not by_name else by_name if by_name.islower() else ""
+    if head.startswith(b"OggS"):
+        # Of streams in a row libsndfile reads the first; then the last page has the number of another stream.
+        raw.seek(max(0, raw.seek(0, io.SEEK_END) - _HEAD))
+        tail = raw.read()
+        kind = "ogg" if tail[tail.rfind(b"OggS"):][14:18] != head[14:18] else kind
+        raw.seek(0)
     with contextlib.ExitStack() as files:
         try:
             sound = files.enter_context(container(raw, kind, name) if kind else _sndfile(raw, head, by_name))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_module.controls import FEATURES, LIMITS, UNITS, Controls, Curve
+from data_module.controls import FEATURES, Controls, Curve
 from data_module.errors import InputError, shown
 from data_module.types import Array, Speech, Word
 from gesticulator.bundle.bundle import Bundle
@@ -18,6 +18,10 @@ from gesticulator.directing.lexeme_names import lexeme_names
 from gesticulator.options import FPS, InferenceOptions, interpreter_name
 from gesticulator.plan.plan import GesturePlan, PlanKnobs, edited_blocks
 from gesticulator.sampling.loop import ControlRows, Request
+
+UNITS = {"height": "m", "speed": "m/s", "radius": "m"}
+LIMITS = {"height": (-1.5, 2.0), "speed": (0.0, 20.0), "radius": (0.0, 2.0)}
+"""Smallest and greatest values of the controls of hands: no body does more."""
 
 
 def still_frames(knobs: PlanKnobs, times: Array, start: float) -> NDArray[np.bool_] | None:

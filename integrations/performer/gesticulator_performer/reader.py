@@ -197,7 +197,7 @@ class Performer:
     def _speech_for_motion(self, item: Item) -> Recording:
         takes = [take for take in self._library.talks() if self._take_splits[take.name] == item.info.split]
         pool = self._pool(item.info.voice, item.info.split)
-        motion, spoken, used = talk_for_motion(item.info.speaker, item.size, self._library, takes, pool,
+        motion, spoken, used = talk_for_motion(item.info.speaker, item.info.seconds, self._library, takes, pool,
                                                self._rng(item.index, _PLAY))
         info = replace(item.info, language=spoken.language, sources=used)
         return Recording(info, replace(spoken.speech, speaker=info.speaker), motion, stands=True)
@@ -259,8 +259,8 @@ class Performer:
             groups = [group for group in MOTION_GROUPS if group in able]
             group, voice = groups[turn % len(groups)], MOTION_VOICES[split][turn % len(MOTION_VOICES[split])]
             name = f"motion_{place:04d}_{group}"
-            info = RecordingInfo(name, split, group, voice, "en", group=name, part="motion")
-            items.append(Item(info, _FIRST["motion"] + place, None, seconds))
+            info = RecordingInfo(name, split, group, voice, "en", seconds, group=name, part="motion")
+            items.append(Item(info, _FIRST["motion"] + place))
         return items
 
     def _places(self, part: str, lengths: tuple[float, float]
@@ -289,8 +289,8 @@ class Performer:
             source = "test" if split == "test" else "train"
             written = text.compose(rng, seconds, source, used[source], repertoire=self._repertoire is not None)
             name = f"{part}_{place:04d}_{performer}"
-            info = RecordingInfo(name, split, performer, voice, "en", group=name, part=part)
-            items.append(Item(info, _FIRST[part] + place, tuple(written), seconds))
+            info = RecordingInfo(name, split, performer, voice, "en", seconds, group=name, part=part)
+            items.append(Item(info, _FIRST[part] + place, tuple(written)))
         return items
 
     def _readings(self) -> list[Item]:
@@ -307,10 +307,10 @@ class Performer:
                 group = stem if part == "whole" else f"{stem}_{part}"
                 for player in range(min(1 if split == "test" else PERFORMERS_PER_READING, len(self._performers))):
                     performer = self._performers[(number + player) % len(self._performers)]
-                    info = RecordingInfo(f"read_{group}_{performer}", split, performer, stem, language, group=group,
-                                         part="reading")
+                    info = RecordingInfo(f"read_{group}_{performer}", split, performer, stem, language, LONGEST,
+                                         group=group, part="reading")
                     index = _FIRST["reading"] + number * 100 + place * 10 + player
-                    items.append(Item(info, index, part, LONGEST))
+                    items.append(Item(info, index, part))
         return items
 
     def _reading(self, item: Item) -> Spoken:

@@ -48,7 +48,7 @@ def test_plan_of_the_default_performer(source: Path, reader: Performer) -> None:
     assert share["val"] >= 20 and sum(info.split == "test" for info in infos) >= 60
     seconds = Counter[str]()
     for item in items:
-        seconds[item.info.split] += item.size
+        seconds[item.info.split] += item.info.seconds
     assert seconds["train"] > 0.7 * seconds.total(), "recordings for test are short"
     train = [info for info in infos if info.split != "test"]
     test = [info for info in infos if info.split == "test"]
