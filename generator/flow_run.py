@@ -124,7 +124,7 @@ class FlowRunner:
         if self._control_width:
             rows.append(np.zeros((self.frames, self._control_width), np.float32) if given.control is None
                         else given.control)
-            known.append(rows[-1].mean(-2))
+            known.append(rows[-1].mean(-2) if given.control is not None else rows[-1][0])
         for width, row in ((self.unit_width, given.unit), (self._style_width, given.style)):
             known.append(np.zeros(width, np.float32) if row is None else row)
         gathered = layers.gelu(self._gather(layers.side_by_side([*known, self._code(layers.side_by_side(rows))])))

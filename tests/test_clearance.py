@@ -2,7 +2,6 @@
 face and elbows off its back: known answers, speeds, the whole."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -89,7 +88,7 @@ def test_a_path_knows_whether_its_frames_were_clear() -> None:
     def path_of(swing: float) -> tuple[ClearedPath, Array]:
         motion = reaching(np.full(40, swing), np.full(40, 1.9))
         poses = rotation.to_exponential_map(motion.rotations).reshape(40, -1)
-        path = ClearedPath(poses[0], FPS, 0.05, partial(cleared_poses, representation=Rotations(len(FINGERED))))
+        path = ClearedPath(poses[0], FPS, 0.05, cleared_poses)
         return path, path.push(np.arange(1, 41) / 20.0, poses)
 
     for swing in (-0.5, 0.3, 1.9):

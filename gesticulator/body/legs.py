@@ -46,7 +46,7 @@ from data_module.motion.standing_legs import bent_leg, leg_lengths
 from data_module.types import Array, Motion
 from gesticulator.body.life import Shifts, breath, eased, noise, normal, uniform, weight_shifts
 from gesticulator.contacts.lap import SEAT_SPREAD
-from gesticulator.contacts.limbs import pose_of
+from gesticulator.contacts.limbs import posed
 
 __all__ = ["Stance", "seated", "with_legs"]
 
@@ -389,7 +389,7 @@ class _Follower:
 
     def step(self, body: Motion) -> _Drives:
         """The drives in the next frames of a body on the skeleton of the whole body."""
-        pose = pose_of(replace(body, root_positions=np.zeros((len(body), 3))), ("Spine3", "LeftHand", "RightHand"))
+        pose = posed(body.skeleton, body.rotations, ("Spine3", "LeftHand", "RightHand"))
         # The first column of a turn is where the body's left points to.
         roll = np.degrees(np.arcsin(np.clip(pose.turns["Hips"][:, 1, 0], -1.0, 1.0)))
         left = pose.turns["Spine3"][..., 0]

@@ -73,7 +73,7 @@ class MotionPath:
         first: Array = bundle.statistics.rest_pose[speaker]
         # Nobody saw what was before: a body that can begin elsewhere than at rest begins in its first knot.
         self._unseen = bundle.config.rests_by_phrase
-        self._free = partial(cleared_poses, representation=self._representation, sits=options.seated)
+        self._free = partial(cleared_poses, sits=options.seated)
         path = partial(ClearedPath, cleared=self._free) if self._unseen else KnotPath
         self._path = partial(path, fps=float(options.fps), smooth_over=bundle.config.motion.smoothing)
         self._knots = self._path(first, prompt=prompt)

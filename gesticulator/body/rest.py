@@ -210,10 +210,11 @@ class _Stop:
     sinks_in: float
     hold: float
 
-    def at(self, time: float) -> Array:
+    def at(self, time: Array | float) -> Array:
+        """[D] at a time in seconds, or [K, D] at times [K, 1]."""
         s = np.minimum((time - self.begin) / self.stops_in, 1.0)
         stopped = _hermite(s, self.pose, self.velocity * self.stops_in, self.stopped)
-        u = min(max((time - self.begin - self.hold) / self.sinks_in, 0.0), 1.0)
+        u = np.minimum(np.maximum((time - self.begin - self.hold) / self.sinks_in, 0.0), 1.0)
         return stopped + u * u * (3.0 - 2.0 * u) * (self.rest - stopped)
 
 
@@ -254,6 +255,10 @@ class RestingPart:
         if self._stop is None and not rests.any():  # most blocks of speech; a join ends with its block
             self._last = [*self._last, *zip(times.tolist(), generated, strict=True)][-2:]
             return generated
+        if self._stop is not None and rests.all() and not moves and not self._drift.any():  # most blocks of a pause
+            out = self._stop.at(times[:, None]) + self._drift
+            self._last = [*self._last, *zip(times.tolist(), out, strict=True)][-2:]
+            return out
         out = np.empty_like(generated)
         for k, time in enumerate(times):
             if rests[k] and self._stop is None:

@@ -28,8 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module.motion import rotation
-from data_module.motion.representation import Representation
-from data_module.motion.skeletons import SIDES
+from data_module.motion.skeletons import CHARACTERS, SIDES
 from data_module.types import Array, Motion, Skeleton
 from gesticulator.contacts import limbs
 from gesticulator.contacts.limbs import length
@@ -80,9 +79,16 @@ _SWINGS = 7
 def cleared(motion: Motion, sits: bool = False) -> Motion:
     """A motion on the default skeleton with the hands outside trunk and face. sits: and above its thighs, those of a
     body that sits; the motion may still lack them."""
-    names = _joints_of(motion.skeleton.names, sits)
-    pose = limbs.pose_of(motion, names, from_root=True)
-    body, rotations = _Body.of(pose, sits), None
+    free = _cleared(motion.skeleton, motion.rotations, sits)
+    # Most motions are clear, and are returned as they came.
+    return motion if free is motion.rotations else replace(motion, rotations=free)
+
+
+def _cleared(skeleton: Skeleton, rotations: Array, sits: bool) -> Array:
+    """Local rotations [T, J, 4] with the hands outside, or these themselves if they are; see `cleared`."""
+    names = _joints_of(skeleton.names, sits)
+    pose, free = limbs.posed(skeleton, rotations, names), rotations
+    body = _Body.of(pose, sits)
     parts = (*_HAND, *limbs.FINGERTIPS)
     points = [[pose.places[side + part] for part in parts if side + part in names] for side in SIDES]
     push = body.push(np.array(points), _SIGNS)
@@ -91,11 +97,10 @@ def cleared(motion: Motion, sits: bool = False) -> Motion:
     moved = (length(push) > limbs.LEAST) | (length(hidden) > limbs.LEAST)
     for side, sign, frames in zip(SIDES, (1.0, -1.0), moved[..., 0], strict=True):
         if frames.any():
-            # Most motions are clear, and are returned as they came.
-            rotations = motion.rotations.copy() if rotations is None else rotations
+            free = rotations.copy() if free is rotations else free
             posed, at = (pose.at(frames), body.at(frames)), np.flatnonzero(frames)
-            _bend_arm(rotations, motion.skeleton, posed, (side, sign), at)
-    return motion if rotations is None else replace(motion, rotations=rotations)
+            _bend_arm(free, skeleton, posed, (side, sign), at)
+    return free
 
 
 @lru_cache(maxsize=16)
@@ -159,16 +164,16 @@ def _tipped(turn: Array, hand: tuple[Array, Array], body: _Body, sign: float) ->
     return turn
 
 
-def cleared_poses(poses: Array, representation: Representation, sits: bool = False) -> Array:
-    """Poses [K, D] of a representation by rotations with the hands outside trunk and face; sits: see `cleared`."""
-    motion = representation.motion(poses, 1.0)
-    free = cleared(motion, sits)
-    if free is motion:
+def cleared_poses(poses: Array, sits: bool = False) -> Array:
+    """Poses [K, 3 J] as exponential maps with the hands outside trunk and face; sits: see `cleared`."""
+    rotations = rotation.from_exponential_map(poses.reshape(len(poses), -1, 3))
+    free = _cleared(CHARACTERS[rotations.shape[1]], rotations, sits)
+    if free is rotations:
         return poses
-    moved = (free.rotations != motion.rotations).any(axis=-1)
+    moved = (free != rotations).any(axis=-1)
     # Of the exponential maps of a rotation, the one nearest to the given pose: models differentiate them over time.
     out = poses.reshape(*moved.shape, 3).copy()
-    out[moved] = rotation.unroll(np.stack([out[moved], rotation.to_exponential_map(free.rotations[moved])]))[1]
+    out[moved] = rotation.unroll(np.stack([out[moved], rotation.to_exponential_map(free[moved])]))[1]
     return np.asarray(out.reshape(poses.shape))
 
 

@@ -42,21 +42,23 @@ class Pose:
                     {joint: place[frames] for joint, place in self.places.items()})
 
 
-def pose_of(motion: Motion, names: Sequence[str] | None = None, from_root: bool = False) -> Pose:
-    """World rotations and positions of a motion's joints; of these and those above them, if names are given. from_root:
-    positions relative to the root."""
-    skeleton = motion.skeleton
+def pose_of(motion: Motion, names: Sequence[str] | None = None) -> Pose:
+    """World rotations and positions of a motion's joints; of these and those above them, if names are given."""
+    return posed(motion.skeleton, motion.rotations, names, motion.root_positions)
+
+
+def posed(skeleton: Skeleton, rotations: Array, names: Sequence[str] | None = None, root: Array | None = None) -> Pose:
+    """As `pose_of` for local rotations [T, J, 4]; root: [T, 3] its places, by default the origin."""
     # Fewer joints cost less: a stream asks for a dozen of 54 in every block.
     joints: Sequence[int] = range(len(skeleton))
     if names is not None:
         joints = with_ancestors(skeleton.parents, tuple(map(skeleton.index, names)))
-    local = rotation.to_matrix(motion.rotations[:, joints])
+    local = rotation.to_matrix(rotations[:, joints])
     turns, places = {}, {}
     for place, joint in enumerate(joints):
         name, parent = skeleton.names[joint], skeleton.parents[joint]
         if parent < 0:
-            root = np.zeros_like(motion.root_positions) if from_root else motion.root_positions
-            turns[name], places[name] = local[:, place], root
+            turns[name], places[name] = local[:, place], np.zeros((len(rotations), 3)) if root is None else root
         else:
             above = skeleton.names[parent]
             turns[name] = turns[above] @ local[:, place]

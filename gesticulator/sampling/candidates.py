@@ -22,12 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_module import controls
-from data_module.motion.kinematics import chains, places_of_some, positions_of_some
+from data_module.motion.kinematics import chains, places_of_some
 from data_module.motion.rotation import cross, from_exponential_map
+from data_module.motion.skeletons import CHARACTERS
 from data_module.types import Array
 from gesticulator.body.life import HEAD
 from gesticulator.bundle.bundle import Bundle
-from gesticulator.bundle.features import SpeechBlock, representation_of
+from gesticulator.bundle.features import SpeechBlock
 from gesticulator.contacts.default_body import back_at, front_at
 from gesticulator.contacts.limbs import lengths
 
@@ -80,9 +81,10 @@ LEXEME, SEAM, BODY, TOGETHER, PITCH, CONTROLS, NATURAL = 2.0, 0.25, 16.0, 1.0, 1
 @dataclass(frozen=True)
 class CandidateMotion:
     """The motion of C candidates over T frames: the last `_BEFORE` before a block, and those of the block. poses: [C,
-    T, D_m] radians or metres; places: [C, T, 8, 3] positions over the hips, metres, of hands, elbows and shoulders (the
-    right one first), the chest and the head; times: [T] seconds; behind, to_face: `behind_trunk` and `_to_face` in the
-    block; beyond: [C] `beyond` of the places with the shift that is shown."""
+    T, 3 J] exponential maps of the J joints up to those of the places; places: [C, T, 8, 3] positions over the hips,
+    metres, of hands, elbows and shoulders (the right one first), the chest and the head; times: [T] seconds; behind,
+    to_face: `behind_trunk` and `_to_face` in the block; beyond: [C] `beyond` of the places with the shift that is
+    shown."""
 
     poses: Array
     places: Array
@@ -96,19 +98,20 @@ class CandidateChooser:
     """Chooses among the candidates of a block for one speaker."""
 
     def __init__(self, bundle: Bundle, speaker: int) -> None:
-        self._statistics, self._speaker = bundle.statistics, speaker
-        self._representation = representation_of(bundle.config)
-        skeleton = self._representation.motion(self._statistics.rest_pose[speaker][None], 1.0).skeleton
+        self._levels, whole = bundle.statistics.levels, CHARACTERS[bundle.config.motion.joints]
         # The joint above the shoulders, by whatever name the skeleton has for it.
-        chest = skeleton.parents[skeleton.index("RightShoulder")]
+        chest = whole.parents[whole.index("RightShoulder")]
         # The chest stands on the way to a hand: it costs nothing more. The head is at the end of three joints.
-        self._joints = [skeleton.index(side + part) for part in ("Hand", "ForeArm", "Arm")
-                        for side in ("Right", "Left")]
-        self._joints += [chest, skeleton.index("Head")]
-        self._head = np.flatnonzero(np.repeat([name in HEAD for name in skeleton.names], 3))
-        self._trunk = np.flatnonzero(np.repeat([name in _TRUNK for name in skeleton.names], 3))
+        ends = [whole.index(side + part) for part in ("Hand", "ForeArm", "Arm") for side in ("Right", "Left")]
+        ends += [chest, whole.index("Head")]
         # Local rotations are independent, and only a quarter of the joints moves the hands.
-        self._arms = chains(skeleton, self._joints) if self._representation.name == "rotations" else None
+        self._skeleton, joints = chains(whole, ends)
+        self._ends = [joints.index(joint) for joint in ends]
+        self._columns = np.flatnonzero(np.repeat(np.isin(np.arange(len(whole)), joints), 3))
+        self._deviation = bundle.statistics.deviation[self._columns]
+        self._mean = bundle.statistics.mean_pose[speaker][self._columns]
+        self._head, self._trunk = (np.flatnonzero(np.repeat([name in part for name in self._skeleton.names], 3))
+                                   for part in (HEAD, _TRUNK))
 
     def motion(self, speech: SpeechBlock, past: Floating, blocks: Floating, shift: Floating | None = None
                ) -> CandidateMotion:
@@ -159,26 +162,20 @@ class CandidateChooser:
         return bool(not motion.beyond.all() and (nearest >= _BEFORE_FACE).any())
 
     def _poses(self, past: Floating, blocks: Floating, shift: Floating | None = None) -> Array:
-        """[C, T, D_m] as of `CandidateMotion`, and with a shift those with it after them; see `motion` for the
+        """[C, T, 3 J] as of `CandidateMotion`, and with a shift those with it after them; see `motion` for the
         arguments."""
+        before, within = past[-_BEFORE:, self._columns], blocks[..., self._columns]
         # Frames before the block give the speeds at its start.
-        frames: Array = np.concatenate([np.repeat(past[None, -_BEFORE:], len(blocks), axis=0), blocks], axis=1)
+        frames: Array = np.concatenate([np.repeat(before[None], len(blocks), axis=0), within], axis=1)
         if shift is not None:
             # As further candidates: kinematics of few frames cost by the call.
-            frames = np.concatenate([frames, frames + shift[-frames.shape[1]:]])
-        poses = self._statistics.denormalise(frames.reshape(-1, frames.shape[-1]), self._speaker)
-        return np.asarray(poses.reshape(frames.shape))
+            frames = np.concatenate([frames, frames + shift[-frames.shape[1]:, self._columns]])
+        return frames * self._deviation + self._mean
 
     def _places(self, frames: Array) -> Array:
-        """[C, T, 8, 3] as of `CandidateMotion`, from poses [C, T, D_m]."""
-        poses = frames.reshape(-1, frames.shape[-1])
-        if self._arms is None:
-            places = positions_of_some(self._representation.motion(poses, 1.0), self._joints)
-        else:
-            skeleton, joints = self._arms
-            rotations = from_exponential_map(poses.reshape(len(poses), -1, 3)[:, joints])
-            places = places_of_some(skeleton, rotations, [joints.index(joint) for joint in self._joints])
-        return places.reshape(*frames.shape[:2], len(self._joints), 3)
+        """[C, T, 8, 3] as of `CandidateMotion`, from poses [C, T, 3 J]."""
+        rotations = from_exponential_map(frames.reshape(-1, len(self._skeleton), 3))
+        return places_of_some(self._skeleton, rotations, self._ends).reshape(*frames.shape[:2], len(self._ends), 3)
 
     @staticmethod
     def _times(speech: SpeechBlock, frames: int) -> Array:
@@ -190,7 +187,7 @@ class CandidateChooser:
 
     def _control_error(self, hands: Array, times: Array, control: Floating) -> Array:
         """[C] distance of each candidate's hands [C, T, 2, 3] from the controlled features, in standard deviations."""
-        levels, width, inside = self._statistics.levels, len(controls.FEATURES), hands[:, _BEFORE:]
+        levels, width, inside = self._levels, len(controls.FEATURES), hands[:, _BEFORE:]
         assert levels is not None, "there are no controls without levels"
         # The same definition as of the training data (`data_module.controls`), mean over the block.
         steps = np.linalg.norm(_steps(hands[:, _BEFORE - 1:]), axis=-1).mean(-1)
