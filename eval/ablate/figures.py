@@ -32,9 +32,9 @@ from eval.pictures import intervals, plots
 from eval.pictures.canvas import STYLE
 from eval.pictures.embedding import embed, embedding_panels, joint_embedding, neighbours_agree
 from eval.pictures.strips import PAGE, Source, draw_page, save_strip
+from gesticulator.directing.directions import UNITS
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.options import FPS
-from gesticulator.directing.directions import UNITS
 from gesticulator.training.stages import LABELS
 
 if TYPE_CHECKING:
