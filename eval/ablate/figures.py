@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from data_module.blocks import cut
-from data_module.controls import FEATURES, LEVELS, UNITS, Controls, measure
+from data_module.controls import FEATURES, LEVELS, Controls, measure
 from data_module.errors import InputError
 from data_module.motion.motion_beats import acting_positions, acting_speed, motion_beats
 from data_module.speech.beats import find_beats
@@ -32,6 +32,7 @@ from eval.pictures import intervals, plots
 from eval.pictures.canvas import STYLE
 from eval.pictures.embedding import embed, embedding_panels, joint_embedding, neighbours_agree
 from eval.pictures.strips import PAGE, Source, draw_page, save_strip
+from gesticulator.directing.directions import UNITS
 from gesticulator.gesticulator import Gesticulator
 from gesticulator.options import FPS
 from gesticulator.training.stages import LABELS

@@ -101,5 +101,7 @@ def run_in_blender(subject: Path, script: Path, *arguments: str) -> str:
         messages = (done.stderr or done.stdout).strip().splitlines() or ["no message"]
         # The exception itself: Blender adds lines on the places in its own code.
         reason = next((line for line in reversed(messages) if _EXCEPTION.match(line)), messages[-1])
-        raise InputError(subject, f"was rejected by Blender ({reason})", "open it in Blender, and export it again")
+        advice = "export it as binary FBX, or as GLB" if "ASCII FBX" in reason \
+            else "open it in Blender, and export it again"
+        raise InputError(subject, f"was rejected by Blender ({reason})", advice)
     return done.stdout
