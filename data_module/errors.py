@@ -110,16 +110,6 @@ def one_line_errors(program: str) -> Iterator[None]:
         raise SystemExit(EXIT_STOPPED) from None
 
 
-def status(line: str, logged: bool = False) -> None:
-    """Show what is being done: on a terminal in one line of standard error, "" to blank it; elsewhere, if it is
-    `logged`, in lines of standard output. The import of tqdm would take a fortieth of a short recording."""
-    if sys.stderr is not None and sys.stderr.isatty():
-        # Back to its start, where a warning is written over it.
-        print(f"\r{line[:79]:<79}\r", end="", file=sys.stderr, flush=True)
-    elif logged:
-        print(line, flush=True)
-
-
 def complain(line: str) -> None:
     """Print a line on standard error, if it is open; characters that its encoding lacks, and invalid bytes in file
     names, are written as \\x escapes."""

@@ -11,6 +11,7 @@ import re
 import secrets
 import shutil
 import socket
+import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -177,21 +178,28 @@ def _unreadable(path: str | os.PathLike[str], error: Exception) -> InputError:
                       "check the path and its rights")
 
 
-def read_text(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_TEXT) -> str:
+def read_text(path: str | os.PathLike[str], advice: str, largest: int = LARGEST_TEXT, other: str = "") -> str:
     """The text of a file in UTF-8, with or without a byte order mark, or in UTF-16 with one; line ends become "\\n".
-    InputError as of `read_bytes`, and with `advice` for a file that is not text."""
-    text = decoded(read_bytes(path, advice, largest), path, advice)
+    other: the encoding that a file in none of these is read in, with a warning; "" for none. InputError as of
+    `read_bytes`, and with `advice` for a file that is not text."""
+    text = decoded(read_bytes(path, advice, largest), path, advice, other)
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
-def decoded(data: bytes, source: object, advice: str) -> str:
-    """Bytes as text in UTF-8 or, with a byte order mark, UTF-16; `InputError` with the line that is not text."""
+def decoded(data: bytes, source: object, advice: str, other: str = "") -> str:
+    """Bytes as text in UTF-8 or, with a byte order mark, UTF-16, or in `other`, see `read_text`; `InputError` with the
+    line that is not text."""
     encoding = next((encoding for mark, encoding in _MARKED if data.startswith(mark)), "utf-8")
     try:
         text = data.decode(encoding)
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(source, f"line {line}: is not text in UTF-8", advice) from None
+        wrong = f"line {line}: is not text in UTF-8"
+        try:
+            text = data.decode(other or encoding)
+        except UnicodeDecodeError:
+            raise InputError(source, wrong, advice) from None
+        warnings.warn(f"{source}: {wrong}, so it is read as {other}", stacklevel=2)
     if "\0" in text:
         raise InputError(source, f"line {text.count(chr(10), 0, text.index(chr(0))) + 1}: is not text in UTF-8 "
                          "(it has a zero byte)", advice)

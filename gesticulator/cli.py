@@ -86,6 +86,16 @@ def our_warnings() -> Iterator[None]:
         yield
 
 
+def status(line: str, logged: bool = False) -> None:
+    """Show what is being done: on a terminal in one line of standard error, "" to blank it; elsewhere, if it is
+    `logged`, in lines of standard output. The import of tqdm would take a fortieth of a short recording."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        # Back to its start, where a warning is written over it.
+        print(f"\r{line[:79]:<79}\r", end="", file=sys.stderr, flush=True)
+    elif logged:
+        print(line, flush=True)
+
+
 def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
     complain(f"{PROGRAM}: warning: {' '.join(str(message).split())}")
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line, printable, status
+from data_module.errors import EXIT_BAD_INPUT, InputError, complain, one_line, printable
 from data_module.files import opened
-from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings
+from gesticulator.cli import PROGRAM, Command, limited_threads, our_warnings, status
 from gesticulator.jobs import CharacterRequest, Job, RunSettings, infer_arguments, jobs_of, run_settings_of
 
 if TYPE_CHECKING:

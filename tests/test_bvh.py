@@ -192,10 +192,12 @@ def test_metres_centimetres_and_millimetres_are_told_apart(tmp_path: Path, unit:
     small().replace("  ", "\t"),
     small() + "\n\n",
     small().rstrip("\n"),
-], ids=["CRLF", "BOM", "tabs", "blank lines", "no last line end"])
+    small().replace("JOINT Tail", "JOINT Left Tail"),
+], ids=["CRLF", "BOM", "tabs", "blank lines", "no last line end", "names of two words"])
 def test_the_ways_in_which_tools_write_are_all_read(tmp_path: Path, text: str) -> None:
     motion = read_bvh(stored(tmp_path, text), unit=1.0)
     assert motion.root_positions.tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+    assert motion.skeleton.names == ("Hips", "Left Tail" if "Left" in text else "Tail")
 
 
 BROKEN = {

@@ -247,8 +247,14 @@ def test_the_transcript_of_another_recording_is_refused(tmp_path: Path) -> None:
         with_transcript(_noise(2.0), _read(tmp_path, "a.json", content))
 
 
+def test_western_subtitles_in_an_older_encoding_are_read_with_a_warning(tmp_path: Path) -> None:
+    cue = "1\n00:00:00,500 --> 00:00:02,000\n«Où est le café»\n"
+    with pytest.warns(UserWarning, match="a.srt: line 3: is not text in UTF-8, so it is read as windows-1252"):
+        assert _read(tmp_path, "a.srt", cue.encode("latin-1")).text == "«Où est le café»"
+
+
 def test_files_that_are_no_text(tmp_path: Path) -> None:
-    assert "line 2: is not text in UTF-8" in _refusal(tmp_path, "a.txt", b"good\nb\xe4d\n")
+    assert "line 2: is not text in UTF-8" in _refusal(tmp_path, "a.txt", b"good\nb\x81d\n")
     assert "is not text" in _refusal(tmp_path, "a.txt", b"RIFF\0\0\0")
     assert "has no words" in _refusal(tmp_path, "a.txt", "")
     assert "has no words" in _refusal(tmp_path, "a.txt", "... -- !\n")

@@ -7,7 +7,7 @@ out and reported; the words of a take without text are unknown.
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +31,6 @@ class Take:
     motion: Path
     sound: Path
     text: Path | None = None
-
-    def sizes(self) -> list[int]:
-        """Sizes of its files in bytes, to detect changes."""
-        return [file.stat().st_size for file in (self.motion, self.sound, self.text) if file is not None]
 
 
 def find_takes(source: Path, name: re.Pattern[str], shape: str, advice: str, *, texts: Sequence[str] = TEXTS
@@ -96,7 +92,8 @@ class TakeReader:
     def settings(self) -> Mapping[str, Any]:
         """See `Reader.settings`."""
         # The sizes of the files stand for their content: hashing hours of sound would take minutes.
-        return {"files": {info.name: [info.split, *self._takes[info.name].sizes()] for info in self._infos},
+        sizes = {name: [file.stat().st_size for file in astuple(take) if file] for name, take in self._takes.items()}
+        return {"files": {info.name: [info.split, *sizes[info.name]] for info in self._infos},
                 "motion_fps": self._options.fps, "unit": self._options.unit}
 
     def items(self) -> Sequence[Item]:

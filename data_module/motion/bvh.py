@@ -95,6 +95,8 @@ def _parse_header(text: str, path: str) -> _Header:
         word = tokens.take().upper()
         if word == ("JOINT" if names else "ROOT"):
             names.append(tokens.take())
+            while tokens.peek() not in ("{", ""):  # bones of other programs have names of several words
+                names[-1] += f" {tokens.take()}"
             parents.append(stack[-1] if stack else -1)
             stack.append(len(names) - 1)
             tokens.take("{")

@@ -74,6 +74,8 @@ LONGEST_MEDIAN = 5.0
 # Words below which a rate says nothing.
 _FEW = 8
 _ENGLISH_ONLY = "the aligner supports English only"
+# In which subtitles of Western languages come that are not in UTF-8; a superset of Latin-1.
+_WESTERN = "windows-1252"
 # Seconds, 115 days: numbers beyond are no times, and sums of them overflow.
 _LATEST = 1e7
 
@@ -105,7 +107,8 @@ def read_transcript(path: str | os.PathLike[str], speech: Speech | None = None) 
     reader = FORMATS.get(name.suffix.lower())
     if reader is None:
         raise InputError(name, "is not a supported transcript", f"give one of {', '.join(FORMATS)}")
-    content = reader(str(name), read_text(name, "save it as text in UTF-8"), speech.speaker if speech else None)
+    text = read_text(name, "save it as text in UTF-8", other=_WESTERN)
+    content = reader(str(name), text, speech.speaker if speech else None)
     transcript = _transcript(str(name), content)
     if not (aligner.written_words(transcript.text) if transcript.words is None else _spoken(transcript.words)):
         raise InputError(name, "has no words", "give the text that is spoken")

@@ -15,9 +15,9 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data_module.errors import InputError, one_line, status
+from data_module.errors import InputError, one_line
 from data_module.files import opened
-from gesticulator.cli import Command, limited_threads, our_warnings
+from gesticulator.cli import Command, limited_threads, our_warnings, status
 from gesticulator.infer import Worker, load
 from gesticulator.jobs import Job, RunSettings, performance_arguments, run_settings_of, settings_of
 
