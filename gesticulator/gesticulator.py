@@ -18,7 +18,7 @@ from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.bundle import load as load_bundle
 from gesticulator.bundle.features import SpeechFeatures, front_end_for
 from gesticulator.bundle.files import bundle_folder
-from gesticulator.options import HandControl, InferenceOptions
+from gesticulator.options import HAND_LIMITS, HAND_UNITS, HandControl, InferenceOptions
 from gesticulator.performance import Assembler, Performance
 from gesticulator.plan.plan import ENERGIES, named, sound_hash, words_of
 from gesticulator.sampling import loop
@@ -397,24 +397,22 @@ def hand_controls(bundle: Bundle, options: InferenceOptions) -> Controls:
 def hand_target(flag: str, text: str, feature: str, levels: Levels) -> float:
     """The target of a feature from "low", "mid" or "high", or a number in its unit. `InputError` names the flag. A
     value far from the training data gives a `ControlWarning` and is used."""
-    from gesticulator.directing.directions import LIMITS, UNITS
-
     plain = text.strip()
     if plain.lower() in LEVELS:
         return levels.value(feature, plain.lower())
     try:
-        number, (low, high) = float(plain), LIMITS[feature]
+        number, (low, high) = float(plain), HAND_LIMITS[feature]
     except ValueError:
-        raise InputError(f"{flag} {text!r}", f"is neither a level nor a number ({UNITS[feature]})",
+        raise InputError(f"{flag} {text!r}", f"is neither a level nor a number ({HAND_UNITS[feature]})",
                          f"give {', '.join(LEVELS)} or a number such as {levels.value(feature, 'mid'):.2f}") from None
     if not low <= number <= high:  # also NaN
         raise InputError(f"{flag} {plain}", f"is not a possible {feature} of a hand",
-                         f"give {UNITS[feature]} from {low:g} to {high:g}")
+                         f"give {HAND_UNITS[feature]} from {low:g} to {high:g}")
     index = FEATURES.index(feature)
     if abs(number - levels.mean[index]) > _FAR * levels.spread[index]:
         # Attributed to this module, because commands show only the warnings of our packages.
         warnings.warn(ControlWarning(
-            f"{flag} {plain}: a {feature} of {number:g} {UNITS[feature]} is far from the training data (low "
+            f"{flag} {plain}: a {feature} of {number:g} {HAND_UNITS[feature]} is far from the training data (low "
             f"{levels.value(feature, 'low'):.2f}, high {levels.value(feature, 'high'):.2f}); expect less"),
             stacklevel=1)
     return number

@@ -29,6 +29,9 @@ FACES = ("off", "lips", "full")
 """How much of a face moves: nothing, the lips, or also lids, brows, smile and eyes."""
 FPS = 60.0
 """Default frames per second of a performance: the models' 20 fps frames, interpolated."""
+HAND_UNITS = {"height": "m", "speed": "m/s", "radius": "m"}
+HAND_LIMITS = {"height": (-1.5, 2.0), "speed": (0.0, 20.0), "radius": (0.0, 2.0)}
+"""Smallest and greatest values of the controls of hands: no body does more."""
 
 
 @dataclass(frozen=True)

@@ -32,9 +32,8 @@ from eval.pictures import intervals, plots
 from eval.pictures.canvas import STYLE
 from eval.pictures.embedding import embed, embedding_panels, joint_embedding, neighbours_agree
 from eval.pictures.strips import PAGE, Source, draw_page, save_strip
-from gesticulator.directing.directions import UNITS
 from gesticulator.gesticulator import Gesticulator
-from gesticulator.options import FPS
+from gesticulator.options import FPS, HAND_UNITS
 from gesticulator.training.stages import LABELS
 
 if TYPE_CHECKING:
@@ -129,7 +128,7 @@ def style_editing(rg: RgRows, rows: Summaries) -> Picture:
                         controls=Controls(**{feature: target})).motion
         return target, measure(motion)[:, FEATURES.index(feature)]
 
-    return plots.editing_panels({f"{feature}, {UNITS[feature]}": {
+    return plots.editing_panels({f"{feature}, {HAND_UNITS[feature]}": {
         level: measured(feature, levels.value(feature, level)) for level in LEVELS} for feature in FEATURES}, FPS)
 
 

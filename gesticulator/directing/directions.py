@@ -15,13 +15,9 @@ from gesticulator.bundle.features import SpeechBlock
 from gesticulator.bundle.files import lexicon_hash
 from gesticulator.directing.cues import cues_at
 from gesticulator.directing.lexeme_names import lexeme_names
-from gesticulator.options import FPS, InferenceOptions, interpreter_name
+from gesticulator.options import FPS, HAND_LIMITS, HAND_UNITS, InferenceOptions, interpreter_name
 from gesticulator.plan.plan import GesturePlan, PlanKnobs, edited_blocks
 from gesticulator.sampling.loop import ControlRows, Request
-
-UNITS = {"height": "m", "speed": "m/s", "radius": "m"}
-LIMITS = {"height": (-1.5, 2.0), "speed": (0.0, 20.0), "radius": (0.0, 2.0)}
-"""Smallest and greatest values of the controls of hands: no body does more."""
 
 
 def still_frames(knobs: PlanKnobs, times: Array, start: float) -> NDArray[np.bool_] | None:
@@ -106,10 +102,10 @@ def _controls(settings: Mapping[str, Any], plan: GesturePlan) -> Controls | None
             values[name] = Curve(tuple(value["times"]), tuple(value["values"])) if isinstance(value, dict) else value
     for at, curve in enumerate(plan.curves):
         if curve.knob in FEATURES:
-            low, high = LIMITS[curve.knob]
+            low, high = HAND_LIMITS[curve.knob]
             if not all(low <= value <= high for value in curve.values):
-                raise plan.error(("curves", at, "values"), f"are outside of {low:g} to {high:g} {UNITS[curve.knob]}",
-                                 "give values within it")
+                within = f"{low:g} to {high:g} {HAND_UNITS[curve.knob]}"
+                raise plan.error(("curves", at, "values"), f"are outside of {within}", "give values within it")
             values[curve.knob] = Curve(curve.times, curve.values)
     return Controls(**values) if values else None
 
