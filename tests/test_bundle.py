@@ -78,6 +78,35 @@ def test_every_part_survives_a_round_trip(whole: Path) -> None:
     assert read.trained("interpreter_text").encode_text is not None
 
 
+def test_a_tensor_of_two_parts_is_stored_once_and_read_by_both(whole: Path, tmp_path: Path) -> None:
+    made, key = untrained(), "lstm.weight_hh_l0"
+    one, two = (made.trained(name).state_dict() for name in ("interpreter", "interpreter_text"))
+    assert not torch.equal(one[key], two[key])
+    two[key].copy_(one[key])
+    folder = tmp_path / "shared"
+    bundles.save(made, folder, "a card")
+    held, shared = (folder / f"lexeme_interpreter{ending}.safetensors" for ending in ("", "_text"))
+    assert key in load_file(held) and key not in load_file(shared)
+    assert shared.stat().st_size < (whole / shared.name).stat().st_size
+    for name in PARTS:
+        assert same_weights(made.trained(name), bundles.load(folder).trained(name)), name
+    # Bundles that were written before have every tensor in its own file.
+    assert not [files for files in read_index(whole)["shared"].values() if key in files]
+    whole_file = {**load_file(shared), key: load_file(held)[key]}
+    older = Path(shutil.copytree(folder, tmp_path / "older"))
+    rehashed(older, shared.name, whole_file)
+    edit(older, shared={})
+    assert same_weights(made.trained("interpreter_text"), bundles.load(older).trained("interpreter_text"))
+    # What holds the tensor is checked, too.
+    held.write_bytes(held.read_bytes()[:-1] + bytes([held.read_bytes()[-1] ^ 1]))
+    with pytest.raises(InputError, match=rf"{held.name}: is not the file that the bundle was made with"):
+        bundles.load(folder).trained("interpreter_text")
+    for holder, wrong in (("gate", rf"{shared.stem}.*does not fit the settings \({key}"), ("../gate", "is missing")):
+        edit(folder, shared={shared.stem: {key: holder}})
+        with pytest.raises(InputError, match=wrong):
+            bundles.load(folder).trained("interpreter_text")
+
+
 @pytest.mark.parametrize("lacking", [("gate",), ("style_text",), ("q_network",),
                                      ("interpreter_text", "style_text", "text")])
 def test_what_a_bundle_has_not_is_not_there_after_reading(lacking: tuple[str, ...], tmp_path: Path) -> None:

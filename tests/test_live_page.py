@@ -1,5 +1,6 @@
 """The page of `gesticulator live` in a real browser, with a microphone that plays a file."""
 
+import gzip
 import os
 import shutil
 import subprocess
@@ -130,6 +131,6 @@ def test_the_committed_script_is_the_build_of_its_sources(tmp_path: Path) -> Non
     if node is None or not (viewer / "node_modules").exists() or not (viewer / "src" / "figure.js").exists():
         pytest.skip("install Node.js (apt-get install nodejs npm), and run npm ci --prefix viewer")
     subprocess.run([node, str(viewer / "build_live.mjs")], check=True, env={**os.environ, "LIVE_OUT": str(tmp_path)})
-    for name in ("live.min.js", "licences.txt"):
-        committed = ROOT / "gesticulator" / "assets" / "live" / name
-        assert (tmp_path / name).read_bytes() == committed.read_bytes(), f"{name}: npm run build:live"
+    pages = live_pages()
+    assert gzip.decompress((tmp_path / "live.min.js.gz").read_bytes()) == pages["/live.min.js"], "npm run build:live"
+    assert (tmp_path / "licences.txt").read_bytes() == pages["/licences.txt"], "npm run build:live"

@@ -1,6 +1,7 @@
 """The preview page: what is in it. How it behaves in a browser is in test_viewer.py."""
 
 import base64
+import gzip
 import hashlib
 import json
 import os
@@ -178,8 +179,9 @@ def test_the_committed_page_is_the_build_of_its_sources(tmp_path: Path) -> None:
         pytest.skip("npm ci --prefix viewer has not been run")
     subprocess.run([npm, "run", "--silent", "build", "--prefix", str(ROOT / "viewer")], check=True,
                    env={**os.environ, "VIEWER_OUT": str(tmp_path)})
-    made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    assert set(made) == {path.name for path in ASSETS.glob("viewer.*")}
+    made, committed = ({path.name: gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+                        for path in folder.glob("viewer.*")} for folder in (tmp_path, ASSETS))
+    assert set(made) == set(committed) == {path.name for path in tmp_path.iterdir()}
     for name, content in made.items():
-        assert content == (ASSETS / name).read_bytes(), f"{name}: run npm run build --prefix viewer, and commit it"
-    assert len(made["viewer.min.js"]) < 1_200_000
+        assert content == committed[name], f"{name}: run npm run build --prefix viewer, and commit it"
+    assert len(made["viewer.min.js.gz"]) < 1_200_000

@@ -3,6 +3,7 @@
 import { readFileSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
+import { gzipSync } from "node:zlib";
 
 import { build } from "esbuild";
 
@@ -21,7 +22,7 @@ const notices = packages.map((name) => {
   return `${name} ${version}\n\n${readFileSync(join(folder, "LICENSE"), "utf8").trim()}\n`;
 });
 
-writeFileSync(join(out, "viewer.min.js"), script.outputFiles[0].contents);
+writeFileSync(join(out, "viewer.min.js.gz"), gzipSync(script.outputFiles[0].contents, { level: 9 }));
 writeFileSync(join(out, "viewer.css"), style.outputFiles[0].contents);
 writeFileSync(join(out, "viewer.html"), readFileSync(join(here, "src", "page.html")));
 writeFileSync(join(out, "viewer.licences.txt"), notices.join("\n\n"));

@@ -3,6 +3,7 @@
 import { readFileSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
+import { gzipSync } from "node:zlib";
 
 import { build } from "esbuild";
 
@@ -18,5 +19,5 @@ const notices = packages.map((name) => {
   const folder = join(here, "node_modules", name), { version } = JSON.parse(readFileSync(join(folder, "package.json"), "utf8"));
   return `${name} ${version}\n\n${readFileSync(join(folder, "LICENSE"), "utf8").trim()}\n`;
 });
-writeFileSync(join(out, "live.min.js"), script.outputFiles[0].contents);
+writeFileSync(join(out, "live.min.js.gz"), gzipSync(script.outputFiles[0].contents, { level: 9 }));
 writeFileSync(join(out, "licences.txt"), notices.join("\n\n"));

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save_file
 
 from data_module.errors import InputError
 from data_module.files import is_free, new_folder, read_object, rename
@@ -34,6 +35,8 @@ CARD = "MODEL_CARD.md"
 TIED = "lexicon_hash"
 """Metadata key of a weight file: the hash of the codebook that it was trained with."""
 ENDING = ".safetensors"
+_SHARED_FROM = 4096
+"""Size of the smallest tensor that is stored once for all files that hold it, bytes."""
 _ASSETS = Path(__file__).parents[1] / "assets"
 NAMED = {"default": _ASSETS / "bundle", "paper": _ASSETS / "paper"}
 """Name -> folder of the shipped bundles; `paper` is both papers in their own form."""
@@ -63,6 +66,28 @@ def lexicon_hash(vectors: Floats) -> str:
     """SHA-256 of a codebook [S, D_s], which ties an interpreter's weights to it."""
     # In half precision, as it is stored, so that a bundle in training and one on disk agree.
     return hashlib.sha256(vectors.astype(np.float16).tobytes()).hexdigest()
+
+
+class WeightWriter:
+    """Writes weight files into a folder; a large tensor that an earlier file holds under the same name is not stored
+    again.
+
+    shared: file -> tensor -> the file that holds it, without suffixes.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.shared: dict[str, dict[str, str]] = {}
+        self._folder, self._held = folder, dict[tuple[str, str, tuple[int, ...], bytes], str]()
+
+    def write(self, name: str, tensors: Mapping[str, NDArray[Any]], tied: str | None = None) -> None:
+        """Write a file. tied: hash of the codebook that it was trained with."""
+        found = {key: self._held.setdefault((key, value.dtype.str, value.shape, value.tobytes()), name)
+                 for key, value in tensors.items() if value.nbytes >= _SHARED_FROM}
+        shared = {key: holder for key, holder in found.items() if holder != name}
+        if shared:
+            self.shared[name] = shared
+        save_file({key: value for key, value in tensors.items() if key not in shared}, self._folder / f"{name}{ENDING}",
+                  None if tied is None else {TIED: tied})
 
 
 def write_index(folder: Path, skeleton: Skeleton, index: dict[str, Any]) -> None:
@@ -119,6 +144,7 @@ class _IndexEntries(msgspec.Struct):
     figures: dict[str, dict[str, Any]]
     audio_levels: Literal[1, 2]
     text: _TextEntry | None
+    shared: dict[str, dict[str, str]] = {}
 
 
 def read_index(path: str | Path) -> dict[str, Any]:
@@ -145,9 +171,10 @@ def read_index(path: str | Path) -> dict[str, Any]:
 class Weights:
     """The weight files of a bundle; each is checked when it is read: listed, hash, finite values."""
 
-    def __init__(self, folder: Path, listed: Mapping[str, str]) -> None:
-        """InputError if a listed file is missing or a weight file is not listed."""
-        self.folder, self.listed = folder, listed
+    def __init__(self, folder: Path, listed: Mapping[str, str], shared: Mapping[str, Mapping[str, str]] | None = None
+                 ) -> None:
+        """shared: as of `WeightWriter`. InputError if a listed file is missing or a weight file is not listed."""
+        self.folder, self.listed, self.shared = folder, listed, shared or {}
         for name in listed:
             # A name with a folder in it would read files outside the bundle.
             if Path(name).name != name or not (folder / name).is_file():
@@ -166,8 +193,20 @@ class Weights:
     def read(self, name: str, tied: str | None = None) -> dict[str, NDArray[Any]]:
         """The tensors of a file, in single precision. tied: hash of the codebook that the file must have been trained
         with."""
+        tensors, made_with = self._read(name)
+        if tied is not None and made_with.get(TIED) != tied:
+            raise InputError(self.path(name), "was trained over another lexicon than the bundle's",
+                             "train it again")
+        shared = self.shared.get(name, {})
+        for holder in sorted(set(shared.values())):
+            held = self._read(holder)[0]
+            tensors |= {key: held[key] for key in shared if shared[key] == holder and key in held}
+        return _finite(self.path(name), tensors)
+
+    def _read(self, name: str) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+        """The tensors that a file itself holds, and its metadata."""
         file = self.path(name)
-        if file.name not in self.listed:
+        if name not in self:
             raise InputError(file, "is missing from the bundle", "copy the bundle again")
         # The size bounds the memory, whatever a header claims.
         if file.stat().st_size > _LARGEST:
@@ -179,14 +218,9 @@ class Weights:
         try:
             # `load` gives no metadata, so the header is read a second time for them.
             with safe_open(file, framework="np") as opened:
-                made_with = opened.metadata() or {}
-            tensors = load_tensors(data)
+                return load_tensors(data), opened.metadata() or {}
         except _BROKEN as error:
             raise InputError(file, f"is broken ({str(error).splitlines()[0][:100]})", "copy the bundle again") from None
-        if tied is not None and made_with.get(TIED) != tied:
-            raise InputError(file, "was trained over another lexicon than the bundle's",
-                             "train it again")
-        return _finite(file, tensors)
 
 
 _BROKEN = (SafetensorError, ValueError, TypeError, KeyError, RuntimeError, OverflowError)

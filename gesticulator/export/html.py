@@ -7,6 +7,7 @@ script and style, by their hashes, and nothing from other hosts.
 from __future__ import annotations
 
 import base64
+import gzip
 import hashlib
 import html
 import json
@@ -171,7 +172,7 @@ def _skeleton(skeleton: Skeleton) -> dict[str, Any]:
 
 
 def _fill(title: str, data: str, live: bool) -> str:
-    script, style = _asset("viewer.min.js"), _asset("viewer.css")
+    script, style = _asset("viewer.min.js.gz"), _asset("viewer.css")
     notices = _asset("viewer.licences.txt").strip()
     parts = {
         "title": html.escape(title),
@@ -201,7 +202,8 @@ def _hash(text: str) -> str:
 
 
 def _asset(name: str) -> str:
-    return (resources.files("gesticulator") / "assets" / name).read_text(encoding="utf-8")
+    data = (resources.files("gesticulator") / "assets" / name).read_bytes()
+    return (gzip.decompress(data) if name.endswith(".gz") else data).decode("utf-8")
 
 
 def embedded(data: Mapping[str, Any]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gzip
 import itertools
 import logging
 import math
@@ -47,8 +48,9 @@ _PAGE_KINDS = {".js": "text/javascript", ".css": "text/css", ".txt": "text/plain
 def live_pages() -> dict[str, bytes]:
     """URL path -> file of the page of `gesticulator live`."""
     folder = resources.files("gesticulator") / "assets" / "live"
-    names = ("live.html", "live.css", "live.min.js", "capture.js", "licences.txt")
-    return {f"/{name}".removesuffix("live.html"): (folder / name).read_bytes() for name in names}
+    names = ("live.html", "live.css", "capture.js", "licences.txt")
+    return {f"/{name}".removesuffix("live.html"): (folder / name).read_bytes() for name in names} | {
+        "/live.min.js": gzip.decompress((folder / "live.min.js.gz").read_bytes())}
 
 
 @dataclass
