@@ -96,7 +96,7 @@ def test_what_is_wrong_is_said_in_a_line(hub: Hub, tmp_path: Path) -> None:
             (("org/other",), {}, "is not a bundle (no bundle.json)"),
             (("org/later",), {}, "has format 99, and this version reads format 7"),
             (("org/lacking",), {}, "is missing from the bundle"),
-            (("org/talk",), {"FREE": "1000000"}, "needs 15 MB, and"),
+            (("org/talk",), {"FREE": "1000000"}, "needs 14 MB, and"),
             (("org/talk",), {"HF_HUB_OFFLINE": "1"}, "is neither a folder nor stored on this machine")):
         line = run(tmp_path, hub, *words, **environment)
         assert expected in line and line.count("\n") == 1 and "; " in line, line
