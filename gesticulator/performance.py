@@ -172,16 +172,11 @@ class Performance:
         written by `save_mapping`, needed where the joints are not recognised. contacts: keep the hands out of the
         character's trunk. `InputError` if the character cannot be read or its joints are ambiguous.
         """
-        from gesticulator.characters.mapping import RigMapping, load_mapping
-        from gesticulator.characters.reading import read_character
         from gesticulator.characters.retarget import Retargeter
-        from gesticulator.characters.rig import Character
 
-        rig = character if isinstance(character, Character) else read_character(character)
-        joints = mapping if mapping is None or isinstance(mapping, RigMapping) else load_mapping(mapping, rig)
         # A clip of the upper body must not key the legs, or it could not be laid over a walk.
         legs = self.clip is None or not self.clip.bare
-        return self.moved_by(Retargeter(rig, joints, contacts=contacts, legs=legs))
+        return self.moved_by(Retargeter.of(character, mapping, contacts=contacts, legs=legs))
 
     def moved_by(self, retargeter: Retargeter) -> Performance:
         """The performance with the motion of a retargeter's character. Clips of the upper body need one with

@@ -102,15 +102,12 @@ class QRunner(InterpreterDefaults):
 
     name = "cql"
     gives_values = True
+    needs: frozenset[Need] = frozenset()
 
     def __init__(self, config: QConfig, sizes: InterpreterSizes, tensors: Tensors) -> None:
         self._trunk = QTrunk(config, sizes, tensors)
         self._norm = Norm(tensors.within("head.0"), config.width)
         self._values = tensors.dense("head.1", config.width, len(sizes.lexemes))
-
-    @property
-    def needs(self) -> frozenset[Need]:
-        return frozenset()
 
     def start(self, speaker: int, first_lexeme: int) -> QRunState:
         """The state before the first block; `first_lexeme`, a_0, is the previous lexeme in the first `step`."""

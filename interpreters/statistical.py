@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from interpreters.base import BlockFeatures, InterpreterDefaults, InterpreterParts, Need, Scores
+from interpreters.base import BlockFeatures, InterpreterDefaults, Need, Scores
 
 __all__ = ["StatisticalInterpreter"]
 
@@ -26,6 +26,7 @@ class StatisticalInterpreter(InterpreterDefaults):
     """f* = softmax(f^I - f_t) L, the distribution of the next lexeme (RG Eq. 24)."""
 
     name = "statistical"
+    needs: frozenset[Need] = frozenset()
 
     def __init__(self, frequencies: Array, transitions: Array) -> None:
         """frequencies: [speakers, S] f^I; transitions: [S, S] L, rows from, each summing to 1."""
@@ -33,14 +34,6 @@ class StatisticalInterpreter(InterpreterDefaults):
         if not np.allclose(transitions.sum(1), 1.0, atol=1e-3):
             raise ValueError("the rows of the transition matrix must sum to 1")
         self.frequencies, self.transitions = frequencies, transitions
-
-    @classmethod
-    def open(cls, parts: InterpreterParts) -> StatisticalInterpreter:
-        return cls(parts.frequencies, parts.transitions)
-
-    @property
-    def needs(self) -> frozenset[Need]:
-        return frozenset()
 
     def start(self, speaker: int, first_lexeme: int) -> StatisticalState:
         return StatisticalState(np.zeros(len(self.transitions)), self.frequencies[speaker])

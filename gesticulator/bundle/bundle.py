@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from safetensors.numpy import save_file
 
 from data_module.controls import Levels
 from data_module.errors import InputError
@@ -261,22 +262,25 @@ def _half(model: nn.Module) -> dict[str, NDArray[Any]]:
 def save(bundle: Bundle, path: str | Path, card: str) -> None:
     """Write a bundle atomically; an existing bundle is replaced, any other folder is left alone."""
     def write(folder: Path) -> None:
-        weights = files.WeightWriter(folder)
         # In one order, which decides the file that holds a shared tensor. Policies are played without the models that
         # judge them, so those are no parts here.
-        for name, part in models.part_table().items():
-            if name in bundle.parts:
-                # A tied part names its codebook, because lexeme 7 of another one is another gesture.
-                weights.write(part.file, _half(bundle.trained(name)),
-                              files.lexicon_hash(bundle.vectors) if part.tied else None)
-        weights.write(_STATISTICS, statistics_tensors(bundle))
+        parts = {name: part for name, part in models.part_table().items() if name in bundle.parts}
+        weights = {part.file: _half(bundle.trained(name)) for name, part in parts.items()}
+        shared = files.shared_tensors(weights)
+        for part in parts.values():
+            # A tied part names its codebook, because lexeme 7 of another one is another gesture.
+            tied = {files.TIED: files.lexicon_hash(bundle.vectors)} if part.tied else None
+            save_file({key: value for key, value in weights[part.file].items() if key not in shared[part.file]},
+                      folder / f"{part.file}{files.ENDING}", tied)
+        save_file(statistics_tensors(bundle), folder / f"{_STATISTICS}{files.ENDING}")
         (folder / files.CARD).write_text(card, encoding="utf-8")
         files.write_index(folder, CHARACTERS[bundle.config.motion.joints], {
             "config": to_dict(bundle.config), "speakers": list(bundle.speakers),
             "silent_lexemes": bundle.silent.tolist(), "lexicon_hash": files.lexicon_hash(bundle.vectors),
             "text": {"encoder": bundle.text.encoder, "width": bundle.text.width} if bundle.text else None,
             "audio_levels": 1 if np.array_equal(bundle.statistics.low.mean, bundle.statistics.high.mean) else 2,
-            "provenance": bundle.provenance, "figures": bundle.figures, "shared": weights.shared})
+            "shared": {name: holders for name, holders in shared.items() if holders},
+            "provenance": bundle.provenance, "figures": bundle.figures})
 
     files.replace_folder(Path(path), write)
 
@@ -297,7 +301,7 @@ def load(path: str | Path) -> Bundle:
     # Joints in another order would move the wrong limbs.
     if index["skeleton"].get("names") != list(CHARACTERS[config.motion.joints].names):
         raise InputError(folder / files.INDEX, "was trained on another skeleton", "train it again")
-    weights = files.Weights(folder, index["files"], index.get("shared"))
+    weights = files.Weights(folder, index)
     # Which parts are optional depends on the settings; the others must be there.
     system = models.system_of(config)
     required = ("lexicon", *system.PARTS, *(("style",) if system.BLOCKS and config.generator.styled else ()))

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load as load_tensors
-from safetensors.numpy import save_file
 
 from data_module.errors import InputError
 from data_module.files import is_free, new_folder, read_object, rename
@@ -68,26 +67,15 @@ def lexicon_hash(vectors: Floats) -> str:
     return hashlib.sha256(vectors.astype(np.float16).tobytes()).hexdigest()
 
 
-class WeightWriter:
-    """Writes weight files into a folder; a large tensor that an earlier file holds under the same name is not stored
-    again.
-
-    shared: file -> tensor -> the file that holds it, without suffixes.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self.shared: dict[str, dict[str, str]] = {}
-        self._folder, self._held = folder, dict[tuple[str, str, tuple[int, ...], bytes], str]()
-
-    def write(self, name: str, tensors: Mapping[str, NDArray[Any]], tied: str | None = None) -> None:
-        """Write a file. tied: hash of the codebook that it was trained with."""
-        found = {key: self._held.setdefault((key, value.dtype.str, value.shape, value.tobytes()), name)
-                 for key, value in tensors.items() if value.nbytes >= _SHARED_FROM}
-        shared = {key: holder for key, holder in found.items() if holder != name}
-        if shared:
-            self.shared[name] = shared
-        save_file({key: value for key, value in tensors.items() if key not in shared}, self._folder / f"{name}{ENDING}",
-                  None if tied is None else {TIED: tied})
+def shared_tensors(files: Mapping[str, Mapping[str, NDArray[Any]]]) -> dict[str, dict[str, str]]:
+    """File -> large tensor -> the file before it that has the same one under the same name, so that it is stored once.
+    files: their tensors by the names of the files without suffix."""
+    first = dict[tuple[str, tuple[int, ...], bytes], str]()
+    holders = {name: {key: first.setdefault((key, value.shape, value.tobytes()), name)
+                      for key, value in tensors.items() if value.nbytes >= _SHARED_FROM}
+               for name, tensors in files.items()}
+    return {name: {key: holder for key, holder in of_file.items() if holder != name}
+            for name, of_file in holders.items()}
 
 
 def write_index(folder: Path, skeleton: Skeleton, index: dict[str, Any]) -> None:
@@ -171,17 +159,16 @@ def read_index(path: str | Path) -> dict[str, Any]:
 class Weights:
     """The weight files of a bundle; each is checked when it is read: listed, hash, finite values."""
 
-    def __init__(self, folder: Path, listed: Mapping[str, str], shared: Mapping[str, Mapping[str, str]] | None = None
-                 ) -> None:
-        """shared: as of `WeightWriter`. InputError if a listed file is missing or a weight file is not listed."""
-        self.folder, self.listed, self.shared = folder, listed, shared or {}
-        for name in listed:
+    def __init__(self, folder: Path, index: Mapping[str, Any]) -> None:
+        """index: as of `read_index`. InputError if a listed file is missing or a weight file is not listed."""
+        self.folder, self.listed, self.shared = folder, index["files"], index.get("shared", {})
+        for name in self.listed:
             # A name with a folder in it would read files outside the bundle.
             if Path(name).name != name or not (folder / name).is_file():
                 raise InputError(folder / name[:200], "is missing from the bundle", "copy the bundle again")
         # A stray file of weights is most likely left over from a broken copy.
         for file in sorted(folder.glob(f"*{ENDING}")):
-            if file.name not in listed:
+            if file.name not in self.listed:
                 raise InputError(file, f"is not in the list of {INDEX}", "delete it, or copy the bundle again")
 
     def __contains__(self, name: str) -> bool:
@@ -198,9 +185,9 @@ class Weights:
             raise InputError(self.path(name), "was trained over another lexicon than the bundle's",
                              "train it again")
         shared = self.shared.get(name, {})
-        for holder in sorted(set(shared.values())):
-            held = self._read(holder)[0]
-            tensors |= {key: held[key] for key in shared if shared[key] == holder and key in held}
+        held = {holder: self._read(holder)[0] for holder in set(shared.values())}
+        # What is in neither file is told by the part that needs it.
+        tensors |= {key: held[holder][key] for key, holder in shared.items() if key in held[holder]}
         return _finite(self.path(name), tensors)
 
     def _read(self, name: str) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:

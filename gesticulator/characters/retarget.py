@@ -85,6 +85,17 @@ class Retargeter:
         self.doubts = (*self.mapping.doubts, *doubts)
         self.confidence = min(self.mapping.confidence, share)
 
+    @classmethod
+    def of(cls, character: Character | str | os.PathLike[str],
+           mapping: RigMapping | str | os.PathLike[str] | None = None, *, contacts: bool, legs: bool) -> "Retargeter":
+        """character: from `read_character`, or a file. mapping: a `RigMapping`, or a file written by `save_mapping`."""
+        from gesticulator.characters.mapping import load_mapping
+        from gesticulator.characters.reading import read_character
+
+        rig = character if isinstance(character, Character) else read_character(character)
+        joints = mapping if mapping is None or isinstance(mapping, RigMapping) else load_mapping(mapping, rig)
+        return cls(rig, joints, contacts=contacts, legs=legs)
+
     def __call__(self, motion: Motion) -> CharacterMotion:
         """The motion on the character. ValueError if the motion is not on one of our skeletons."""
         source = self._source(motion)
@@ -210,16 +221,8 @@ class Retargeter:
 def retarget(motion: Motion, character: Character | str | os.PathLike[str],
              mapping: RigMapping | str | os.PathLike[str] | None = None, *, contacts: bool = True,
              legs: bool = True) -> CharacterMotion:
-    """A motion on a character; see `Retargeter`.
-
-    character: from `read_character`, or a file. mapping: a `RigMapping`, or a file written by `save_mapping`.
-    """
-    from gesticulator.characters.mapping import load_mapping
-    from gesticulator.characters.reading import read_character
-
-    rig = character if isinstance(character, Character) else read_character(character)
-    joints = mapping if mapping is None or isinstance(mapping, RigMapping) else load_mapping(mapping, rig)
-    return Retargeter(rig, joints, contacts=contacts, legs=legs)(motion)
+    """A motion on a character; see `Retargeter.of` for the arguments."""
+    return Retargeter.of(character, mapping, contacts=contacts, legs=legs)(motion)
 
 
 __all__ = ["CharacterMotion", "Retargeter", "retarget"]

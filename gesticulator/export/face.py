@@ -15,7 +15,6 @@ from gesticulator.export.gltf import (
     FrameTrack,
     GltfDocument,
     as_gltf,
-    transform,
 )
 from gesticulator.face.motion import FaceMotion
 from gesticulator.face.rig import find_face
@@ -45,9 +44,7 @@ def tracks_of(gltf: GltfDocument, character: Character, arms: tuple[int, int], f
     out: list[FrameTrack] = [(node, WEIGHTS, weights.astype("<f4").reshape(-1))
                                            for node, weights in rig.weights(face).items()]
     for node, turns in rig.turns(face, character, left / np.linalg.norm(left)).items():
-        entry = gltf.document["nodes"][character.node_ids[node]]
-        if entry.pop("matrix", None) is not None:
-            entry |= transform(character.translations[node], character.rotations[node], character.scales[node])
+        gltf.split_matrix(character, node)
         out.append((character.node_ids[node], ROTATION, as_gltf(rotation.continuous(turns[:, None])[:, 0])))
     return out
 

@@ -17,7 +17,7 @@ from data_module.files import write_bytes
 from data_module.types import Array
 from gesticulator.characters.rig import CharacterMotion
 from gesticulator.export.clip import ClipLayout
-from gesticulator.export.gltf import VERTICES, FrameTrack, GltfDocument, node_tree, open_gltf, transform
+from gesticulator.export.gltf import VERTICES, FrameTrack, GltfDocument, node_tree, open_gltf
 from gesticulator.export.key_reduction import STEADY
 from gesticulator.export.nodes import NodeMotion
 from gesticulator.export.writers import Scene
@@ -63,10 +63,7 @@ def _add_character_clip(gltf: GltfDocument, moved: CharacterMotion, clip: ClipLa
     """Add the motion to the document of its character. Buffers and images in separate files have been embedded."""
     character = moved.character
     for node in moved.moved:
-        entry = gltf.document["nodes"][character.node_ids[node]]
-        # glTF forbids a matrix on an animated node.
-        if entry.pop("matrix", None) is not None:
-            entry |= transform(character.translations[node], character.rotations[node], character.scales[node])
+        gltf.split_matrix(character, node)
     if not gltf.document.get("skins"):  # the sign by which players take nodes for bones
         inside = character.under([moved.hips])
         gltf.document["skins"] = [{"joints": [character.node_ids[node] for node in np.flatnonzero(inside)]}]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from data_module.errors import InputError, shown
 from data_module.types import Array
 from gesticulator.characters.gltf_file import BINARY_CHUNK, JSON_CHUNK, MAGIC, read_gltf
+from gesticulator.characters.rig import Character
 from gesticulator.export.clip import ClipLayout
 from gesticulator.export.key_reduction import STEADY_SHARE, kept_frames, kept_places, rotation_errors
 from gesticulator.export.nodes import NodeMotion
@@ -60,6 +61,12 @@ class GltfDocument:
             view["target"] = target
         self._append(data)
         return self._added("bufferViews", view)
+
+    def split_matrix(self, character: Character, node: int) -> None:
+        """Give a node its translation, rotation and scale, as glTF forbids a matrix on an animated one."""
+        entry = self.document["nodes"][character.node_ids[node]]
+        if entry.pop("matrix", None) is not None:
+            entry |= transform(character.translations[node], character.rotations[node], character.scales[node])
 
     def animate(self, clip: ClipLayout, motion: NodeMotion, nodes: Mapping[int, int],
                 steady: frozenset[int] = frozenset(), more: Sequence[FrameTrack] = ()) -> None:

@@ -1,6 +1,7 @@
 """The lexicon of beat-aligned blocks (RG 5.1) or RACER's codec at a fixed rate (RACER 4.1), and the corpus labelled by
 it: lexemes, silent lexemes, and their frequencies (RG 6.4.1)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,7 +59,7 @@ def _held_figures(run: Run, model: MovementLexicon) -> Figures:
 def _movements_task(run: Run, model: MovementVqVae) -> fitting.Task:
     """The VQ-VAE over movements: the basis in closed form, encoder, lexemes and decoder by steps, and the levels below
     by k-means."""
-    corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)
+    corpus = run.get(BLOCKS)
     known = torch.as_tensor(corpus.some("train"))
     mask = corpus.mask[torch.as_tensor(corpus.recording)[known]]
     # Closed forms on the CPU in double precision, and the corpus need not fit on a GPU.
@@ -73,19 +74,26 @@ def _movements_task(run: Run, model: MovementVqVae) -> fitting.Task:
         index = torch.as_tensor(rng.integers(len(known), size=size))
         return {"coefficients": coefficients[index], "known": present[index]}
 
-    begin = next((s for s in range(settings.steps) if s / settings.steps >= run.config.lexicon.warm_up), 0)
-
-    def before_step(step: int) -> None:
-        if step == begin:
-            learner.start_codebook(coefficients.to(run.device), run.seed(LEXICON))
-
     def finish() -> Figures:
         # Back on the CPU, where the coefficients of all blocks are.
         learner.cpu()
         learner.finish(coefficients, corpus.pasts[known], run.seed(LEXICON))
         return _held_figures(run, model)
 
-    return fitting.Task(make_batch, before_step=before_step, learner=learner, finish=finish)
+    return fitting.Task(make_batch, before_step=_codebook_start(run, learner, coefficients), learner=learner,
+                        finish=finish)
+
+
+def _codebook_start(run: Run, learner: MovementLearner | Lexicon, rows: Tensor) -> Callable[[int], None]:
+    """What starts the codebook from rows of the training split when the warm-up is over."""
+    steps = run.schedule(LEXICON).steps
+    begin = next((s for s in range(steps) if s / steps >= run.config.lexicon.warm_up), 0)
+
+    def before_step(step: int) -> None:
+        if step == begin:
+            learner.start_codebook(rows.to(run.device), run.seed(LEXICON))
+
+    return before_step
 
 
 @torch.no_grad()
@@ -114,7 +122,7 @@ def _lexicon_task(run: Run, model: BlockLexicon) -> fitting.Task | Figures:
         return _movements_task(run, model)
     if isinstance(model, MovementLexicon):
         return _fit_movements(run, model)
-    corpus, settings = run.get(BLOCKS), run.schedule(LEXICON)
+    corpus = run.get(BLOCKS)
     known, some, val = map(torch.as_tensor, (corpus.select("train"), corpus.some("train"), corpus.some("val")))
     recording = torch.as_tensor(corpus.recording)
 
@@ -122,16 +130,10 @@ def _lexicon_task(run: Run, model: BlockLexicon) -> fitting.Task | Figures:
         index = known[torch.as_tensor(rng.integers(len(known), size=size))]
         return {"motion": corpus.motion[index], "mask": corpus.mask[recording[index]]}
 
-    begin = next((s for s in range(settings.steps) if s / settings.steps >= run.config.lexicon.warm_up), 0)
-
-    def before_step(step: int) -> None:
-        if step == begin:
-            model.start_codebook(corpus.motion[some].to(run.device), run.seed(LEXICON))
-
     def validate() -> Figures:
         return lexicon_figures(model, corpus.motion[val if len(val) else some].to(run.device))
 
-    return fitting.Task(make_batch, validate=validate, before_step=before_step)
+    return fitting.Task(make_batch, validate=validate, before_step=_codebook_start(run, model, corpus.motion[some]))
 
 
 LEXICON: Stage[BlockLexicon] = Stage(

@@ -63,9 +63,8 @@ def check_space(name: str, repository: str, revision: str, files: Sequence[str],
 
 def check_files(name: str, folder: Path, advice: str) -> None:
     """`InputError` about `name` unless the folder has every file of its index, with the hash that stands there."""
-    files = read_index(folder)["files"]
-    Weights(folder, files)
-    wrong = [file for file, digest in files.items() if file_hash(folder / file) != digest]
+    weights = Weights(folder, read_index(folder))
+    wrong = [file for file, digest in weights.listed.items() if file_hash(folder / file) != digest]
     if wrong:
         raise InputError(name, f"{wrong[0]} is not the file that the bundle was made with (wrong SHA-256)", advice)
 
