@@ -63,8 +63,6 @@ MOTION_GROUPS = ("conversation", "traffic", "story", "presenter", "conversation"
 """Main group of motion in the recordings of part A, in turns (keys of `performer.takes.GROUPS`)."""
 TEST_READINGS = ("en_sonnet_3", "es_prose_1", "en_austen_0930")
 """Readings that are held out for test as a whole."""
-TEST_TAIL = 30.0
-"""Seconds at the end of every other reading without word times (German) that are held out for test."""
 PERFORMERS_PER_READING = 3
 """Performances of each reading for training; with more, the 5 minutes of these voices would be memorised."""
 SHORTEST_UTTERANCE = 5.0
@@ -111,8 +109,8 @@ class PerformerOptions(Options):
 
 
 class Performer:
-    """A reader whose recordings are synthesised. Content of an item: the utterances of a talk; of a reading "whole",
-    or its "head" before or "tail" after the cut; of an utterance of `voices` its folder there; of motion None."""
+    """A reader whose recordings are synthesised. Content of an item: the utterances of a talk; of a real voice
+    its folder in the source; of motion None."""
 
     @staticmethod
     def arguments(parser: argparse.ArgumentParser) -> None:
@@ -306,20 +304,12 @@ class Performer:
         """Every reading for training by three performers, in turns; readings for test by one performer each."""
         items: list[Item] = []
         for number, stem in enumerate(self._stems):
-            language = stem.split("_")[0]
-            parts: list[tuple[str, Split]] = [("head", "train"), ("tail", "test")]
-            if stem in TEST_READINGS:
-                parts = [("whole", "test")]
-            elif language == "en":
-                parts = [("whole", "train")]
-            for place, (part, split) in enumerate(parts):
-                group = stem if part == "whole" else f"{stem}_{part}"
-                for player in range(min(1 if split == "test" else PERFORMERS_PER_READING, len(self._performers))):
-                    performer = self._performers[(number + player) % len(self._performers)]
-                    info = RecordingInfo(f"read_{group}_{performer}", split, performer, stem, language, LONGEST,
-                                         group=group, part="reading")
-                    index = _FIRST["reading"] + number * 100 + place * 10 + player
-                    items.append(Item(info, index, part))
+            split: Split = "test" if stem in TEST_READINGS else "train"
+            for player in range(min(1 if split == "test" else PERFORMERS_PER_READING, len(self._performers))):
+                performer = self._performers[(number + player) % len(self._performers)]
+                info = RecordingInfo(f"read_{stem}_{performer}", split, performer, stem, stem.split("_")[0], LONGEST,
+                                     group=stem, part="reading")
+                items.append(Item(info, _FIRST["reading"] + number * 100 + player, "speech"))
         return items
 
     def _utterances(self) -> list[Item]:
@@ -337,34 +327,18 @@ class Performer:
                         performer = self._performers[turns[split] % len(self._performers)]
                         info = RecordingInfo(f"read_{stem}_{performer}", split, performer, stem, "en", seconds,
                                              group=reader, part="reading")
-                        items.append(Item(info, _FIRST["utterance"] + len(items), folder))
+                        items.append(Item(info, _FIRST["utterance"] + len(items), f"voices/{folder}"))
                         turns[split] += 1
         return items
 
     def _reading(self, item: Item) -> Spoken:
-        """A real reading with its syllables; word times are known for English only, and not for `voices`."""
-        if item.index >= _FIRST["utterance"]:
-            file = self._source / "voices" / item.content / f"{item.info.voice}.flac"
-            return find_syllables(load_speech(file), item.info.language)
-        speech = load_speech(self._source / "speech" / f"{item.info.voice}.flac")
-        if item.content != "whole":
-            at = tail_begins(speech.samples, speech.sample_rate)
-            samples = speech.samples[:at] if item.content == "head" else speech.samples[at:]
-            speech = replace(speech, samples=np.ascontiguousarray(samples))
-        if item.info.language == "en":
-            transcript = read_text(self._source / "speech" / f"{item.info.voice}.txt", "save it as text in UTF-8")
+        """A real voice with its syllables; word times are known for the English readings only."""
+        sound = self._source / item.content / f"{item.info.voice}.flac"
+        speech = load_speech(sound)
+        if item.info.language == "en" and item.content == "speech":
+            transcript = read_text(sound.with_suffix(".txt"), "save it as text in UTF-8")
             speech = replace(speech, words=alignment(speech, transcript)[0])
         return find_syllables(speech, item.info.language)
-
-
-def tail_begins(samples: np.ndarray, sample_rate: int) -> int:
-    """The sample at which the part held out for test begins: the quietest 50 ms of the two seconds before `TEST_TAIL`.
-    """
-    hop = int(0.05 * sample_rate)
-    last = max(hop, len(samples) - int(TEST_TAIL * sample_rate))
-    starts = np.arange(max(0, last - 2 * sample_rate), last, hop)
-    power = [float((samples[start:start + hop].astype(np.float64) ** 2).sum()) for start in starts]
-    return int(starts[int(np.argmin(power))])
 
 
 def _hash_of(files: Sequence[Path], root: Path) -> str:
