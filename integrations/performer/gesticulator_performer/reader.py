@@ -2,8 +2,8 @@
 
 Part A ("motion"): continuous real motion with speech synthesised for it. Part B ("talk"): synthetic speech performed
 with real strokes by independent hands, over a real person's trunk. Part C ("style"): the same in audible voices. Real
-readings ("reading") are performed as B. Without the folder `free_motion` there are only B and C, over a trunk that
-sways by formula.
+readings ("reading") are performed as B; most are single utterances of the many voices in the folder `voices`, which
+may be missing.
 
 Nothing leaks between splits: the test split has separate topics, sentence templates, voices, takes, strokes and
 readings; the validation split has separate takes and sentences. Recording `i` depends on (seed, i) alone, so it is the
@@ -18,6 +18,7 @@ import argparse
 import functools
 import hashlib
 import importlib.util
+import itertools
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -62,10 +63,12 @@ MOTION_GROUPS = ("conversation", "traffic", "story", "presenter", "conversation"
 """Main group of motion in the recordings of part A, in turns (keys of `performer.takes.GROUPS`)."""
 TEST_READINGS = ("en_sonnet_3", "es_prose_1", "en_austen_0930")
 """Readings that are held out for test as a whole."""
-TEST_TAIL = 30.0
-"""Seconds at the end of every other reading without word times (German) that are held out for test."""
 PERFORMERS_PER_READING = 3
-"""Performances of each reading for training; with more, the 5 minutes of real voices would be memorised."""
+"""Performances of each reading for training; with more, the 5 minutes of these voices would be memorised."""
+SHORTEST_UTTERANCE = 5.0
+"""Shortest utterance of `voices`, seconds; of shorter ones prominence, which compares syllables, says little."""
+UTTERANCES_PER_READER = 2
+"""Most utterances of each reader in `voices`; there is one of each for training."""
 ADDED: dict[Split, dict[str, int]] = {"val": {"motion": 6, "talk": 8, "style": 3},
                                       "test": {"motion": 18, "talk": 27, "style": 8}}
 """Short recordings of each part for validation and test, added to those of the ordinary turns: with the readings, over
@@ -74,7 +77,7 @@ ADDED_HOURS = 4.0
 ADDED_LENGTH = (38.0, 48.0)
 """Their length, seconds."""
 # The index of the first recording of each part.
-_FIRST = {"talk": 0, "reading": 100_000, "motion": 200_000, "style": 300_000}
+_FIRST = {"talk": 0, "reading": 100_000, "utterance": 150_000, "motion": 200_000, "style": 300_000}
 # Files of `gesticulator.directing` on which the words that call for named gestures depend.
 _DETECTOR = ("meaning_cues.py", "meaning_cues.json")
 # Five and six times this is added to that index for the recordings of `ADDED`.
@@ -85,6 +88,8 @@ CREDITS = {
     "speech": "synthetic voices",
     "readings": "readings: public domain (LibriVox)",
     "austen": "Austen excerpts: BSD-like",
+    "voices": "utterances: LibriSpeech by Vassil Panayotov, Guoguo Chen, Daniel Povey and Sanjeev Khudanpur, 2015 "
+              "(CC BY 4.0), https://www.openslr.org/12",
     "strokes": "strokes: LGPL 2.1 (SmartBody)",
     "free_motion": "motion: Microsoft Rocketbox (MIT), PNGestures of SmartBody (LGPL 2.1), and CMU (free for all uses; "
                    "the clips are not to be resold): The data used in this project was obtained from mocap.cs.cmu.edu. "
@@ -104,8 +109,8 @@ class PerformerOptions(Options):
 
 
 class Performer:
-    """A reader whose recordings are synthesised. Content of an item: the utterances of a talk; of a reading "whole",
-    or its "head" before or "tail" after the cut; of motion None."""
+    """A reader whose recordings are synthesised. Content of an item: the utterances of a talk; of a real voice
+    its folder in the source; of motion None."""
 
     @staticmethod
     def arguments(parser: argparse.ArgumentParser) -> None:
@@ -151,7 +156,8 @@ class Performer:
                 print(f"{options.repertoire}: {count} takes of named gestures were drawn", flush=True)
             self._repertoire = read_repertoire(options.repertoire)
         licences = [f"named gestures: {licence}" for licence in self._repertoire.licences] if self._repertoire else []
-        self.licence = "; ".join([*CREDITS.values(), *licences])
+        credits = [credit for name, credit in CREDITS.items() if name != "voices" or (source / name).exists()]
+        self.licence = "; ".join([*credits, *licences])
         if any(reading.startswith("en_") for reading in self._stems) and not importlib.util.find_spec("pocketsphinx"):
             raise InputError("alignment of the English readings", "needs pocketsphinx, which is not installed",
                              "pip install 'gesticulator[align]'")
@@ -159,7 +165,7 @@ class Performer:
     def settings(self) -> Mapping[str, Any]:
         room = Path(__file__).parent
         code = _hash_of([*sorted(room.glob("*.py")), *tables.files()], room)
-        sources = [file for folder in ("strokes", "speech", "free_motion", "meaning")
+        sources = [file for folder in ("strokes", "speech", "voices", "free_motion", "meaning")
                    for file in sorted((self._source / folder).rglob("*"))]
         settings: dict[str, Any] = {"code": code, "hours": self._options.hours,
                                     "source": _hash_of(sources, self._source)}
@@ -172,7 +178,8 @@ class Performer:
     def items(self) -> Sequence[Item]:
         # Sentences that are used already, by grammar; those of part A come first.
         used = {source: set(self._phrases[1][source]) for source in text.SPLITS}
-        return [*self._motion_talks(), *self._talks("talk", used), *self._talks("style", used), *self._readings()]
+        return [*self._motion_talks(), *self._talks("talk", used), *self._talks("style", used), *self._readings(),
+                *self._utterances()]
 
     def read(self, item: Item) -> Recording:
         if item.info.part == "motion":
@@ -297,43 +304,41 @@ class Performer:
         """Every reading for training by three performers, in turns; readings for test by one performer each."""
         items: list[Item] = []
         for number, stem in enumerate(self._stems):
-            language = stem.split("_")[0]
-            parts: list[tuple[str, Split]] = [("head", "train"), ("tail", "test")]
-            if stem in TEST_READINGS:
-                parts = [("whole", "test")]
-            elif language == "en":
-                parts = [("whole", "train")]
-            for place, (part, split) in enumerate(parts):
-                group = stem if part == "whole" else f"{stem}_{part}"
-                for player in range(min(1 if split == "test" else PERFORMERS_PER_READING, len(self._performers))):
-                    performer = self._performers[(number + player) % len(self._performers)]
-                    info = RecordingInfo(f"read_{group}_{performer}", split, performer, stem, language, LONGEST,
-                                         group=group, part="reading")
-                    index = _FIRST["reading"] + number * 100 + place * 10 + player
-                    items.append(Item(info, index, part))
+            split: Split = "test" if stem in TEST_READINGS else "train"
+            for player in range(min(1 if split == "test" else PERFORMERS_PER_READING, len(self._performers))):
+                performer = self._performers[(number + player) % len(self._performers)]
+                info = RecordingInfo(f"read_{stem}_{performer}", split, performer, stem, stem.split("_")[0], LONGEST,
+                                     group=stem, part="reading")
+                items.append(Item(info, _FIRST["reading"] + number * 100 + player, "speech"))
+        return items
+
+    def _utterances(self) -> list[Item]:
+        """The longest utterances of every reader in `voices`, each by one performer, in turns: `train_clean` for
+        training; of `test_other` every other reader for validation, the others for test."""
+        items: list[Item] = []
+        turns = Counter[Split]()
+        for folder in ("train_clean", "test_other"):
+            files = sorted((self._source / "voices" / folder).glob("*.flac"))
+            for number, (reader, own) in enumerate(itertools.groupby(files, lambda file: file.name.split("-")[0])):
+                split: Split = "train" if folder == "train_clean" else "test" if number % 2 else "val"
+                heard = sorted(((load_speech(file).duration, file.stem) for file in own), reverse=True)
+                for seconds, stem in heard[:UTTERANCES_PER_READER]:
+                    if seconds >= SHORTEST_UTTERANCE:
+                        performer = self._performers[turns[split] % len(self._performers)]
+                        info = RecordingInfo(f"read_{stem}_{performer}", split, performer, stem, "en", seconds,
+                                             group=reader, part="reading")
+                        items.append(Item(info, _FIRST["utterance"] + len(items), f"voices/{folder}"))
+                        turns[split] += 1
         return items
 
     def _reading(self, item: Item) -> Spoken:
-        """A real reading with its syllables; word times are known for English only."""
-        speech = load_speech(self._source / "speech" / f"{item.info.voice}.flac")
-        if item.content != "whole":
-            at = tail_begins(speech.samples, speech.sample_rate)
-            samples = speech.samples[:at] if item.content == "head" else speech.samples[at:]
-            speech = replace(speech, samples=np.ascontiguousarray(samples))
-        if item.info.language == "en":
-            transcript = read_text(self._source / "speech" / f"{item.info.voice}.txt", "save it as text in UTF-8")
+        """A real voice with its syllables; word times are known for the English readings only."""
+        sound = self._source / item.content / f"{item.info.voice}.flac"
+        speech = load_speech(sound)
+        if item.info.language == "en" and item.content == "speech":
+            transcript = read_text(sound.with_suffix(".txt"), "save it as text in UTF-8")
             speech = replace(speech, words=alignment(speech, transcript)[0])
         return find_syllables(speech, item.info.language)
-
-
-def tail_begins(samples: np.ndarray, sample_rate: int) -> int:
-    """The sample at which the part held out for test begins: the quietest 50 ms of the two seconds before `TEST_TAIL`.
-    """
-    hop = int(0.05 * sample_rate)
-    last = max(hop, len(samples) - int(TEST_TAIL * sample_rate))
-    starts = np.arange(max(0, last - 2 * sample_rate), last, hop)
-    power = [float((samples[start:start + hop].astype(np.float64) ** 2).sum()) for start in starts]
-    return int(starts[int(np.argmin(power))])
 
 
 def _hash_of(files: Sequence[Path], root: Path) -> str:

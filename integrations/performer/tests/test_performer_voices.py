@@ -117,3 +117,16 @@ def test_real_readings_are_heard(outside_data: Path, name: str, language: str) -
     written = re.sub(r"\b(\w+[^aeiouy\W])es?\b", r"\1", text) if language == "en" else text
     assert len(heard.syllables) == pytest.approx(len(re.findall("[aeiouyäöüáéíóú]+", written)), rel=0.2)
     assert all(b.start - a.end >= 0.25 - 1e-9 for a, b in zip(heard.phrases, heard.phrases[1:], strict=False))
+
+
+def test_an_utterance_without_its_text_is_heard(outside_data: Path) -> None:
+    """It says "Chapter one" and its title, and begins "Anne of Green Gables", up to "a brook": 49 syllables."""
+    sound = outside_data / "voices" / "train_clean" / "103-1240-0000.flac"
+    if not sound.is_file():
+        pytest.skip("the outside data has no voices")
+    samples, rate = soundfile.read(sound, dtype="float32")
+    heard = syllables.find_syllables(Speech(samples, rate), "en")
+    assert len(heard.syllables) == pytest.approx(49, rel=0.12) and {one.word for one in heard.syllables} == {-1}
+    assert 3 <= len(heard.phrases) <= 9
+    prominence = np.array([one.prominence for one in heard.syllables])
+    assert abs(prominence.mean()) < 0.1 and 0.05 < (prominence > 1).mean() < 0.3
