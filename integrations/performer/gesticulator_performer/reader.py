@@ -89,6 +89,7 @@ CREDITS = {
     "free_motion": "motion: Microsoft Rocketbox (MIT), PNGestures of SmartBody (LGPL 2.1), and CMU (free for all uses; "
                    "the clips are not to be resold): The data used in this project was obtained from mocap.cs.cmu.edu. "
                    "The database was created with funding from NSF EIA-0196217.",
+    "idle": "people who stand and wait: ReActIdle, Atxa Landa et al. 2025 (MIT, copyright 2025 RSAIT)",
 }
 """The licences of the sources of a corpus, as they are written to its store."""
 
@@ -151,7 +152,8 @@ class Performer:
                 print(f"{options.repertoire}: {count} takes of named gestures were drawn", flush=True)
             self._repertoire = read_repertoire(options.repertoire)
         licences = [f"named gestures: {licence}" for licence in self._repertoire.licences] if self._repertoire else []
-        self.licence = "; ".join([*CREDITS.values(), *licences])
+        credits = [credit for part, credit in CREDITS.items() if part != "idle" or (source / "idle").is_dir()]
+        self.licence = "; ".join([*credits, *licences])
         if any(reading.startswith("en_") for reading in self._stems) and not importlib.util.find_spec("pocketsphinx"):
             raise InputError("alignment of the English readings", "needs pocketsphinx, which is not installed",
                              "pip install 'gesticulator[align]'")
@@ -159,7 +161,7 @@ class Performer:
     def settings(self) -> Mapping[str, Any]:
         room = Path(__file__).parent
         code = _hash_of([*sorted(room.glob("*.py")), *tables.files()], room)
-        sources = [file for folder in ("strokes", "speech", "free_motion", "meaning")
+        sources = [file for folder in ("strokes", "speech", "free_motion", "meaning", "idle")
                    for file in sorted((self._source / folder).rglob("*"))]
         settings: dict[str, Any] = {"code": code, "hours": self._options.hours,
                                     "source": _hash_of(sources, self._source)}
@@ -217,11 +219,11 @@ class Performer:
 
     @functools.cached_property
     def _library(self) -> Library:
-        return load_takes(self._source / "free_motion")
+        return load_takes(self._source)
 
     @functools.cached_property
     def _takes(self) -> list[RealTake]:
-        return [take for take, _ in list_takes(self._source / "free_motion")]
+        return [take for take, _ in list_takes(self._source)]
 
     @functools.cached_property
     def _take_splits(self) -> dict[str, Split]:
