@@ -1,8 +1,7 @@
 """People who stand and wait (ReActIdle): stretches of their takes, on the character.
 
 The table clips.toml says which seconds of which files are used, and in which split each person is. Cameras tracked
-these people 24 times a second: their hips turn about the vertical in one joint and roll, as the weight shifts, in
-another; hands and fingers were not tracked.
+these people 24 times a second, without their hands.
 """
 
 from __future__ import annotations
@@ -29,10 +28,6 @@ _TABLE = table("clips.toml")["idle"]
 SPLITS: dict[str, Split] = {f"idle_{number}": split for number, split in _TABLE["splits"].items()}
 """Person -> the split that all the person's takes are in."""
 _ADVICE = "take all files of ReActIdle, or remove the folder to do without"
-_BONES = {"Shoulder": "shoulder", "Arm": "upper_arm", "ForeArm": "forearm", "Hand": "hand"}
-# The root turns about the vertical alone; what hangs in its place ("pelvis.L") rolls, too.
-_JOINTS = {"Hips": "pelvis.L", "Spine": "spine", "Spine1": "spine.001", "Neck": "neck", "Head": "face",
-           **{side + joint: f"{bone}.{side[0]}" for side in skeletons.SIDES for joint, bone in _BONES.items()}}
 # Standard deviation of the low pass, frames of the source: the tracking trembles, and frames are interpolated.
 _SMOOTH = 0.8
 
@@ -71,4 +66,4 @@ def _on_character(file: Path) -> Motion:
         plain = Path(room) / file.stem
         plain.write_text(text, encoding="utf-8")
         motion = read_bvh(plain, unit=1.0)
-    return skeletons.to_character(motion, skeletons.find_table(motion.skeleton.names, _JOINTS), FINGERED)
+    return skeletons.to_character(motion, skeletons.find_table(motion.skeleton.names, _TABLE["joints"]), FINGERED)

@@ -2,8 +2,7 @@
 
 Part A ("motion"): continuous real motion with speech synthesised for it. Part B ("talk"): synthetic speech performed
 with real strokes by independent hands, over a real person's trunk. Part C ("style"): the same in audible voices. Real
-readings ("reading") are performed as B. Without the folder `free_motion` there are only B and C, over a trunk that
-sways by formula.
+readings ("reading") are performed as B.
 
 Nothing leaks between splits: the test split has separate topics, sentence templates, voices, takes, strokes and
 readings; the validation split has separate takes and sentences. Recording `i` depends on (seed, i) alone, so it is the
@@ -40,7 +39,7 @@ from gesticulator_performer.inverse import Pool, make_pool, phrase_texts
 from gesticulator_performer.meant_strokes import load_borrowed, with_borrowed, with_meanings, with_repertoire
 from gesticulator_performer.plan import STEADY, draw_manner
 from gesticulator_performer.repertoire import Repertoire, read_repertoire, write_takes
-from gesticulator_performer.strokes import StrokeSet, load_strokes, read_manifest
+from gesticulator_performer.strokes import COLUMNS, StrokeSet, load_strokes
 from gesticulator_performer.syllables import Spoken, find_syllables
 from gesticulator_performer.takes import Library, RealTake, list_takes, load_takes, split_of_takes
 from gesticulator_performer.talks import talk_for_motion
@@ -81,16 +80,7 @@ _DETECTOR = ("meaning_cues.py", "meaning_cues.json")
 _ADDED = 10_000
 # Purposes of the random generators of a recording; one each, so that a longer text does not change the voice.
 _TEXT, _VOICE, _PLAY, _STYLE = 0, 1, 2, 3
-CREDITS = {
-    "speech": "synthetic voices",
-    "readings": "readings: public domain (LibriVox)",
-    "austen": "Austen excerpts: BSD-like",
-    "strokes": "strokes: LGPL 2.1 (SmartBody)",
-    "free_motion": "motion: Microsoft Rocketbox (MIT), PNGestures of SmartBody (LGPL 2.1), and CMU (free for all uses; "
-                   "the clips are not to be resold): The data used in this project was obtained from mocap.cs.cmu.edu. "
-                   "The database was created with funding from NSF EIA-0196217.",
-    "idle": "people who stand and wait: ReActIdle, Atxa Landa et al. 2025 (MIT, copyright 2025 RSAIT)",
-}
+CREDITS: dict[str, str] = tables.table("clips.toml")["credits"]
 """The licences of the sources of a corpus, as they are written to its store."""
 
 
@@ -144,7 +134,7 @@ class Performer:
                 raise InputError(source / needed, "does not exist",
                                  "--source is the folder that holds strokes/, free_motion/, meaning/ and speech/")
         self._source = source
-        self._performers = sorted({row["speaker"] for row in read_manifest(source / "strokes")})
+        self._performers = sorted({row["speaker"] for row in tables.read_clips(source / "strokes", COLUMNS)})
         self._stems = sorted(file.stem for file in (source / "speech").glob("*.flac"))
         if options.repertoire is not None:
             if not options.repertoire.exists():
