@@ -31,14 +31,10 @@ _LEAST_SCORE, _SURER = 0.55, 0.3
 # cheer.
 _EMOTIONAL = 0.25
 LOW, MID, HIGH = "low", "mid", "high"
-BEATS: dict[str, tuple[str, ...]] = {
-    LOW: ("BeatLow", "BeatFlip", "BeatFistMid"),
-    MID: ("BeatMid", "BeatForward", "BeatPointMid", "BeatFistMid"),
-    HIGH: ("BeatHigh", "Chop", "BeatForward"),
-}
-"""Lexemes of beats by prominence of the syllable."""
 
 _TABLE = table("words.toml")
+BEATS: dict[str, tuple[str, ...]] = {level: tuple(_TABLE["beats"][level].split()) for level in (LOW, MID, HIGH)}
+"""Lexemes of beats by prominence of the syllable."""
 _COMMON_OF = {language: frozenset(words.split()) for language, words in _TABLE["cues"].items()}
 # Groups of strokes with one meaning, best first.
 _STROKES: dict[str, tuple[str, ...]] = {
