@@ -31,7 +31,6 @@ _LEAST_SCORE, _SURER = 0.55, 0.3
 # cheer.
 _EMOTIONAL = 0.25
 LOW, MID, HIGH = "low", "mid", "high"
-
 _TABLE = table("words.toml")
 BEATS: dict[str, tuple[str, ...]] = {level: tuple(_TABLE["beats"][level].split()) for level in (LOW, MID, HIGH)}
 """Lexemes of beats by prominence of the syllable."""

@@ -18,7 +18,6 @@ from scipy.ndimage import gaussian_filter1d
 from data_module.errors import InputError
 from data_module.motion import kinematics, rotation, skeletons
 from data_module.motion.bvh import read_bvh
-from data_module.motion.skeletons import FINGERED
 from data_module.store import Split
 from data_module.types import Motion
 from gesticulator_performer.joints import FPS
@@ -47,10 +46,9 @@ def stretches_of(folder: Path) -> list[tuple[str, str, Path, tuple[float, float]
 def stretch(file: Path, seconds: tuple[float, float]) -> Motion:
     """Part of a file on the character with fingers, at 60 fps."""
     whole = _on_character(file)
-    first, last = (round(second * whole.fps) for second in seconds)
-    part = kinematics.resample(whole.crop(first, last), FPS)
+    part = kinematics.resample(whole.crop(*(round(second * whole.fps) for second in seconds)), FPS)
     smooth = gaussian_filter1d(rotation.continuous(part.rotations), _SMOOTH * FPS / whole.fps, axis=0, mode="nearest")
-    return Motion(FINGERED, rotation.normalise(smooth), part.root_positions, FPS, part.absent)
+    return Motion(skeletons.FINGERED, rotation.normalise(smooth), part.root_positions, FPS, part.absent)
 
 
 # The stretches of a file come one after the other.
@@ -66,4 +64,5 @@ def _on_character(file: Path) -> Motion:
         plain = Path(room) / file.stem
         plain.write_text(text, encoding="utf-8")
         motion = read_bvh(plain, unit=1.0)
-    return skeletons.to_character(motion, skeletons.find_table(motion.skeleton.names, _TABLE["joints"]), FINGERED)
+    joints = skeletons.find_table(motion.skeleton.names, _TABLE["joints"])
+    return skeletons.to_character(motion, joints, skeletons.FINGERED)

@@ -7,8 +7,6 @@ readings ("reading") are performed as B.
 Nothing leaks between splits: the test split has separate topics, sentence templates, voices, takes, strokes and
 readings; the validation split has separate takes and sentences. Recording `i` depends on (seed, i) alone, so it is the
 same in any order and with any number of workers.
-
-The synthetic talks are in English; the readings are in English, German and Spanish.
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ from gesticulator_performer.inverse import Pool, make_pool, phrase_texts
 from gesticulator_performer.meant_strokes import load_borrowed, with_borrowed, with_meanings, with_repertoire
 from gesticulator_performer.plan import STEADY, draw_manner
 from gesticulator_performer.repertoire import Repertoire, read_repertoire, write_takes
-from gesticulator_performer.strokes import COLUMNS, StrokeSet, load_strokes
+from gesticulator_performer.strokes import StrokeSet, load_strokes
 from gesticulator_performer.syllables import Spoken, find_syllables
 from gesticulator_performer.takes import Library, RealTake, list_takes, load_takes, split_of_takes
 from gesticulator_performer.talks import talk_for_motion
@@ -80,8 +78,6 @@ _DETECTOR = ("meaning_cues.py", "meaning_cues.json")
 _ADDED = 10_000
 # Purposes of the random generators of a recording; one each, so that a longer text does not change the voice.
 _TEXT, _VOICE, _PLAY, _STYLE = 0, 1, 2, 3
-CREDITS: dict[str, str] = tables.table("clips.toml")["credits"]
-"""The licences of the sources of a corpus, as they are written to its store."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +130,7 @@ class Performer:
                 raise InputError(source / needed, "does not exist",
                                  "--source is the folder that holds strokes/, free_motion/, meaning/ and speech/")
         self._source = source
-        self._performers = sorted({row["speaker"] for row in tables.read_clips(source / "strokes", COLUMNS)})
+        self._performers = sorted({row["speaker"] for row in tables.read_clips(source / "strokes", {"speaker"})})
         self._stems = sorted(file.stem for file in (source / "speech").glob("*.flac"))
         if options.repertoire is not None:
             if not options.repertoire.exists():
@@ -142,7 +138,8 @@ class Performer:
                 print(f"{options.repertoire}: {count} takes of named gestures were drawn", flush=True)
             self._repertoire = read_repertoire(options.repertoire)
         licences = [f"named gestures: {licence}" for licence in self._repertoire.licences] if self._repertoire else []
-        credits = [credit for part, credit in CREDITS.items() if part != "idle" or (source / "idle").is_dir()]
+        credits = [credit for part, credit in tables.table("clips.toml")["credits"].items()
+                   if part != "idle" or (source / "idle").is_dir()]
         self.licence = "; ".join([*credits, *licences])
         if any(reading.startswith("en_") for reading in self._stems) and not importlib.util.find_spec("pocketsphinx"):
             raise InputError("alignment of the English readings", "needs pocketsphinx, which is not installed",

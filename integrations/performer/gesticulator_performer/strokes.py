@@ -40,7 +40,7 @@ HELD_OUT_SHARE = 0.15
 """Share of each person's clips that are held out for test."""
 
 _CLIPS = table("clips.toml")["strokes"]
-COLUMNS = frozenset({"file", "speaker", "posture", "lexeme", "hand", "emphasis"})
+_COLUMNS = frozenset({"file", "speaker", "posture", "lexeme", "hand", "emphasis"})
 # Least travel of a hand in a stroke, metres; anything smaller is a fidget.
 _MIN_REACH = 0.05
 # Frames per second at which a clip's times are measured: four per frame of the clips.
@@ -395,7 +395,7 @@ def held_out_keys(keys: Iterable[tuple[str, str]], share: float = HELD_OUT_SHARE
 def load_strokes(folder: str | Path) -> StrokeSet:
     """Read `manifest.csv` and the BVH clips beside it (metres) into strokes, each with its mirror image. InputError if
     the manifest or a clip is missing or broken."""
-    rows = [row for row in read_clips(folder, COLUMNS)
+    rows = [row for row in read_clips(folder, _COLUMNS)
             if Path(row["file"]).stem not in _CLIPS["dropped"] and row["lexeme"] not in _CLIPS["no_stroke"]]
     strokes: list[Stroke] = []
     figures: dict[str, PerformerBody] = {}

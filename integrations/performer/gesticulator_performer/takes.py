@@ -204,9 +204,8 @@ def _mean_rotation(rotations: Array) -> Array:
 
 
 def split_of_takes(takes: Iterable[RealTake]) -> dict[str, Split]:
-    """Name -> "train", "val" or "test": of each group the takes with the smallest hashes are held out, always the same;
-    of ReActIdle people are. Everything made from a take stays in its split, so that no test motion occurs in training.
-    """
+    """Name -> "train", "val" or "test": of each group the takes with the smallest hashes are held out, of ReActIdle
+    people. Everything made from a take stays in its split, so that no test motion occurs in training."""
     groups: dict[str, list[str]] = defaultdict(list)
     out: dict[str, Split] = {}
     for take in takes:

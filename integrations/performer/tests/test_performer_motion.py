@@ -147,9 +147,6 @@ def test_amplitude_and_tempo_can_be_heard() -> None:
     assert brightness(bright) > brightness(neutral) + 2.0
 
 
-# --- The recorded strokes
-
-
 @pytest.fixture(scope="module")
 def recorded(outside_data: Path) -> StrokeSet:
     return load_strokes(outside_data / "strokes")
