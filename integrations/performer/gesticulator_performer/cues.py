@@ -30,21 +30,11 @@ _LEAST_SCORE, _SURER = 0.55, 0.3
 # Chance of a label of emotion against one of another category that has the same cue: a plain "yes" is a nod, seldom a
 # cheer.
 _EMOTIONAL = 0.25
-_COMMON_WORDS = {
-    "en": "i me my you your we us no not all here there but also another really need must now yes",
-    "de": "ich mich mein du sie ihr dein wir uns nein nicht alles hier dort ja aber auch",
-    "es": "yo mi tú usted tu nosotros todos no nada aquí allí sí pero también",
-}
-_COMMON_OF = {language: frozenset(words.split()) for language, words in _COMMON_WORDS.items()}
 LOW, MID, HIGH = "low", "mid", "high"
-BEATS: dict[str, tuple[str, ...]] = {
-    LOW: ("BeatLow", "BeatFlip", "BeatFistMid"),
-    MID: ("BeatMid", "BeatForward", "BeatPointMid", "BeatFistMid"),
-    HIGH: ("BeatHigh", "Chop", "BeatForward"),
-}
-"""Lexemes of beats by prominence of the syllable."""
-
 _TABLE = table("words.toml")
+BEATS: dict[str, tuple[str, ...]] = {level: tuple(_TABLE["beats"][level].split()) for level in (LOW, MID, HIGH)}
+"""Lexemes of beats by prominence of the syllable."""
+_COMMON_OF = {language: frozenset(words.split()) for language, words in _TABLE["cues"].items()}
 # Groups of strokes with one meaning, best first.
 _STROKES: dict[str, tuple[str, ...]] = {
     name: tuple(group["strokes"].split()) for name, group in _TABLE["lexemes"].items()}

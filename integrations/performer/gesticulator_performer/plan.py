@@ -15,6 +15,7 @@ from data_module.types import Array
 from gesticulator_performer.cues import BEATS, Asked, beat_level, lexemes_of
 from gesticulator_performer.strokes import LEFT, RIGHT, Stroke, StrokeSet
 from gesticulator_performer.syllables import Phrase, Spoken, Syllable
+from gesticulator_performer.tables import table
 from gesticulator_performer.voices import NEUTRAL, StyleTrack
 
 HANG, LOW, STAY = "hang", "low", "stay"
@@ -205,12 +206,7 @@ class Habits:
     damping: float = 0.02
 
 
-HABITS: dict[str, Habits] = {
-    "brad": Habits(0.60, 0.8, (1.1, 0.7, 1.2), 0.050, 1.02, 1.25, 2.6, damping=0.03),
-    "brad2": Habits(0.70, 0.6, (1.2, 0.6, 1.4), 0.047, 1.05, 1.12, 3.2, damping=0.05),
-    "connor": Habits(0.65, 0.3, (0.6, 1.2, 1.2), 0.053, 1.02, 1.02, 2.2, damping=0.045),
-    "garza": Habits(0.75, 0.5, (0.7, 1.1, 1.5), 0.049, 1.06, 1.12, 3.8, damping=0.07),
-}
+HABITS = {name: Habits(**{**row, "hands": tuple(row["hands"])}) for name, row in table("clips.toml")["habits"].items()}
 
 
 @dataclass(frozen=True)

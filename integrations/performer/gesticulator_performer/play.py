@@ -23,7 +23,6 @@ from data_module.motion.motion_beats import acting_speed, beats_of_speed
 from data_module.types import Array, Motion
 from gesticulator_performer import plan as planning
 from gesticulator_performer import trunk as living
-from gesticulator_performer.fades import quintic_offset
 from gesticulator_performer.joints import FPS, TORSO_RADIUS, capsule_depth
 from gesticulator_performer.plan import BRAKE, Casting, Habits, Levels, Manner, PhraseHands, Planned, waiting_levels
 from gesticulator_performer.strokes import LEFT, RIGHT, SIDES, PerformerBody, StrokeSet
@@ -582,7 +581,7 @@ def _arm(score: _Score, side: int, tuning: _Tuning, joints: int | None) -> Array
         around = np.concatenate([(first - np.array([3.0, 2.0, 1.0])) / FPS, times])
         target = _target(score, side, event, tuning, around, home)
         fade = event.fade * (tuning.fades[event.stroke] if event.stroke >= 0 else 1.0)
-        target[3:] = target[3:] + quintic_offset(out[max(0, first - 3):first], target[:3], times, fade, FPS)
+        target[3:] = target[3:] + living.quintic_offset(out[max(0, first - 3):first], target[:3], times, fade, FPS)
         out[first:last] = target[3:]
     return out
 

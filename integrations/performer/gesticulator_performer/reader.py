@@ -8,8 +8,6 @@ may be missing.
 Nothing leaks between splits: the test split has separate topics, sentence templates, voices, takes, strokes and
 readings; the validation split has separate takes and sentences. Recording `i` depends on (seed, i) alone, so it is the
 same in any order and with any number of workers.
-
-The synthetic talks are in English; the readings are in English, German and Spanish.
 """
 
 from __future__ import annotations
@@ -41,7 +39,7 @@ from gesticulator_performer.inverse import Pool, make_pool, phrase_texts
 from gesticulator_performer.meant_strokes import load_borrowed, with_borrowed, with_meanings, with_repertoire
 from gesticulator_performer.plan import STEADY, draw_manner
 from gesticulator_performer.repertoire import Repertoire, read_repertoire, write_takes
-from gesticulator_performer.strokes import StrokeSet, load_strokes, read_manifest
+from gesticulator_performer.strokes import StrokeSet, load_strokes
 from gesticulator_performer.syllables import Spoken, find_syllables
 from gesticulator_performer.takes import Library, RealTake, list_takes, load_takes, split_of_takes
 from gesticulator_performer.talks import talk_for_motion
@@ -82,20 +80,10 @@ _FIRST = {"talk": 0, "reading": 100_000, "utterance": 150_000, "motion": 200_000
 _DETECTOR = ("meaning_cues.py", "meaning_cues.json")
 # Five and six times this is added to that index for the recordings of `ADDED`.
 _ADDED = 10_000
+# Folders of the source that may be missing: real voices, and people who stand and wait.
+_OPTIONAL = ("voices", "idle")
 # Purposes of the random generators of a recording; one each, so that a longer text does not change the voice.
 _TEXT, _VOICE, _PLAY, _STYLE = 0, 1, 2, 3
-CREDITS = {
-    "speech": "synthetic voices",
-    "readings": "readings: public domain (LibriVox)",
-    "austen": "Austen excerpts: BSD-like",
-    "voices": "utterances: LibriSpeech by Vassil Panayotov, Guoguo Chen, Daniel Povey and Sanjeev Khudanpur, 2015 "
-              "(CC BY 4.0), https://www.openslr.org/12",
-    "strokes": "strokes: LGPL 2.1 (SmartBody)",
-    "free_motion": "motion: Microsoft Rocketbox (MIT), PNGestures of SmartBody (LGPL 2.1), and CMU (free for all uses; "
-                   "the clips are not to be resold): The data used in this project was obtained from mocap.cs.cmu.edu. "
-                   "The database was created with funding from NSF EIA-0196217.",
-}
-"""The licences of the sources of a corpus, as they are written to its store."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +136,7 @@ class Performer:
                 raise InputError(source / needed, "does not exist",
                                  "--source is the folder that holds strokes/, free_motion/, meaning/ and speech/")
         self._source = source
-        self._performers = sorted({row["speaker"] for row in read_manifest(source / "strokes")})
+        self._performers = sorted({row["speaker"] for row in tables.read_clips(source / "strokes", {"speaker"})})
         self._stems = sorted(file.stem for file in (source / "speech").glob("*.flac"))
         if options.repertoire is not None:
             if not options.repertoire.exists():
@@ -156,7 +144,8 @@ class Performer:
                 print(f"{options.repertoire}: {count} takes of named gestures were drawn", flush=True)
             self._repertoire = read_repertoire(options.repertoire)
         licences = [f"named gestures: {licence}" for licence in self._repertoire.licences] if self._repertoire else []
-        credits = [credit for name, credit in CREDITS.items() if name != "voices" or (source / name).exists()]
+        credits = [credit for part, credit in tables.table("clips.toml")["credits"].items()
+                   if part not in _OPTIONAL or (source / part).is_dir()]
         self.licence = "; ".join([*credits, *licences])
         if any(reading.startswith("en_") for reading in self._stems) and not importlib.util.find_spec("pocketsphinx"):
             raise InputError("alignment of the English readings", "needs pocketsphinx, which is not installed",
@@ -165,7 +154,7 @@ class Performer:
     def settings(self) -> Mapping[str, Any]:
         room = Path(__file__).parent
         code = _hash_of([*sorted(room.glob("*.py")), *tables.files()], room)
-        sources = [file for folder in ("strokes", "speech", "voices", "free_motion", "meaning")
+        sources = [file for folder in ("strokes", "speech", "free_motion", "meaning", *_OPTIONAL)
                    for file in sorted((self._source / folder).rglob("*"))]
         settings: dict[str, Any] = {"code": code, "hours": self._options.hours,
                                     "source": _hash_of(sources, self._source)}
@@ -224,11 +213,11 @@ class Performer:
 
     @functools.cached_property
     def _library(self) -> Library:
-        return load_takes(self._source / "free_motion")
+        return load_takes(self._source)
 
     @functools.cached_property
     def _takes(self) -> list[RealTake]:
-        return [take for take, _ in list_takes(self._source / "free_motion")]
+        return [take for take, _ in list_takes(self._source)]
 
     @functools.cached_property
     def _take_splits(self) -> dict[str, Split]:

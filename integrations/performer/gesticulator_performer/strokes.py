@@ -395,7 +395,7 @@ def held_out_keys(keys: Iterable[tuple[str, str]], share: float = HELD_OUT_SHARE
 def load_strokes(folder: str | Path) -> StrokeSet:
     """Read `manifest.csv` and the BVH clips beside it (metres) into strokes, each with its mirror image. InputError if
     the manifest or a clip is missing or broken."""
-    rows = [row for row in read_manifest(folder)
+    rows = [row for row in read_clips(folder, _COLUMNS)
             if Path(row["file"]).stem not in _CLIPS["dropped"] and row["lexeme"] not in _CLIPS["no_stroke"]]
     strokes: list[Stroke] = []
     figures: dict[str, PerformerBody] = {}
@@ -405,11 +405,6 @@ def load_strokes(folder: str | Path) -> StrokeSet:
         strokes += measured
     held_out = held_out_keys(map(_key, strokes))
     return StrokeSet(tuple(replace(s, held_out=_key(s) in held_out) for s in strokes), figures)
-
-
-def read_manifest(folder: str | Path) -> list[dict[str, str]]:
-    """The rows of `manifest.csv` in a folder of strokes, each with its `_COLUMNS`."""
-    return read_clips(folder, _COLUMNS)
 
 
 def _key(stroke: Stroke) -> tuple[str, str]:

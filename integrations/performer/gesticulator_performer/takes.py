@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from data_module.motion.relaxed_hands import with_relaxed_hands
 from data_module.motion.skeletons import CHARACTER, FINGERED
 from data_module.store import Split
 from data_module.types import Array, Motion
+from gesticulator_performer import idle
 from gesticulator_performer import joints as anatomy
 from gesticulator_performer.joints import FPS, facing_positions, torso_depth, with_loose_wrists, with_rhythm
 from gesticulator_performer.strokes import arm_joints
@@ -131,23 +133,25 @@ class MotionRange:
     trunk: float
 
 
-def load_takes(folder: str | Path) -> Library:
-    return library_of([_read(take, file) for take, file in list_takes(folder)])
+def load_takes(source: Path) -> Library:
+    return library_of([_read(take, motion()) for take, motion in list_takes(source)])
 
 
-def list_takes(folder: str | Path) -> list[tuple[RealTake, Path]]:
-    """The usable takes of `manifest.csv`, without their motion, and their files."""
-    listed: list[tuple[RealTake, Path]] = []
+def list_takes(source: Path) -> list[tuple[RealTake, Callable[[], Motion]]]:
+    """The usable takes in `free_motion` and `idle`, without their motion, and what reads it."""
+    folder, none = source / "free_motion", np.zeros((0, len(FINGERED), 3))
+    listed: list[tuple[RealTake, Callable[[], Motion]]] = []
     for row in read_clips(folder, {"file", "person", "licence"}):
         stem = Path(row["file"]).stem
         group = group_of(stem)
         if group and stem not in _CLIPS["twins"]:
-            take = RealTake(stem, row["person"], group, row["licence"], np.zeros((0, len(FINGERED), 3)))
-            listed.append((take, Path(folder) / row["file"]))
+            take = RealTake(stem, row["person"], group, row["licence"], none)
+            listed.append((take, partial(on_character, folder / row["file"])))
     if not any(any(part in take.name for part in _HANGING) for take, _ in listed):
-        raise InputError(Path(folder) / "manifest.csv", "names no take of a standing person",
+        raise InputError(folder / "manifest.csv", "names no take of a standing person",
                          "take the manifest that came with the clips")
-    return listed
+    return listed + [(RealTake(name, person, "idling", "MIT", none), partial(idle.stretch, file, seconds))
+                     for name, person, file, seconds in idle.stretches_of(source / "idle")]
 
 
 def group_of(stem: str) -> str:
@@ -181,8 +185,7 @@ def on_character(file: Path) -> Motion:
     return kinematics.resample(skeletons.to_character(read_bvh(file, unit=1.0), skeleton=FINGERED), FPS)
 
 
-def _read(take: RealTake, file: Path) -> tuple[RealTake, Array]:
-    motion = on_character(file)
+def _read(take: RealTake, motion: Motion) -> tuple[RealTake, Array]:
     if anatomy.subject_of(take.name):
         motion = replace(motion, rotations=with_loose_wrists(anatomy.mended(take.name, motion.rotations)))
     motion = with_relaxed_hands(motion)
@@ -201,12 +204,15 @@ def _mean_rotation(rotations: Array) -> Array:
 
 
 def split_of_takes(takes: Iterable[RealTake]) -> dict[str, Split]:
-    """Name -> "train", "val" or "test": of each group the takes with the smallest hashes are held out, always the same.
-    Everything made from a take stays in its split, so that no test motion occurs in training."""
+    """Name -> "train", "val" or "test": of each group the takes with the smallest hashes are held out, of ReActIdle
+    people. Everything made from a take stays in its split, so that no test motion occurs in training."""
     groups: dict[str, list[str]] = defaultdict(list)
-    for take in takes:
-        groups[take.group].append(take.name)
     out: dict[str, Split] = {}
+    for take in takes:
+        if take.person in idle.SPLITS:
+            out[take.name] = idle.SPLITS[take.person]
+        else:
+            groups[take.group].append(take.name)
     for names in groups.values():
         order = sorted(names, key=lambda name: hashlib.sha256(name.encode()).hexdigest())
         test, val = round(TEST_SHARE * len(order)), round(VALIDATION_SHARE * len(order))

@@ -15,12 +15,11 @@ from data_module.motion.skeletons import CHARACTER, CHARACTERS, FINGERED, HIP_HE
 from data_module.types import Array, Motion
 from gesticulator_performer import inverse
 from gesticulator_performer import takes as real
-from gesticulator_performer.fades import quintic_offset
 from gesticulator_performer.inverse import Pool
 from gesticulator_performer.joints import FPS, facing_positions
 from gesticulator_performer.syllables import Spoken
 from gesticulator_performer.takes import Library, MotionRange, RealTake
-from gesticulator_performer.trunk import calm, pitch_accents, postures, sway, yaw_scale
+from gesticulator_performer.trunk import calm, pitch_accents, postures, quintic_offset, sway, yaw_scale
 
 # Seconds: a difference in velocity costs as much as the difference in pose that it makes in this time.
 _VELOCITY = 0.12

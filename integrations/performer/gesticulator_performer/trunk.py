@@ -22,9 +22,8 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from data_module.motion import kinematics, rotation
-from data_module.motion.kinematics import minimum_jerk
+from data_module.motion.kinematics import fade_weights, minimum_jerk
 from data_module.types import Array
-from gesticulator_performer.fades import quintic_offset
 from gesticulator_performer.joints import FPS
 from gesticulator_performer.strokes import SIDES, PerformerBody
 from gesticulator_performer.syllables import Phrase, Spoken, Syllable
@@ -138,17 +137,31 @@ def trunk_track(segments: tuple[Segment, ...], spoken: Spoken, speaking: Array, 
     return gain * _GAINS[:, None] * calm(out, speaking, vigour)
 
 
+def quintic_offset(before: Array, target: Array, times: Array, fade: float, fps: float) -> Array:
+    """[M, D] the offset to add to the new motion at `times`: the gap to the old motion, its velocity and acceleration
+    fade to zero (`fade_weights`).
+
+    before: [3, D] the last frames of the old motion; target: [3, D] the new motion at the same three frames. times: [M]
+    seconds of the new frames, the first one frame after `before`. fade: seconds until the offset is zero. Zeros if
+    `before` holds fewer than three frames.
+    """
+    if len(before) < 3:
+        return np.zeros((len(times), target.shape[1]))
+    gap = before - target
+    v, a = (gap[2] - gap[1]) * fps, (gap[2] - 2.0 * gap[1] + gap[0]) * fps * fps
+    place, velocity, acceleration = fade_weights(np.clip((times - times[0] + 1.0 / fps) / fade, 0.0, 1.0)[:, None])
+    return gap[2] * place + v * fade * velocity + a * fade * fade * acceleration
+
+
 def idle_arms(segments: tuple[Segment, ...], frames: int, rng: np.random.Generator) -> Array:
     """[2, T, 12] log rotations of hanging arms about their mean: joined fidgets of people who listen or wait."""
     quiet = [s for s in segments if s.quiet and s.arms.shape[1] > 3 * FPS]
-    out = np.zeros((0, 24))
-    while quiet and len(out) < frames:
+    out = np.zeros((0 if quiet else frames, 24))
+    while len(out) < frames:
         arms = quiet[int(rng.integers(len(quiet)))].arms
         piece = np.concatenate([arms[0], arms[1]], axis=1)
         offset = quintic_offset(out[-3:], piece[:3], np.arange(len(piece) - 3) / FPS, _IDLE_FADE, FPS)
         out = np.concatenate([out, piece[3:] + offset])
-    if not quiet:
-        return np.zeros((2, frames, 12))
     return np.stack([out[:frames, :12], out[:frames, 12:]])
 
 

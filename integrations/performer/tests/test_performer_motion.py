@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gesticulator_performer import plan, text, voices
-from gesticulator_performer.fades import quintic_offset
 from gesticulator_performer.joints import FPS
 from gesticulator_performer.plan import Manner
 from gesticulator_performer.play import Played
@@ -148,9 +147,6 @@ def test_amplitude_and_tempo_can_be_heard() -> None:
     assert brightness(bright) > brightness(neutral) + 2.0
 
 
-# --- The recorded strokes
-
-
 @pytest.fixture(scope="module")
 def recorded(outside_data: Path) -> StrokeSet:
     return load_strokes(outside_data / "strokes")
@@ -177,16 +173,3 @@ def test_recorded_strokes_play_in_time_and_out_of_the_body(recorded: StrokeSet, 
     toes = kinematics.positions_of(out.motion)[:, out.motion.skeleton.index("LeftToeBase")]
     # Some clips turn a little on the spot, and the legs follow the hips.
     assert np.ptp(toes, axis=0).max() < 0.03
-
-
-def test_what_is_left_of_a_motion_dies_away_smoothly() -> None:
-    time = np.arange(-3, 60) / 60.0
-    old, new = 0.2 * np.sin(3 * time)[:, None], (0.5 + 0.1 * time)[:, None]
-    out = new[3:] + quintic_offset(old[:3], new[:3], time[3:], 0.5, 60.0)
-    joined = np.concatenate([old[:3], out])
-    assert out[-1] == pytest.approx(new[-1])
-    assert np.abs(out[31:] - new[34:]).max() < 1e-12, "nothing is left after the fade"
-    # Place, velocity and acceleration pass over: the third difference has no spike at the seam.
-    third = np.abs(np.diff(joined[:, 0], 3)) * 60.0 ** 3
-    assert third[:3].max() < 3.0 * third[3:30].max()
-    assert quintic_offset(old[:2], new[:2], time[3:], 0.5, 60.0) == pytest.approx(0.0)

@@ -113,7 +113,7 @@ def test_takes_as_published_lose_their_turning(outside_data: Path) -> None:
     folder = outside_data / "free_motion"
     if not (folder / "manifest.csv").is_file():
         pytest.skip("the outside data has no free_motion")
-    lib = takes.load_takes(folder)
+    lib = takes.load_takes(outside_data)
     talks = lib.talks()
     assert 60 <= len(talks) <= 70 and 10.0 < sum(map(len, talks)) / 3600 < 11.5
     places = kinematics.joint_positions(CHARACTER, lib.rest[None])[0]
@@ -242,7 +242,7 @@ def _pooled(captured: Library, subject: str) -> list[Motion]:
 
 @pytest.fixture(scope="module")
 def captured(free_motion: Path) -> Library:
-    return takes.load_takes(free_motion)
+    return takes.load_takes(free_motion.parent)
 
 
 @pytest.mark.parametrize("subject", sorted(joints.SUBJECTS))
