@@ -3,6 +3,7 @@
 import gc
 import tracemalloc
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.types import Array, Motion, Samples, Speech, Word
 from gesticulator.bundle.features import representation_of
 from gesticulator.gesticulator import Gesticulator
+from gesticulator.sampling.cutter import BlockCutter
 from gesticulator.stream import Stream, StreamFrames, StreamState
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "speech.flac"
@@ -163,6 +165,20 @@ def test_low_latency_gives_the_same_bytes_for_any_pieces() -> None:
     one, other = system().stream(latency="low"), system().stream(latency="low")
     assert np.array_equal(joined([*fed(one, sound, (160,)), one.finish()]),
                           joined([*fed(other, sound, (20000, 3)), other.finish()]))
+
+
+def test_the_beginning_of_a_foreseen_block_is_enough_for_the_block_before_it() -> None:
+    config, given = system().bundle.config, []
+    whole = replace(config, generator=replace(config.generator, after_dropout=0.0))  # whose models take it as a guess
+    for each in (config, whole):
+        cutter = BlockCutter(each)
+        cutter.low = True
+        given.append(cutter.feed(example()[:6 * SAMPLE_RATE]))
+    inside = 2 * config.rhythm.frames
+    assert len(given[0]) == len(given[1]) > 12
+    for begun, guessed in zip(*given, strict=True):
+        assert begun.foreseen and np.array_equal(begun.low[:inside], guessed.low[:inside])
+        assert not np.array_equal(begun.low[inside:], guessed.low[inside:])
 
 
 # ---------------------------------------------------------------------------------------------------- seams

@@ -249,6 +249,11 @@ class Config:
                              "start from --preset racer-native, racer-trinity or racer-chinese")
 
     @property
+    def ignores_foreseen(self) -> bool:
+        """Whether the models take nothing of the sound of a next block that is not known yet."""
+        return bool(self.generator.after_dropout and self.interpreter.after_dropout)
+
+    @property
     def rests_by_phrase(self) -> bool:
         """Whether rest is decided phrase by phrase, with idle motion (`gesticulator.body.rest`)."""
         # RACER decodes all codes together, so no block can be replaced by rest afterwards.

@@ -38,6 +38,8 @@ CUTTER_EVERY = 100 * TICK
 """Samples (2 s) between two copies of a cutter: cutting them again takes 20 ms."""
 _SAME = 1e-6
 """Largest difference of two equal times, seconds."""
+_BEGINNING = 0.2
+"""Share of a foreseen block into which the features of the block before reach."""
 _WORDS_NEAR = 30.0
 """Seconds around a block in which words are considered: no bridged pause is longer."""
 
@@ -265,20 +267,23 @@ class BlockCutter:
         begin, stop = (min(round(edge * SAMPLE_RATE), self._processed) - self._from for edge in (start, end))
         pitch = None if self._pitch is None else self._pitch.block(
             self._sound[begin:stop], SAMPLE_RATE, self._config.rhythm.frames)
-        return _CutBlock(start, end, flag, self._stretched(start, end), silent,
+        return _CutBlock(start, end, flag, self._stretched(start, end, self._length), silent,
                          self._quiet.at(silence.frame_before(frames), ended), self._voice.block(end),
                          np.array([time for time in self._rises if start - _SAME <= time <= end + _SAME]), pitch)
 
     def _foreseen(self, block: _CutBlock) -> _CutBlock:
-        """A guess of the next block: of the same length, with the sound so far, continued by its mirror image."""
+        """A guess of the next block: of the same length, with the sound so far, continued by its mirror image; of the
+        beginning alone if the models take nothing of a block that is only foreseen."""
         start, end = block.end, block.end + block.duration
-        share = np.arange(1, self._config.rhythm.frames + 1) / self._config.rhythm.frames
+        share = _BEGINNING if self._config.ignores_foreseen else 1.0
+        sound = self._stretched(start, start + share * block.duration, round(share * self._length))
+        steps = np.arange(1, self._config.rhythm.frames + 1) / self._config.rhythm.frames
         first, last = silence.frame_after(np.array([start, end])).tolist()
-        return _CutBlock(start, end, BeatFlag.EVEN_PSEUDO, self._stretched(start, end),
+        return _CutBlock(start, end, BeatFlag.EVEN_PSEUDO, np.pad(sound, (0, self._length - len(sound))),
                          silence.in_pause(self._pauses.between(first, last)),
-                         self._quiet.at(silence.frame_before(start + block.duration * share), False), 0.0, np.zeros(0))
+                         self._quiet.at(silence.frame_before(start + block.duration * steps), False), 0.0, np.zeros(0))
 
-    def _stretched(self, start: float, end: float) -> Samples:
+    def _stretched(self, start: float, end: float, length: int) -> Samples:
         first, last = (round(edge * SAMPLE_RATE) for edge in (start, end))
         if self._ended:
             first, last = min(first, self._processed), min(last, self._processed)
@@ -288,7 +293,7 @@ class BlockCutter:
         missing = last - first + self._context - len(piece)
         if missing:  # silence after the end of the recording, or the mirror image of the sound so far
             piece = np.pad(piece, (0, missing), mode="constant" if self._ended else "symmetric")
-        return stretch_piece(piece, self._length, SAMPLE_RATE)
+        return stretch_piece(piece, length, SAMPLE_RATE)
 
     def _encoded(self, before: _CutBlock | None, block: _CutBlock, after: _CutBlock | None) -> SpeechBlock:
         """The block encoded with its neighbours; a missing neighbour is zeros."""
