@@ -1,6 +1,7 @@
 """RACER's stages over a corpus: what the reward model is shown, and RACER's own form from store to motion."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from gesticulator.training.stages import REWARD, Run
 from gesticulator.training.stages.corpus import Corpus, prepare
 from gesticulator.training.stages.lexicon import decoded_blocks, token_labels
 from gesticulator.training.stages.q_network import takes_of
-from gesticulator.training.stages.reward import RewardWindows, block_audio, groups, reward_table
+from gesticulator.training.stages.reward import RewardWindows, block_audio, drawn_windows, groups, reward_table
 from interpreters.reward import RewardConfig
 from lexicon.racer import RacerCodec
 
@@ -52,6 +53,14 @@ def test_windows_that_share_a_block_or_are_silent_are_no_rivals() -> None:
     found = groups(blocks, valid, silent)
     assert found[0] == found[1] == found[2] and found[4] == found[5]
     assert len({found[0], found[3], found[4]}) == 3
+
+
+def test_a_recording_is_drawn_by_how_many_blocks_it_has(corpus: Corpus) -> None:
+    counts = (90, 10, 300, 20)
+    uneven = replace(corpus, recording=np.repeat(np.arange(4), counts))
+    blocks, _ = drawn_windows(uneven, [0, 1, 3], RewardConfig(window=4, longest=6), np.random.default_rng(0), 24000)
+    shares = np.bincount(uneven.recording[blocks[:, -1]], minlength=4) / len(blocks)
+    assert shares == pytest.approx([90 / 120, 10 / 120, 0.0, 20 / 120], abs=0.03)
 
 
 def test_reward_windows_hold_what_belongs_together(corpus: Corpus, tiny_bundle: Path) -> None:

@@ -199,8 +199,9 @@ class RewardWindows:
 def drawn_windows(corpus: Corpus, recordings: Sequence[int], config: RewardConfig, rng: np.random.Generator, count: int
                   ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """`count` windows of blocks [count, W], right-aligned, and which of them are valid; eight of each recording, so
-    that a batch cannot be told apart by voices."""
-    chosen = rng.choice(recordings, size=-(-count // _TOGETHER))
+    that a batch cannot be told apart by voices. Recordings are drawn by their number of blocks."""
+    first, last = (np.searchsorted(corpus.recording, recordings, side) for side in ("left", "right"))
+    chosen = rng.choice(recordings, size=-(-count // _TOGETHER), p=(last - first) / (last - first).sum())
     owners = np.repeat(chosen, _TOGETHER)[:count]
     blocks, valid = np.zeros((count, config.longest), np.int64), np.zeros((count, config.longest), np.float32)
     for row, recording in enumerate(owners):
