@@ -27,16 +27,6 @@ from bpy.props import EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 from mathutils import Matrix, Quaternion, Vector
 
-bl_info = {
-    "name": "Gesture from Speech",
-    "author": "gesticulator",
-    "version": (0, 1, 0),
-    "blender": (4, 2, 0),
-    "location": "Object > Animation > Gesture from Speech",
-    "description": "Recorded speech in, gestures out, on the selected armature",
-    "category": "Animation",
-}
-
 ADDON = __package__ or __name__
 """The name under which Blender keeps the preferences: that of the package where this is an extension."""
 PROXY = "gesticulator proxy"

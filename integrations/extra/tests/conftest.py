@@ -1,8 +1,8 @@
-"""The fixtures of the main package's tests: the outside data, a tiny store, one thread for torch."""
+"""The fixtures of the main package's tests: the outside data, one thread for torch."""
 
 from __future__ import annotations
 
-import importlib.util
+import runpy
 import sys
 from pathlib import Path
 
@@ -12,11 +12,8 @@ from gesticulator.export.writers import WRITERS
 
 TESTS = Path(__file__).resolve().parents[3] / "tests"
 sys.path.insert(0, str(TESTS))
-_spec = importlib.util.spec_from_file_location("main_conftest", TESTS / "conftest.py")
-assert _spec is not None and _spec.loader is not None
-_main = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(_main)
-outside_data, tiny_store, pytest_runtest_setup = _main.outside_data, _main.tiny_store, _main.pytest_runtest_setup
+_main = runpy.run_path(str(TESTS / "conftest.py"))
+outside_data, pytest_runtest_setup = _main["outside_data"], _main["pytest_runtest_setup"]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from gesticulator_extra.robots import g1
-from gesticulator_extra.robots.angles import RobotMotion, to_robot
+from gesticulator_extra.robots.angles import to_robot
 from gesticulator_extra.robots.limits import SPEED_SHARE, slowed
 from gesticulator_extra.robots.pan_tilt import pan_over_time, tilt_at
 from gesticulator_extra.robots.table import COLUMNS, RobotWarning
@@ -121,21 +121,17 @@ def test_what_cannot_be_done_is_told_and_cut() -> None:
 
 # ------------------------------------------------------------------------------------------------ limits and pointing
 
-def check_limits(moved: RobotMotion) -> None:
-    """No angle beyond its limit, none faster than its motor's share."""
-    assert (moved.angles > g1.LOW).all() and (moved.angles < g1.HIGH).all()
-    steps = np.abs(np.diff(moved.angles, axis=0)) * moved.fps
-    assert (steps <= SPEED_SHARE * g1.SPEED + 1e-6).all()
-    np.testing.assert_allclose(np.linalg.norm(moved.turns, axis=-1), 1.0, atol=1e-9)
-
-
 @settings(max_examples=15)
 @given(st.integers(0, 10_000), st.floats(0.1, 4.0), st.floats(8.0, 240.0), st.sampled_from(sorted(CHARACTERS)))
 def test_limits_hold_whatever_is_asked(seed: int, size: float, fps: float, joints: int) -> None:
     rng = np.random.default_rng(seed)
     turns = rotation.from_exponential_map(np.cumsum(rng.normal(size=(12, joints, 3)) * size, axis=0))
     hips = np.cumsum(rng.normal(size=(12, 3)) * 0.1, axis=0)
-    check_limits(to_robot(Motion(CHARACTERS[joints], turns, hips, fps)))
+    moved = to_robot(Motion(CHARACTERS[joints], turns, hips, fps))
+    assert (moved.angles > g1.LOW).all() and (moved.angles < g1.HIGH).all()
+    steps = np.abs(np.diff(moved.angles, axis=0)) * moved.fps
+    assert (steps <= SPEED_SHARE * g1.SPEED + 1e-6).all()
+    np.testing.assert_allclose(np.linalg.norm(moved.turns, axis=-1), 1.0, atol=1e-9)
 
 
 @given(st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=30), st.floats(0.05, 4.0))
@@ -149,14 +145,10 @@ def test_a_slowed_track_is_slow_and_as_near_as_one_can_be(values: list[float], s
     assert np.abs(got - track).max() == pytest.approx(max(0.0, apart.max()) / 2.0, abs=1e-9)
 
 
-def pointing(pan: Array, tilt: Array) -> Array:
-    """[T, 3] unit directions."""
-    return np.stack([np.cos(tilt) * np.cos(pan), np.cos(tilt) * np.sin(pan), np.sin(tilt)], axis=-1)
-
-
 def missed(way: Array, pan: Array, tilt: Array) -> Array:
     """[T] degrees between directions and where two hinges point."""
-    return np.degrees(np.arccos(np.clip(np.sum(way * pointing(pan, tilt), axis=-1), -1.0, 1.0)))
+    there = np.stack([np.cos(tilt) * np.cos(pan), np.cos(tilt) * np.sin(pan), np.sin(tilt)], axis=-1)
+    return np.degrees(np.arccos(np.clip(np.sum(way * there, axis=-1), -1.0, 1.0)))
 
 
 @pytest.mark.parametrize("high", [2.1, np.pi / 2.0], ids=["bends both ways", "bends one way"])

@@ -78,6 +78,8 @@ _HALF_RAISED, _LIFT_WIDTH = 0.1, 0.07
 # Standard deviation of the low pass of velocity and acceleration, seconds.
 _SMOOTH_HAND = 0.07
 SIDES = ("Left", "Right")
+MIRROR = np.array([1.0, -1.0, -1.0])
+"""A reflection in x = 0 keeps the x of a log rotation and negates y and z."""
 # Sign of x away from the body.
 _OUT = {"Left": 1.0, "Right": -1.0}
 SUBJECTS: dict[str, dict[str, float]] = table("clips.toml")["takes"]["elbows"]

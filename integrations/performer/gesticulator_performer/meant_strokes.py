@@ -18,7 +18,7 @@ from data_module.errors import InputError
 from data_module.motion.bvh import read_bvh
 from data_module.types import Motion
 from gesticulator_performer import strokes as performed
-from gesticulator_performer.cues import Cues, MeantClip, read_cues
+from gesticulator_performer.cues import Cues, MeantClip, mirrored, read_cues
 from gesticulator_performer.strokes import PerformerBody, Repertoire, Stroke, StrokeSet, lent, mirror
 from gesticulator_performer.tables import read_clips, table
 
@@ -93,10 +93,8 @@ def _labelled(stroke: Stroke, cues: Cues) -> Stroke:
     clip = cues.clips.get(stroke.base)
     if clip is None:
         return stroke
-    if stroke.clip == stroke.base:
-        return replace(stroke, meaning=clip.label, faithful=clip.label in _CLIPS["faithful"])
-    return replace(stroke, meaning=mirror(replace(stroke, meaning=clip.label)).meaning,
-                   faithful=clip.label in _CLIPS["faithful"])
+    label = clip.label if stroke.clip == stroke.base else mirrored(clip.label)
+    return replace(stroke, meaning=label, faithful=clip.label in _CLIPS["faithful"])
 
 
 def _further_clips(source: Path, cues: Cues, strokes: StrokeSet) -> list[tuple[MeantClip, Motion]]:

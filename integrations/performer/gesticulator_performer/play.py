@@ -23,11 +23,10 @@ from data_module.motion.motion_beats import acting_speed, beats_of_speed
 from data_module.types import Array, Motion
 from gesticulator_performer import plan as planning
 from gesticulator_performer import trunk as living
-from gesticulator_performer.joints import FPS, TORSO_RADIUS, capsule_depth
+from gesticulator_performer.joints import FPS, MIRROR, SIDES, TORSO_RADIUS, capsule_depth
 from gesticulator_performer.plan import BRAKE, Casting, Habits, Levels, Manner, PhraseHands, Planned, waiting_levels
-from gesticulator_performer.strokes import LEFT, RIGHT, SIDES, PerformerBody, StrokeSet
+from gesticulator_performer.strokes import LEFT, RIGHT, PerformerBody, StrokeSet
 from gesticulator_performer.syllables import Spoken
-from gesticulator_performer.takes import MIRROR
 from gesticulator_performer.trunk import Segment
 from gesticulator_performer.voices import NEUTRAL, StyleTrack
 

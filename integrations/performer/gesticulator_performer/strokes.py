@@ -21,7 +21,7 @@ from data_module.motion import kinematics, rotation
 from data_module.motion.bvh import read_bvh
 from data_module.types import Array, Motion, Skeleton
 from gesticulator_performer.cues import Cues, mirrored
-from gesticulator_performer.joints import with_rhythm
+from gesticulator_performer.joints import MIRROR, SIDES, with_rhythm
 from gesticulator_performer.tables import read_clips, table
 
 SCRIPTED = "script_"
@@ -34,7 +34,6 @@ SCRIPT_BODY = "script"
 _REMEMBERED = 300
 _NONE = np.array([1.0, 0.0, 0.0, 0.0])
 LEFT, RIGHT = 0, 1
-SIDES = ("Left", "Right")
 ACTING_SIDES: dict[str, tuple[int, ...]] = {"left": (LEFT,), "right": (RIGHT,), "both": (LEFT, RIGHT), "none": ()}
 HELD_OUT_SHARE = 0.15
 """Share of each person's clips that are held out for test."""
@@ -356,15 +355,14 @@ def logs_against(rest: Array, rotations: Array, joints: tuple[int, ...]) -> Arra
 
 def mirror(stroke: Stroke) -> Stroke:
     """The mirror image of a stroke: left and right are swapped, in its hand, its meaning and the name of its lexeme
-    too. A reflection in x = 0 keeps the x of a log rotation and negates y and z."""
-    flip = np.array([1.0, -1.0, -1.0])
+    too."""
     other = {"left": "right", "right": "left", "both": "both", "none": "none"}
     lexeme = stroke.lexeme
     for a, b in (("Left", "Right"), ("Right", "Left")):
         if a in stroke.lexeme:
             lexeme = stroke.lexeme.replace(a, b)
     return replace(stroke, clip=stroke.base + "-mirrored", lexeme=lexeme, hand=other[stroke.hand],
-                   meaning=mirrored(stroke.meaning), arms=stroke.arms[::-1] * flip, trunk=stroke.trunk * flip,
+                   meaning=mirrored(stroke.meaning), arms=stroke.arms[::-1] * MIRROR, trunk=stroke.trunk * MIRROR,
                    _splines={})
 
 

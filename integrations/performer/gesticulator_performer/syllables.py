@@ -161,8 +161,10 @@ def find_nuclei(speech: Speech, phrases: Sequence[Phrase], pitch: Array) -> list
     for start, end, word in spans:
         inside = peaks[(peaks * HOP >= start) & (peaks * HOP < end)]
         if len(inside) == 0 and word >= 0:
-            inside = np.array([_loudest(level, start, end)])
-        cuts = [start, *(HOP * _valley(level, a, b) for a, b in zip(inside, inside[1:], strict=False)), end]
+            frames = _frames(start, end, len(level))
+            inside = np.array([frames.start + int(level[frames].argmax())])
+        valleys = [a + int(level[a:b + 1].argmin()) for a, b in zip(inside.tolist(), inside[1:].tolist(), strict=False)]
+        cuts = [start, *(HOP * valley for valley in valleys), end]
         for peak, left, right in zip(inside, cuts, cuts[1:], strict=False):
             first = min(max(int(np.ceil(left / HOP)), peak - 15), peak)
             onset = first + int(rise[first:peak + 1].argmax())
@@ -201,15 +203,6 @@ def _loud_spans(level: Array, gap: float) -> list[tuple[float, float]]:
 def _frames(start: float, end: float, count: int) -> slice:
     first = min(max(round(start / HOP), 0), count - 1)
     return slice(first, min(max(round(end / HOP), first + 1), count))
-
-
-def _loudest(level: Array, start: float, end: float) -> int:
-    frames = _frames(start, end, len(level))
-    return frames.start + int(level[frames].argmax())
-
-
-def _valley(level: Array, left: int, right: int) -> int:
-    return int(left) + int(level[left:right + 1].argmin())
 
 
 def _semitones(pitch: Array, places: Sequence[Nucleus]) -> Array:

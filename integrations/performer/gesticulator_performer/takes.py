@@ -1,7 +1,7 @@
 """Continuous motion of real people, adapted to a speaker who stands and faces the listener.
 
 Takes of many people (conversations, stories, traffic directions, lessons, presentations) lose turning and walking;
-leaning and looking about are reduced, hands stay below the shoulders, and idle stretches are cut. `chaining` joins the
+leaning and looking about are reduced, hands stay below the shoulders, and idle stretches are cut. `talks` joins the
 remaining stretches to talks.
 """
 
@@ -29,7 +29,7 @@ from data_module.store import Split
 from data_module.types import Array, Motion
 from gesticulator_performer import idle
 from gesticulator_performer import joints as anatomy
-from gesticulator_performer.joints import FPS, facing_positions, torso_depth, with_loose_wrists, with_rhythm
+from gesticulator_performer.joints import FPS, MIRROR, facing_positions, torso_depth, with_loose_wrists, with_rhythm
 from gesticulator_performer.strokes import arm_joints
 from gesticulator_performer.tables import read_clips, table
 
@@ -49,8 +49,6 @@ WRISTS = tuple(CHARACTER.index(name) for name in ("LeftHand", "RightHand"))
 _ACTING = tuple(CHARACTER.index(name) for name in ACTING)
 _SWAPPED = tuple(FINGERED.index(name.replace("Left", "?").replace("Right", "Left").replace("?", "Right"))
                  for name in FINGERED.names)
-MIRROR = np.array([1.0, -1.0, -1.0])
-"""A reflection in x = 0 keeps the x of a log rotation and negates y and z."""
 
 # Standard deviation, seconds, of the low pass of the hips' yaw, which is subtracted.
 _SLOW_YAW = 0.8
@@ -204,8 +202,9 @@ def _mean_rotation(rotations: Array) -> Array:
 
 
 def split_of_takes(takes: Iterable[RealTake]) -> dict[str, Split]:
-    """Name -> "train", "val" or "test": of each group the takes with the smallest hashes are held out, of ReActIdle
-    people. Everything made from a take stays in its split, so that no test motion occurs in training."""
+    """Name -> "train", "val" or "test", always the same: of each group the takes with the smallest hashes are held out,
+    of ReActIdle the people that its table names. What is made from a take stays in its split, so that no test motion
+    is in training."""
     groups: dict[str, list[str]] = defaultdict(list)
     out: dict[str, Split] = {}
     for take in takes:

@@ -31,6 +31,8 @@ class Topic:
     places: tuple[str, ...]
     verbs: tuple[tuple[str, str, str], ...]
     adjectives: tuple[str, ...]
+
+
 SPLITS = ("train", "test")
 CHARACTERS_PER_SECOND = {"cmn": 7.5}
 """Characters a second that the voices speak, for languages other than those with 17 letters and spaces a second."""

@@ -24,10 +24,10 @@ from scipy.ndimage import gaussian_filter1d
 from data_module.motion import kinematics, rotation
 from data_module.motion.kinematics import fade_weights, minimum_jerk
 from data_module.types import Array
-from gesticulator_performer.joints import FPS
-from gesticulator_performer.strokes import SIDES, PerformerBody
+from gesticulator_performer.joints import FPS, MIRROR, SIDES
+from gesticulator_performer.strokes import PerformerBody
 from gesticulator_performer.syllables import Phrase, Spoken, Syllable
-from gesticulator_performer.takes import ARM_SIDES, GROUPS, HIPS, MIRROR, SKULL, SPINE, Library, soft_limit
+from gesticulator_performer.takes import ARM_SIDES, GROUPS, HIPS, SKULL, SPINE, Library, soft_limit
 
 _PARTS = (HIPS, SPINE, SKULL)
 _LIMITS = np.radians([8.0, 16.0, 38.0])

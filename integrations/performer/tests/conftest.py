@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import runpy
 import sys
 from pathlib import Path
 
@@ -12,12 +12,9 @@ from data_module.corpora.table import CORPORA
 
 TESTS = Path(__file__).resolve().parents[3] / "tests"
 sys.path.insert(0, str(TESTS))
-_spec = importlib.util.spec_from_file_location("main_conftest", TESTS / "conftest.py")
-assert _spec is not None and _spec.loader is not None
-_main = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(_main)
-outside_data, free_motion, meaning_data = _main.outside_data, _main.free_motion, _main.meaning_data
-toy_corpus, tiny_store, pytest_runtest_setup = _main.toy_corpus, _main.tiny_store, _main.pytest_runtest_setup
+_main = runpy.run_path(str(TESTS / "conftest.py"))
+outside_data, free_motion, meaning_data = _main["outside_data"], _main["free_motion"], _main["meaning_data"]
+pytest_runtest_setup = _main["pytest_runtest_setup"]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

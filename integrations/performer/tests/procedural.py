@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 from gesticulator_performer import plan
 from gesticulator_performer import strokes as performed
+from gesticulator_performer.joints import MIRROR
 from gesticulator_performer.plan import STEADY, Manner
 from gesticulator_performer.play import Played, Staging, perform
 from gesticulator_performer.strokes import PerformerBody, Stroke, StrokeSet
 from gesticulator_performer.syllables import Phrase, Spoken, Syllable
-from gesticulator_performer.takes import MIRROR
 from gesticulator_performer.trunk import Segment
 from gesticulator_performer.voices import NEUTRAL
 from test_takes import hanging, moving

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from gesticulator_performer import idle, takes
 from gesticulator_performer.joints import FPS, facing_positions
-from gesticulator_performer.reader import Performer, PerformerOptions
 from gesticulator_performer.takes import RealTake
 from test_takes import hanging, moving
 
@@ -80,18 +79,6 @@ def test_people_are_in_one_split_and_move_no_other_take(tmp_path: Path) -> None:
     assert takes.split_of_takes(alone.takes) == {take.name: splits[take.name] for take in alone.takes}
     assert all((splits[take.name] == "train") == (take.name.split("_")[1] not in held) for take, _ in waiting)
     assert {splits[take.name] for take, _ in waiting} == {"train", "val", "test"}
-
-
-def test_the_corpus_knows_and_credits_who_waits(tmp_path: Path) -> None:
-    for folder in ("strokes", "free_motion", "meaning", "speech"):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "manifest.csv").touch()
-    reader = Performer(tmp_path, PerformerOptions())
-    settings = reader.settings()
-    (tmp_path / "idle").mkdir()
-    (tmp_path / "idle" / "001_acted.bvh.gz").write_bytes(b"one")
-    assert "ReActIdle" in Performer(tmp_path, PerformerOptions()).licence and "ReActIdle" not in reader.licence
-    assert reader.settings()["source"] != settings["source"]
 
 
 def test_people_who_wait_stand_upright_with_hanging_arms(outside_data: Path) -> None:

@@ -18,11 +18,9 @@ from data_module.motion import kinematics
 
 
 @pytest.fixture(scope="module")
-def source(outside_data: Path) -> Path:
+def source(free_motion: Path) -> Path:
     pytest.importorskip("pocketsphinx")
-    if not (outside_data / "free_motion" / "manifest.csv").is_file():
-        pytest.skip("the outside data has no free_motion")
-    return outside_data
+    return free_motion.parent
 
 
 @pytest.fixture
@@ -97,15 +95,18 @@ def test_each_utterance_is_performed_once_and_no_reader_is_in_two_splits(outside
     assert made.motion.duration == pytest.approx(soundfile.info(files[item.info.voice]).duration, abs=1 / 60)
 
 
-def test_without_voices_there_are_no_utterances_and_no_credit(source: Path, tmp_path: Path) -> None:
-    for name in ("strokes", "speech", "free_motion", "meaning"):
-        (tmp_path / name).symlink_to(source / name)
+@pytest.mark.parametrize(("folder", "credit"), [("voices", "LibriSpeech"), ("idle", "ReActIdle")])
+def test_a_folder_that_may_be_missing_is_credited_where_it_is(tmp_path: Path, folder: str, credit: str) -> None:
+    for needed in ("strokes", "speech", "free_motion", "meaning"):
+        (tmp_path / needed).mkdir()
+        (tmp_path / needed / "manifest.csv").touch()
     bare = Performer(tmp_path, PerformerOptions())
-    assert not bare._utterances() and "LibriSpeech" not in bare.licence
+    assert not bare._utterances() and credit not in bare.licence
     before = bare.settings()["source"]
-    (tmp_path / "voices").mkdir()
-    (tmp_path / "voices" / "one.flac").write_bytes(b"x")
-    assert bare.settings()["source"] != before, "a changed voice makes another store"
+    (tmp_path / folder).mkdir()
+    (tmp_path / folder / "one").write_bytes(b"x")
+    assert credit in Performer(tmp_path, PerformerOptions()).licence
+    assert bare.settings()["source"] != before, "a changed file makes another store"
 
 
 def test_no_sentence_and_no_take_crosses_a_split(reader: Performer) -> None:

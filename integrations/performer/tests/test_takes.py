@@ -109,14 +109,15 @@ def test_seams_of_a_chain_cannot_be_told_from_the_rest() -> None:
     assert max(ratios) < 1.35
 
 
-def test_takes_as_published_lose_their_turning(outside_data: Path) -> None:
-    folder = outside_data / "free_motion"
-    if not (folder / "manifest.csv").is_file():
-        pytest.skip("the outside data has no free_motion")
-    lib = takes.load_takes(outside_data)
-    talks = lib.talks()
+@pytest.fixture(scope="module")
+def captured(free_motion: Path) -> Library:
+    return takes.load_takes(free_motion.parent)
+
+
+def test_takes_as_published_lose_their_turning(captured: Library) -> None:
+    talks = captured.talks()
     assert 60 <= len(talks) <= 70 and 10.0 < sum(map(len, talks)) / 3600 < 11.5
-    places = kinematics.joint_positions(CHARACTER, lib.rest[None])[0]
+    places = kinematics.joint_positions(CHARACTER, captured.rest[None])[0]
     for wrist, side in zip(takes.WRISTS, (1.0, -1.0), strict=True):
         assert places[wrist, 1] < 0.06 and 0.1 < side * places[wrist, 0] < 0.4, "the rest pose hangs"
     # Whose fingers were recorded keeps them; the others' hands open and close with their arms.
@@ -127,8 +128,8 @@ def test_takes_as_published_lose_their_turning(outside_data: Path) -> None:
         assert np.degrees(np.linalg.norm(take.logs[:, fingers], axis=-1)).max() < 180.0
     # Slow turning is gone, and hands stay in range.
     for take in talks[:12]:
-        for logs in takes.stretches(lib, take, MotionRange(0.5, 1.0)):
-            q = lib.rotations(logs)
+        for logs in takes.stretches(captured, take, MotionRange(0.5, 1.0)):
+            q = captured.rotations(logs)
             yaw = rotation.yaw_of(q[:, 0])
             assert np.degrees(2.0 * np.arctan2(np.abs(yaw[:, 2]), np.abs(yaw[:, 0]))).max() < 15.0
             assert facing_positions(q)[:, list(takes.WRISTS), 1].max() < 0.5 + 0.2
@@ -233,21 +234,11 @@ def test_a_hand_in_the_trunk_comes_out_of_it_and_other_hands_stay() -> None:
     assert np.allclose(before[:, wrist], after[:, wrist])
 
 
-def _pooled(captured: Library, subject: str) -> list[Motion]:
-    own = [take for take in captured.talks() if joints.subject_of(take.name) == subject]
-    pieces = [logs for take in own for logs in takes.stretches(captured, take, MotionRange(0.5, 1.0))]
-    return [Motion(FINGERED, captured.rotations(logs), np.zeros((len(logs), 3)), FPS)
-            for logs in pieces]
-
-
-@pytest.fixture(scope="module")
-def captured(free_motion: Path) -> Library:
-    return takes.load_takes(free_motion.parent)
-
-
 @pytest.mark.parametrize("subject", sorted(joints.SUBJECTS))
 def test_every_subject_holds_arms_and_hands_as_speakers_do(captured: Library, subject: str) -> None:
-    motions = _pooled(captured, subject)
+    own = [take for take in captured.talks() if joints.subject_of(take.name) == subject]
+    pieces = [logs for take in own for logs in takes.stretches(captured, take, MotionRange(0.5, 1.0))]
+    motions = [Motion(FINGERED, captured.rotations(logs), np.zeros((len(logs), 3)), FPS) for logs in pieces]
     seconds = np.array([len(motion) for motion in motions])
     rows = [posture.figures(common_body(motion)) for motion in motions]
 

@@ -18,13 +18,11 @@ from typing import Any
 from livekit.agents import Agent, function_tool
 from livekit.agents.llm import RawFunctionTool
 
-from pipecat_gesticulator.marks import timed_words, without_marks
+from pipecat_gesticulator.marks import LETTER_SECONDS, timed_words, without_marks
 from pipecat_gesticulator.realtime import RealtimeGestures
 from pipecat_gesticulator.resuming import ResumingStream
 from pipecat_gesticulator.tools import TOOLS, GestureCalls, parameters
 
-LETTER_SECONDS = 0.065
-"""Seconds that a voice takes for a letter; LiveKit's synthesisers say little about the times of words."""
 TICK_SECONDS = 0.05
 _SENTENCE = re.compile(r"[.!?。！？][\"'”’)]*\s")
 

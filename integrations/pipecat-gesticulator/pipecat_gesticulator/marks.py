@@ -15,6 +15,8 @@ _MARK = re.compile(
     rf"|[{_EMOJI}][\U0001f3fb-\U0001f3ff]?\ufe0f?(?:\u200d[\u2640\u2642]\ufe0f?)?", re.IGNORECASE)
 LONGEST = 200
 """Characters of a word that the server takes."""
+LETTER_SECONDS = 0.065
+"""How long a voice takes for a letter, where nothing more is known of it."""
 
 
 def without_marks(text: str) -> str:

@@ -12,6 +12,7 @@ import math
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ from pipecat.frames.frames import (
 from pipecat.processors.frame_processor import FrameDirection, FrameProcessor
 from websockets.exceptions import WebSocketException
 
-from pipecat_gesticulator.marks import timed_words, without_marks
+from pipecat_gesticulator.marks import LETTER_SECONDS, timed_words, without_marks
 from pipecat_gesticulator.messages import hello_messages, pose_messages, to_rtvi
 from pipecat_gesticulator.protocol import Hello, Poses, Welcome
 from pipecat_gesticulator.resuming import ResumingStream, connect_resuming
@@ -55,8 +56,6 @@ FEW_LETTERS = 12
 """Letters below which a sentence says little about the voice."""
 HELLO_SECONDS = 10.0
 """How often the skeleton is sent to the client, who may come later, with the poses."""
-LETTER_SECONDS = 0.065
-"""How long a voice takes for a letter, before it is known."""
 _Order = Callable[[ResumingStream], Awaitable[None]]
 
 
@@ -196,17 +195,11 @@ class GesticulatorProcessor(FrameProcessor):
         """Send a word at the time that the synthesiser says, if it says one."""
         if not self._text or not frame.pts or self._began is None or not frame.text.strip():
             return
-        if not self._timed:
-            self._timed = True  # this sentence was estimated; the next ones are not
-            if self._letters:
-                return
+        self._timed = True
         if self._letters:
-            return
+            return  # this sentence was estimated; the next ones are not
         begun, said_at = self._began
-        start = said_at + max(0.0, (frame.pts - begun) / 1e9)
-        words = timed_words(self.calls.marked(frame.text), start, self._letter)
-        for first in range(0, len(words), MOST_WORDS):
-            self._order(_words(words[first:first + MOST_WORDS]))
+        self._send_words(self.calls.marked(frame.text), said_at + max(0.0, (frame.pts - begun) / 1e9))
 
     def _say(self) -> None:
         """Have the words of the announced sentence sent, whose sound begins."""
@@ -214,9 +207,12 @@ class GesticulatorProcessor(FrameProcessor):
         if not text:
             return
         self._letters, self._said_at = len(without_marks(text).strip()), self._sent
-        words = timed_words(text, self._sent, self._letter)
+        self._send_words(text, self._sent)
+
+    def _send_words(self, text: str, start: float) -> None:
+        words = timed_words(text, start, self._letter)
         for first in range(0, len(words), MOST_WORDS):
-            self._order(_words(words[first:first + MOST_WORDS]))
+            self._order(partial(ResumingStream.add_words, words=words[first:first + MOST_WORDS]))
 
     def _measure(self) -> None:
         """Learn how long a letter takes from the sentence that was spoken."""
@@ -281,7 +277,8 @@ class GesticulatorProcessor(FrameProcessor):
                 continue
             self._sent += late
             self._play_end += late
-            self._order(_wait(self._waits, late))
+            motion = ResumingStream.think if self._waits == "think" else ResumingStream.idle
+            self._order(partial(motion, seconds=late))
 
     async def _end(self) -> None:
         """Have the rest of the poses pushed before the pipeline ends."""
@@ -299,15 +296,6 @@ class GesticulatorProcessor(FrameProcessor):
         for task in self._tasks:
             await self.cancel_task(task)
         self._tasks = []
-
-
-def _wait(how: str, seconds: float) -> _Order:
-    """Idle motion, or the motion of one who thinks."""
-    return (lambda stream: stream.think(seconds)) if how == "think" else (lambda stream: stream.idle(seconds))
-
-
-def _words(words: list[tuple[str, float, float]]) -> _Order:
-    return lambda stream: stream.add_words(words)
 
 
 def _mono(sound: bytes, channels: int, rate: int, wanted: int) -> NDArray[np.int16]:

@@ -106,7 +106,6 @@ class SteadyPlayer:
         moved = (np.zeros((joints, 3)), np.zeros(3))
         if len(self._shown) > 1 and 0 < when - self._shown[0][0] <= SPEEDS:
             moved = _speed(self._shown[0][1], last, when - self._shown[0][0])
-        self._when = when
         # Both at the time of the last pose; the source's own way since then is taken back.
         step = time - when if time - when <= SPEEDS else 0.0
         self._turns = _log(_multiply(last[0], _inverse(target[0]))) + step * speed[0]

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from pipecat_gesticulator import Joint, Poses, Welcome, live_link
 from pipecat_gesticulator.live_link import LiveLink
+from streamed import places_of
 
 ROWS = (("Hips", -1, (0, 0, 0)), ("Head", 0, (0, 0.6, 0.02)), ("LeftArm", 0, (0.18, 0.5, 0)),
         ("LeftHand", 2, (0.5, 0, 0)), ("RightArm", 0, (-0.18, 0.5, 0)), ("RightHand", 4, (-0.5, 0, 0)))
@@ -49,24 +50,6 @@ def unreal_places(bones: list[dict[str, Any]]) -> dict[str, np.ndarray]:
         places.append(np.array(bone["Location"]) if above < 0 else places[above] + turns[above] @ bone["Location"])
         turns.append(turn if above < 0 else turns[above] @ turn)
     return {bone["Name"]: place for bone, place in zip(bones, places, strict=True)}
-
-
-def our_places(joints: tuple[Joint, ...], rotations: np.ndarray, root: np.ndarray) -> dict[str, np.ndarray]:
-    """Where the joints are in our axes, metres, by products of quaternions."""
-    def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return np.array([a[0] * b[0] - a[1:] @ b[1:], *(a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:]))])
-
-    worlds, places = [], []
-    for joint, turn in zip(joints, rotations.astype(np.float64), strict=True):
-        if joint.parent < 0:
-            worlds.append(turn)
-            places.append(root)
-            continue
-        above = worlds[joint.parent]
-        offset = product(product(above, np.array([0.0, *joint.offset])), above * [1, -1, -1, -1])[1:]
-        places.append(places[joint.parent] + offset)
-        worlds.append(product(above, turn))
-    return {joint.name: place for joint, place in zip(joints, places, strict=True)}
 
 
 def test_a_raised_left_hand_is_the_left_hand_of_the_receiver() -> None:
@@ -131,8 +114,9 @@ def test_a_stream_is_played_to_a_receiver_in_time(url: str, tmp_path: Path, monk
     for packet, (_, welcome, turns, root) in list(zip(packets, sent, strict=True))[::9]:
         places = unreal_places(read_packet(packet)["gesticulator"])
         assert {"LeftHandPinky3", "RightFoot", "Head"} <= places.keys()
-        for name, place in our_places(welcome.joints, turns, root).items():
-            assert places[name] == pytest.approx(100 * place[[0, 2, 1]], abs=0.05), name
+        ours = places_of(welcome.joints, turns[None].astype(np.float64), root[None])[0]
+        for joint, place in zip(welcome.joints, ours, strict=True):
+            assert places[joint.name] == pytest.approx(100 * place[[0, 2, 1]], abs=0.05), joint.name
 
 
 @pytest.mark.parametrize("arguments", [["no.wav"], ["stereo.wav"], ["no.wav", "--to", "unreal"]])

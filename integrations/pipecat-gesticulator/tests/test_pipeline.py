@@ -34,7 +34,7 @@ from pipecat.tests.utils import SleepFrame, run_test
 from pipecat_gesticulator.marks import spoken_text
 from pipecat_gesticulator.messages import LONGEST
 from pipecat_gesticulator.processor import GesticulatorProcessor, PoseFrame
-from pipecat_gesticulator.protocol import Welcome
+from streamed import places_of
 
 RATE = 22050
 """Hertz of espeak-ng."""
@@ -95,31 +95,9 @@ def hand_speeds(frames: list[PoseFrame]) -> np.ndarray:
         end = one.poses.first + len(one.poses)
         turns[one.poses.first:end], root[one.poses.first:end] = one.poses.rotations, one.poses.root_positions
         length = end
-    return np.linalg.norm(np.diff(hand_places(welcome, turns[:length], root[:length]), axis=0), axis=1) * welcome.fps
-
-
-def hand_places(welcome: Welcome, turns: np.ndarray, root: np.ndarray) -> np.ndarray:
-    """[T, 3] metres of the right hand."""
-    world: list[np.ndarray] = []
-    place: list[np.ndarray] = []
-    for number, joint in enumerate(welcome.joints):
-        if joint.parent < 0:
-            world.append(turns[:, number])
-            place.append(root)
-            continue
-        above = world[joint.parent]
-        place.append(place[joint.parent] + _rotate(above, np.array(joint.offset)))
-        world.append(_multiply(above, turns[:, number]))
-    return place[[joint.name for joint in welcome.joints].index("RightHand")]
-
-
-def _multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    w, v, x, u = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
-    return np.concatenate([w * x - (v * u).sum(-1, keepdims=True), w * u + x * v + np.cross(v, u)], -1)
-
-
-def _rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    return v + 2 * np.cross(q[..., 1:], np.cross(q[..., 1:], v) + q[..., :1] * v)
+    hand = [joint.name for joint in welcome.joints].index("RightHand")
+    places = places_of(welcome.joints, turns[:length], root[:length])[:, hand]
+    return np.linalg.norm(np.diff(places, axis=0), axis=1) * welcome.fps
 
 
 def test_an_agents_speech_gets_gestures_and_waits_for_nothing(url: str) -> None:
