@@ -76,10 +76,15 @@ class Keys:
 
     which is standard normal at every t, independent for blocks that begin 0.2 s or more apart, and nearly the same
     (r = .99) for one that begins 10 ms later because a beat was detected later.
+
+    What changes over seconds depends on the voice as well, else the trunks of two recordings would lean alike at the
+    same second. voice: a unit vector, by which that many independent numbers are mixed; the first alone until somebody
+    has spoken.
     """
 
     seed: int
     variation: int = 0
+    voice: tuple[float, ...] = (1.0,)
 
     def noise(self, time: float, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Standard normal noise of the motion of the block that begins at `time` seconds, of this shape."""
@@ -102,11 +107,11 @@ class Keys:
 
     def activity(self, time: float) -> float:
         """A standard normal number that changes over seconds: how lively the gestures are at `time`."""
-        return float(self._normal(_ACTIVITY, time, 1, _WAXES)[0])
+        return float(self._mixed(_ACTIVITY, time, 1, _WAXES)[0])
 
     def posture(self, time: float) -> Array:
         """[3] standard normal numbers that change over seconds: how the trunk leans, turns and tilts at `time`."""
-        return self._normal(_POSTURE, time, 3, _LEANS)
+        return self._mixed(_POSTURE, time, 3, _LEANS)
 
     def of_voice(self, spectrum: Array, count: int) -> Array:
         """[count] numbers in 0 to 1, about uniform over voices, from the shape of a spectrum [B] in decibels or the
@@ -115,6 +120,11 @@ class Keys:
         mix = self._normal(_VOICE, 0.0, count * len(shape)).reshape(count, -1)
         numbers = _ENLARGED * (mix @ shape) / math.sqrt(float(shape @ shape) + 1e-9)
         return np.asarray(np.abs(numbers % 2.0 - 1.0))
+
+    def _mixed(self, kind: int, time: float, count: int, apart: int) -> Array:
+        """[count] of `_normal`, mixed by the voice."""
+        voice = np.array(self.voice)
+        return np.asarray(voice @ self._normal(kind, time, len(voice) * count, apart).reshape(len(voice), count))
 
     def _normal(self, kind: int, time: float, count: int, apart: int = _MILLISECONDS) -> Array:
         """[count] standard normal numbers at a time in seconds; times within a millisecond are the same. apart:

@@ -138,6 +138,8 @@ def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Req
     speech = request.speech
     if abs(speech.start - state.until) > loop.CONTIGUOUS:  # an offset does not fade while nothing is seen
         state = replace(state, generated=state.past, offset=None)
+    if len(state.keys.voice) == 1 and not speech.silent[1]:
+        state = listened(bundle, state, speech)
     if speech.number == 0 and speech.start == 0.0 and state.rest and not state.rest.begins_at_rest(speech.span):
         state = begun(bundle, setup, state, speech)
     features = loop.features_of(bundle, request, state.generated)
@@ -162,7 +164,7 @@ def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Req
     lexeme = loop.choose(setup, request, scores, bundle.silent if quiet else None)
 
     # 4. The motion: candidates from the flow generator, of which one is kept.
-    keys = request.keys or state.keys
+    keys = state.keys if request.keys is None else replace(request.keys, voice=state.keys.voice)
     offset = None if state.offset is None else state.offset.at(speech.span.times)
     shift = None if offset is None else np.concatenate([state.past - state.generated, offset])
     block, code, generator = state.generator.sampler.sample(
@@ -250,6 +252,8 @@ _LOWEST, _HIGHEST = 0.55, -0.45
 """How far towards the resting pose an arm's first pose may be, as a share of the way from the mean pose."""
 _BEGINS = 0.6
 """Deviation from there where a performance begins, in deviations of the arms' joints: people begin anywhere."""
+_VOICES = 6
+"""Numbers that a voice mixes: with more, two voices are less alike by chance."""
 _ROLES_APART = 15.0
 """Most seconds by which the sound moves the changes of the arms' roles."""
 _POSTURE = 0.8
@@ -293,22 +297,36 @@ def _first_of(bundle: Bundle, setup: loop.Setup, chances: Array, posture: Array)
     return np.clip(first_pose(chances, posture, names, rest), *bundle.statistics.bounds.astype(np.float32))
 
 
+def _heard(bundle: Bundle, state: loop.State, speech: SpeechBlock, count: int) -> Array:
+    """[count] numbers in 0 to 1 from the spectrum of a block and, if it is known, the next one."""
+    frames = bundle.frames
+    # Without the energy in the last column.
+    spectrum = bundle.statistics.low.apply(speech.low)[frames:(2 if speech.foreseen else 3) * frames, :-1].mean(0)
+    return state.keys.of_voice(spectrum, count)
+
+
+def listened(bundle: Bundle, state: loop.State, speech: SpeechBlock) -> loop.State:
+    """The state before the first block in which somebody speaks: what changes over seconds knows the voice. The hands
+    are at rest until then, so that no role can be seen to change."""
+    *mixes, apart = _heard(bundle, state, speech, _VOICES + 1) - 0.5
+    voice = np.array(mixes) / math.hypot(*mixes, 1e-9)
+    roles = state.roles and replace(state.roles, shift=_ROLES_APART * (apart + 0.5))
+    return replace(state, keys=replace(state.keys, voice=tuple(voice.tolist())), roles=roles)
+
+
 def begun(bundle: Bundle, setup: loop.Setup, state: loop.State, speech: SpeechBlock) -> loop.State:
     """The state before a first block in which somebody speaks: in a pose that the sound decides."""
     assert state.rest is not None
     frames, names = bundle.frames, CHARACTERS[bundle.config.motion.joints].names
     arms = np.repeat([name.endswith("Arm") for name in names], 3)
-    # The spectrum of this block and, if it is known, the next one, without the energy in the last column.
-    heard = bundle.statistics.low.apply(speech.low)[frames:(2 if speech.foreseen else 3) * frames, :-1].mean(0)
-    numbers = state.keys.of_voice(heard, 6 + arms.sum())
-    deviations = math.sqrt(12.0) * (numbers[2:-1] - 0.5)
+    numbers = _heard(bundle, state, speech, 5 + arms.sum())
+    deviations = math.sqrt(12.0) * (numbers[2:] - 0.5)
     pose = _first_of(bundle, setup, numbers[:2], deviations[:3])
     pose[arms] += _BEGINS * deviations[3:].astype(np.float32)
     rest = state.rest.fork()
     rest.begin_in(pose.astype(np.float64))
     past = np.repeat(pose[None], frames, axis=0)
-    roles = state.roles and replace(state.roles, shift=_ROLES_APART * float(numbers[-1]))
-    return replace(state, past=past, generated=past, rest=rest, roles=roles)
+    return replace(state, past=past, generated=past, rest=rest)
 
 
 def sets_out(state: loop.State, speech: SpeechBlock, unit: UnitDecision | None) -> bool:
