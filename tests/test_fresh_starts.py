@@ -13,7 +13,6 @@ from scipy import stats
 from data_module.speech.audio import load_speech
 from eval.metrics.eye import arms, common_body
 from gesticulator.gesticulator import Gesticulator
-from gesticulator.gesticulator import Gesticulator
 from gesticulator.sampling.loop import Keys
 from gesticulator.systems.movement import FADES, Offset, first_pose
 
