@@ -83,10 +83,11 @@ def test_activity_is_standard_normal_waxes_over_seconds_and_is_keyed() -> None:
     assert Keys(3).activity(1.25) == Keys(3).activity(1.25) != Keys(3, 1).activity(1.25)
 
 
-def test_what_changes_over_seconds_depends_on_the_voice_and_changes_little_with_it() -> None:
+def test_numbers_depend_on_the_voice_and_change_little_with_it() -> None:
     one, other, near = (Keys(2, voice=voice) for voice in ((0.6, 0.8), (-0.8, 0.6), (0.63, 0.7766)))
-    paths = [np.stack([keys.posture(4.0 * n) for n in range(1500)]) for keys in (one, other, near)]
-    assert paths[0].std(0) == pytest.approx([1, 1, 1], abs=0.1)
-    unlike, alike = (abs(np.corrcoef(paths[0][:, 0], path[:, 0])[0, 1]) for path in paths[1:])
-    assert unlike < 0.1 and alike > 0.99
-    assert np.array_equal(one.noise(3.0, (2, 3)), Keys(2).noise(3.0, (2, 3))), "the motion's own noise knows no voice"
+    for numbers in (lambda keys, time: keys.posture(20.0 * time)[0], lambda keys, time: keys.noise(time, (1, 3))[0, 1]):
+        first, unlike, alike = (np.array([numbers(keys, 0.2 * n) for n in range(1500)]) for keys in (one, other, near))
+        assert first.std() == pytest.approx(1.0, abs=0.1)
+        assert abs(np.corrcoef(first, unlike)[0, 1]) < 0.1 and np.corrcoef(first, alike)[0, 1] > 0.99
+    spectrum = np.sin(np.arange(40.0))
+    assert np.array_equal(one.of_voice(spectrum, 3), Keys(2).of_voice(spectrum, 3)), "they tell which voice it is"

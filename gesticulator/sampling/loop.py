@@ -77,9 +77,9 @@ class Keys:
     which is standard normal at every t, independent for blocks that begin 0.2 s or more apart, and nearly the same
     (r = .99) for one that begins 10 ms later because a beat was detected later.
 
-    What changes over seconds depends on the voice as well, else the trunks of two recordings would lean alike at the
-    same second. voice: a unit vector, by which that many independent numbers are mixed; the first alone until somebody
-    has spoken.
+    They depend on the voice as well, else two recordings would show the same gestures at the same second, and their
+    trunks would lean alike. voice: a unit vector, by which that many independent numbers are mixed; the first alone
+    until somebody has spoken.
     """
 
     seed: int
@@ -107,33 +107,30 @@ class Keys:
 
     def activity(self, time: float) -> float:
         """A standard normal number that changes over seconds: how lively the gestures are at `time`."""
-        return float(self._mixed(_ACTIVITY, time, 1, _WAXES)[0])
+        return float(self._normal(_ACTIVITY, time, 1, _WAXES)[0])
 
     def posture(self, time: float) -> Array:
         """[3] standard normal numbers that change over seconds: how the trunk leans, turns and tilts at `time`."""
-        return self._mixed(_POSTURE, time, 3, _LEANS)
+        return self._normal(_POSTURE, time, 3, _LEANS)
 
     def of_voice(self, spectrum: Array, count: int) -> Array:
         """[count] numbers in 0 to 1, about uniform over voices, from the shape of a spectrum [B] in decibels or the
         like: they change gradually with it, and not with its level."""
         shape = spectrum - spectrum.mean()
-        mix = self._normal(_VOICE, 0.0, count * len(shape)).reshape(count, -1)
+        mix = replace(self, voice=(1.0,))._normal(_VOICE, 0.0, count * len(shape)).reshape(count, -1)
         numbers = _ENLARGED * (mix @ shape) / math.sqrt(float(shape @ shape) + 1e-9)
         return np.asarray(np.abs(numbers % 2.0 - 1.0))
-
-    def _mixed(self, kind: int, time: float, count: int, apart: int) -> Array:
-        """[count] of `_normal`, mixed by the voice."""
-        voice = np.array(self.voice)
-        return np.asarray(voice @ self._normal(kind, time, len(voice) * count, apart).reshape(len(voice), count))
 
     def _normal(self, kind: int, time: float, count: int, apart: int = _MILLISECONDS) -> Array:
         """[count] standard normal numbers at a time in seconds; times within a millisecond are the same. apart:
         milliseconds between independent numbers."""
         cell, rest = divmod(round(time * 1000), apart)
-        numbers = cell * count + np.arange(2 * count)
-        both = normal(self.seed, _CHANNELS + 2 * self.variation + kind, numbers)
         angle = 0.5 * math.pi * rest / apart
-        return math.cos(angle) * both[:count] + math.sin(angle) * both[count:]
+        # [2 V]: how much of each part of the voice, from the cell and from the next one.
+        weights = np.outer((math.cos(angle), math.sin(angle)), self.voice).ravel()
+        numbers = cell * len(self.voice) * count + np.arange(len(weights) * count)
+        drawn = normal(self.seed, _CHANNELS + 2 * self.variation + kind, numbers)
+        return np.asarray(weights @ drawn.reshape(len(weights), count))
 
 
 def _gumbel(normal_numbers: Array) -> Array:
@@ -381,12 +378,14 @@ def scores_of(bundle: Bundle, setup: Setup, state: State, features: BlockFeature
     return free + bundle.config.selection.guidance * (scores - free), after, unguided
 
 
-def choose(setup: Setup, request: Request, scores: Scores, allowed: NDArray[np.int64] | None = None) -> int:
-    """The lexeme of a block: the requested one, or one sampled from scores [S], among `allowed`, if given."""
+def choose(setup: Setup, request: Request, scores: Scores, allowed: NDArray[np.int64] | None = None,
+           voice: tuple[float, ...] = (1.0,)) -> int:
+    """The lexeme of a block: the requested one, or one sampled from scores [S], among `allowed`, if given. voice: of
+    its `Keys`."""
     if request.lexeme is not None:
         return request.lexeme
     # A variation has the lexemes of the first performance, unless the block was edited.
-    keys = request.keys or Keys(setup.seed)
+    keys = replace(request.keys or Keys(setup.seed), voice=voice)
     return select(scores, allowed=allowed, temperature=setup.temperature,
                   noise=keys.gumbel(request.speech.keyed_at, len(scores)))
 
