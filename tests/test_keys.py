@@ -83,11 +83,7 @@ def test_activity_is_standard_normal_waxes_over_seconds_and_is_keyed() -> None:
     assert Keys(3).activity(1.25) == Keys(3).activity(1.25) != Keys(3, 1).activity(1.25)
 
 
-def test_numbers_depend_on_the_voice_and_change_little_with_it() -> None:
-    one, other, near = (Keys(2, voice=voice) for voice in ((0.6, 0.8), (-0.8, 0.6), (0.63, 0.7766)))
+def test_another_voice_has_other_numbers() -> None:
     for numbers in (lambda keys, time: keys.posture(20.0 * time)[0], lambda keys, time: keys.noise(time, (1, 3))[0, 1]):
-        first, unlike, alike = (np.array([numbers(keys, 0.2 * n) for n in range(1500)]) for keys in (one, other, near))
-        assert first.std() == pytest.approx(1.0, abs=0.1)
-        assert abs(np.corrcoef(first, unlike)[0, 1]) < 0.1 and np.corrcoef(first, alike)[0, 1] > 0.99
-    spectrum = np.sin(np.arange(40.0))
-    assert np.array_equal(one.of_voice(spectrum, 3), Keys(2).of_voice(spectrum, 3)), "they tell which voice it is"
+        first, other = (np.array([numbers(Keys(2, 0, voice), 0.2 * n) for n in range(1500)]) for voice in (7, 8))
+        assert abs(np.corrcoef(first, other)[0, 1]) < 0.1

@@ -94,7 +94,7 @@ def wandering(seed: int = 0, count: int = 120) -> Array:
 # ------------------------------------------------------------------------------------------------------------- in time
 
 def test_roles_last_for_seconds_and_pass_smoothly_into_each_other() -> None:
-    rows = np.array([np.concatenate(role_at(3, 0, (1.0,), float(time))) for time in FINE])
+    rows = np.array([np.concatenate(role_at(3, 0, float(time))) for time in FINE])
     steps = np.abs(np.diff(rows, axis=0)).max(axis=1)
     # A minimum-jerk step of height 1.4 in 0.8 s has a speed of 1.875 times the mean.
     assert 0 < steps.max() < 1.4 * 1.875 / CHANGES / 60 * 1.01
@@ -106,7 +106,7 @@ def test_roles_last_for_seconds_and_pass_smoothly_into_each_other() -> None:
 
 
 def test_one_hand_gestures_alone_as_often_as_it_says_and_mostly_the_same() -> None:
-    drawn = [role_at(seed, 0, (1.0,), PERIOD * (k + 0.57)) for seed in range(60) for k in range(2, 22)]
+    drawn = [role_at(seed, 0, PERIOD * (k + 0.57)) for seed in range(60) for k in range(2, 22)]
     alone = [each for each in drawn if np.isclose(each.gestures.min(), WAITS)]
     assert len(alone) / len(drawn) == pytest.approx(ONE_HANDED, abs=0.06)
     assert np.mean([each.hangs.max() for each in alone]) == pytest.approx(HANGING, abs=0.06)
@@ -125,11 +125,8 @@ def test_another_seed_variation_or_sound_has_other_roles() -> None:
 
     first = course(Roles(0, 0))
     assert np.array_equal(first, course(Roles(0, 0)))
-    one, near = (course(Roles(0, 0, voice)) for voice in ((0.6, 0.8), (0.61, 0.7924)))
-    for other in (course(Roles(1, 0)), course(Roles(0, 1)), one):
-        assert np.abs(first - other).mean() > 0.05
-    alike = np.abs(one - near).max(axis=1) < 0.1
-    assert alike.mean() > 0.9, "nearly the same sound, nearly the same roles"
+    for other in (Roles(1, 0), Roles(0, 1), Roles(0, 0, voice=3)):
+        assert np.abs(first - course(other)).mean() > 0.05
 
 
 @given(start=st.floats(0, 60), seed=st.integers(0, 99))
@@ -150,7 +147,7 @@ def test_a_hold_keeps_its_role_and_is_forgotten_soon_after(start: float, seed: i
 
 
 def test_what_was_requested_is_shown_by_both_arms() -> None:
-    start = next(float(time) for time in FINE if role_at(0, 0, (1.0,), float(time)).hangs.max() == 1.0)
+    start = next(float(time) for time in FINE if role_at(0, 0, float(time)).hangs.max() == 1.0)
     roles = Roles(0, 0).for_block(start, requested=True, held=False)
     assert roles.at(start).hangs.max() == 1.0, "no jump"
     for mine, its in zip(roles.at(start + CHANGES), AS_GENERATED, strict=True):

@@ -28,7 +28,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from data_module.motion.kinematics import minimum_jerk
 from data_module.types import Array
-from gesticulator.body.life import SIDES, normal, smooth_step
+from gesticulator.body.life import SIDES, VOICE_BITS, normal, smooth_step
 from gesticulator.bundle.features import Statistics
 
 PERIOD, JITTER = 6.5, 0.4
@@ -88,19 +88,13 @@ AS_GENERATED = Role(np.ones(2), np.zeros(2), np.zeros(2), np.full(2, RAISED))
 """Where a movement was requested, it is shown by the arm that makes it."""
 
 
-def _numbers(seed: int, variation: int, voice: tuple[float, ...], places: NDArray[np.int64]) -> Array:
-    """Standard normal numbers at places [n]: those of each part of the voice, mixed by it."""
-    parts = np.arange(len(voice))[:, None]
-    return np.asarray(np.array(voice) @ normal(seed, _CHANNEL + variation, len(voice) * places + parts))
-
-
 @lru_cache(maxsize=256)
-def _drawn(seed: int, variation: int, voice: tuple[float, ...], period: int) -> tuple[float, Role]:
+def _drawn(seed: int, channel: int, period: int) -> tuple[float, Role]:
     """When the role of a period begins, in periods, and the role."""
-    begins, single, dominant, hanging, right, left = _numbers(seed, variation, voice, 8 * period + np.arange(6))
+    begins, single, dominant, hanging, right, left = normal(seed, channel, 8 * period + np.arange(6))
     early, alone, mostly, low = (0.5 * math.erfc(-float(number) / math.sqrt(2.0))
                                  for number in (begins, single, dominant, hanging))
-    leads = int(_numbers(seed, variation, voice, np.array([-1]))[0] > 0.0)
+    leads = int(normal(seed, channel, np.array([-1]))[0] > 0.0)
     if alone < ONE_HANDED and mostly >= DOMINANT:
         leads = 1 - leads
     other = np.eye(2)[1 - leads]
@@ -111,38 +105,38 @@ def _drawn(seed: int, variation: int, voice: tuple[float, ...], period: int) -> 
     return begin, Role(np.ones(2), FOLLOWS * other, np.zeros(2), raised)
 
 
-def role_at(seed: int, variation: int, voice: tuple[float, ...], time: float) -> Role:
+def role_at(seed: int, variation: int, time: float, voice: int = 0) -> Role:
     """The role at `time` seconds."""
-    drawn = partial(_drawn, seed, variation, voice)
+    channel = _CHANNEL + variation + (voice << VOICE_BITS)
     period = math.floor(time / PERIOD)
     # A boundary is less than half a period early or late.
-    while drawn(period + 1)[0] * PERIOD <= time:
+    while _drawn(seed, channel, period + 1)[0] * PERIOD <= time:
         period += 1
-    while drawn(period)[0] * PERIOD > time:
+    while _drawn(seed, channel, period)[0] * PERIOD > time:
         period -= 1
-    begin, role = drawn(period)
+    begin, role = _drawn(seed, channel, period)
     passed = (time - begin * PERIOD) / CHANGES
     if passed >= 1.0:  # most of the time
         return role
-    return drawn(period - 1)[1].towards(role, float(minimum_jerk(np.array(passed))))
+    return _drawn(seed, channel, period - 1)[1].towards(role, float(minimum_jerk(np.array(passed))))
 
 
 @dataclass(frozen=True)
 class Roles:
-    """The roles of a performance, a value: `for_block` gives that of the next block. voice: a unit vector, so that two
-    files of a seed do not use the same arms at the same second (`sampling.loop.Keys`); fixed: the role that is shown
-    instead of the drawn one, or None; before: the role shown when that last changed, at `since` seconds."""
+    """The roles of a performance, a value: `for_block` gives that of the next block. voice: as of
+    `sampling.loop.Keys`; fixed: the role that is shown instead of the drawn one, or None; before: the role shown when
+    that last changed, at `since` seconds."""
 
     seed: int
     variation: int
-    voice: tuple[float, ...] = (1.0,)
+    voice: int = 0
     fixed: Role | None = None
     before: Role | None = None
     since: float = -math.inf
 
     def at(self, time: float) -> Role:
         """The role that is shown at `time` seconds."""
-        role = self.fixed or role_at(self.seed, self.variation, self.voice, time)
+        role = self.fixed or role_at(self.seed, self.variation, time, self.voice)
         if self.before is None or time >= self.since + CHANGES:
             return role
         return self.before.towards(role, float(minimum_jerk(np.array((time - self.since) / CHANGES))))

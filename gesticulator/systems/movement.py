@@ -138,7 +138,7 @@ def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Req
     speech = request.speech
     if abs(speech.start - state.until) > loop.CONTIGUOUS:  # an offset does not fade while nothing is seen
         state = replace(state, generated=state.past, offset=None)
-    if len(state.keys.voice) == 1 and not speech.silent[1]:
+    if not state.keys.voice and not speech.silent[1]:
         state = listened(bundle, state, speech)
     if speech.number == 0 and speech.start == 0.0 and state.rest and not state.rest.begins_at_rest(speech.span):
         state = begun(bundle, setup, state)
@@ -252,8 +252,6 @@ _LOWEST, _HIGHEST = 0.55, -0.45
 """How far towards the resting pose an arm's first pose may be, as a share of the way from the mean pose."""
 _BEGINS = 0.6
 """Deviation from there where a performance begins, in deviations of the arms' joints: people begin anywhere."""
-_VOICES = 6
-"""Numbers that a voice mixes: with more, two voices are less alike by chance."""
 _POSTURE = 0.8
 """Deviation of the trunk's first pose in lean, turn and tilt, in deviations of each joint."""
 
@@ -300,8 +298,7 @@ def listened(bundle: Bundle, state: loop.State, speech: SpeechBlock) -> loop.Sta
     hands are at rest until then, so no role can be seen to change."""
     # The spectrum of this block and, if it is known, the next one, without the energy in the last column.
     window = slice(bundle.frames, (2 if speech.foreseen else 3) * bundle.frames)
-    mixes = state.keys.of_voice(bundle.statistics.low.apply(speech.low)[window, :-1].mean(0), _VOICES) - 0.5
-    voice = tuple((mixes / math.hypot(*mixes, 1e-9)).tolist())
+    voice = state.keys.of_voice(bundle.statistics.low.apply(speech.low)[window, :-1].mean(0))
     roles = state.roles and replace(state.roles, voice=voice)
     return replace(state, keys=replace(state.keys, voice=voice), roles=roles)
 
