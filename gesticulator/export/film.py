@@ -185,7 +185,7 @@ def _frame(picture: Image, number: int) -> Any:
 def write_film(path: Path, scene: Scene) -> Path:
     """Write the scene as a video with audio, with legs and fingers if the motion has them, atomically. Returns
     `path`."""
-    motion, times = scene.motion, np.arange(max(1, math.floor(scene.duration * FPS + 1e-9))) / FPS
+    motion, times = scene.motion, np.arange(max(1, math.floor(scene.speech.duration * FPS + 1e-9))) / FPS
     points = figure_points(motion, times, skeletons.has_legs(motion), fingers=True)
     write_bytes(path, encode(points, scene.speech))
     return path
