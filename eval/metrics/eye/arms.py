@@ -152,10 +152,10 @@ def alike(tracks: Sequence[Array]) -> float:
     """Mean correlation of the `leans` [T, 2] of any two of several motions at the same second, as far as both go; NaN
     without two that last `_PIECE` seconds together."""
     long = [track for track in tracks if len(track) >= _PIECE * HZ]
-    found = [np.corrcoef(one[:count, axis], other[:count, axis])[0, 1]
-             for one, other in itertools.combinations(long, 2) for count in [min(len(one), len(other))]
-             for axis in (0, 1)]
-    return float(np.mean(found)) if found else math.nan
+    correlations = [np.corrcoef(first[:count, axis], second[:count, axis])[0, 1]
+                    for first, second in itertools.combinations(long, 2) for count in [min(len(first), len(second))]
+                    for axis in (0, 1)]
+    return float(np.mean(correlations)) if correlations else math.nan
 
 
 def figures(body: CommonBody) -> dict[str, float]:
