@@ -323,7 +323,6 @@ class Stream:
 
     def _at_once(self, call: StreamCall, *arguments: Any) -> StreamFrames:
         """All steps of a call as one."""
-        self._check_open()
         first, joints = self._path.next, len(self.skeleton)
         parts = list(self.steps(call, *arguments))
         faces = [part.face for part in parts if part.face is not None]

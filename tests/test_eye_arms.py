@@ -108,6 +108,17 @@ def test_first_places_are_apart_by_their_mean_distance() -> None:
     assert math.isnan(arms.first_spread(first[:1]))
 
 
+def test_trunks_are_alike_by_their_correlation_at_the_same_second() -> None:
+    rng = np.random.default_rng(3)
+    paths = np.cumsum(rng.normal(size=(12, 1200, 2)), axis=1)
+    assert arms.alike([paths[0], 3.0 * paths[0, :900] + 5.0]) == pytest.approx(1.0)
+    assert arms.alike([paths[0], -paths[0]]) == pytest.approx(-1.0)
+    shared = np.cumsum(rng.normal(size=(1200, 2)), axis=0)
+    apart, mixed = arms.alike(list(paths)), arms.alike([path + 2.0 * shared for path in paths])
+    assert abs(apart) < 0.15 < 0.5 < mixed
+    assert math.isnan(arms.alike([paths[0], paths[1, :300]])), "too short"
+
+
 def test_real_people_keep_the_bounds_and_each_control_breaks_one(outside_data: Path) -> None:
     """Two minutes of one person, in points."""
     files = sorted((outside_data / "genea2020" / "points" / "N").glob("*.npz"))

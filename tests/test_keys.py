@@ -81,3 +81,9 @@ def test_activity_is_standard_normal_waxes_over_seconds_and_is_keyed() -> None:
     near, second, later = (np.corrcoef(path[:-n], path[n:])[0, 1] for n in (3, 30, 60))
     assert near > 0.95 and second < 0.6 and abs(later) < 0.3
     assert Keys(3).activity(1.25) == Keys(3).activity(1.25) != Keys(3, 1).activity(1.25)
+
+
+def test_another_voice_has_other_numbers() -> None:
+    for numbers in (lambda keys, time: keys.posture(20.0 * time)[0], lambda keys, time: keys.noise(time, (1, 3))[0, 1]):
+        first, other = (np.array([numbers(Keys(2, 0, voice), 0.2 * n) for n in range(1500)]) for voice in (7, 8))
+        assert abs(np.corrcoef(first, other)[0, 1]) < 0.1

@@ -125,9 +125,8 @@ def test_another_seed_variation_or_sound_has_other_roles() -> None:
 
     first = course(Roles(0, 0))
     assert np.array_equal(first, course(Roles(0, 0)))
-    for other in (Roles(1, 0), Roles(0, 1), Roles(0, 0, shift=13.0)):
+    for other in (Roles(1, 0), Roles(0, 1), Roles(0, 0, voice=3)):
         assert np.abs(first - course(other)).mean() > 0.05
-    assert np.abs(first - course(Roles(0, 0, shift=0.01))).max() < 0.1, "nearly the same sound, nearly the same roles"
 
 
 @given(start=st.floats(0, 60), seed=st.integers(0, 99))

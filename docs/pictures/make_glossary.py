@@ -26,9 +26,10 @@ from data_module.motion.motion_beats import acting_positions, acting_speed, moti
 from data_module.speech.audio import load_speech, resample
 from data_module.speech.onsets import RiseTracker, detect_onsets
 from data_module.speech.silence import frame_levels, loudness
-from data_module.types import Array, BeatFlag, Motion, Samples, Speech
+from data_module.types import Array, BeatFlag, Samples, Speech
+from eval.pictures.lexicon_sheet import decoded, sheet
+from eval.pictures.plots import beat_strips
 from gesticulator import Gesticulator, Performance
-from gesticulator.bundle.features import representation_of
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 SAMPLE_RATE = 16000
@@ -44,9 +45,6 @@ INK, SOFT, PALE, PAPER = "#262a31", "#8d8578", "#e4ded3", "#f5f2ec"
 RED, BLUE, AMBER, TEAL = "#c8553d", "#5b7fa6", "#d08c10", "#1f8a8a"
 FLAGS = {BeatFlag.ONSET: (RED, "on an onset"), BeatFlag.LOUD_PSEUDO: (AMBER, "pseudo-beat, first loud frame"),
          BeatFlag.EVEN_PSEUDO: (BLUE, "pseudo-beat, nothing loud"), BeatFlag.BOUNDARY: (INK, "start or end")}
-BONES = (("Hips", "Spine1"), ("Spine1", "Neck"), ("Neck", "Head"), ("LeftArm", "RightArm"),
-         ("LeftArm", "LeftForeArm"), ("LeftForeArm", "LeftHand"), ("RightArm", "RightForeArm"),
-         ("RightForeArm", "RightHand"))
 
 
 @dataclass(frozen=True)
@@ -89,18 +87,12 @@ def label(axis: Axes, text: str) -> None:
     axis.set_title(text, loc="left", fontsize=9, color=INK, pad=4)
 
 
-def curve(axis: Axes, times: Array, values: Array, colour: str, text: str | None = None) -> None:
+def curve(axis: Axes, times: Array, values: Array, colour: str) -> None:
     """A curve over time; the axis takes in what is shown of it."""
-    axis.plot(times, values, color=colour, linewidth=1.4, label=text)
+    axis.plot(times, values, color=colour, linewidth=1.4)
     here = values[(times >= START) & (times <= STOP)]
     margin = 0.12 * float(np.ptp(here))
     axis.set_ylim(here.min() - margin, here.max() + margin)
-
-
-def legend(axis: Axes, columns: int) -> None:
-    """A legend in the line of the label, at its right end."""
-    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=columns, fontsize=8, frameon=False,
-                labelcolor=INK, handlelength=1.2, borderaxespad=0.1)
 
 
 def envelope(axis: Axes, samples: Samples, start: float, stop: float, colour: str = SOFT, scale: float = 1.0) -> None:
@@ -119,35 +111,6 @@ def waveform(axis: Axes, sound: Speech, colour: str = SOFT) -> float:
     axis.set_ylim(-1.1 * top, 1.1 * top)
     plain(axis)
     return top
-
-
-def figure_of(axis: Axes, pose: Motion, frame: int, at: float, colour: str = INK, size: float = 1.0) -> None:
-    """A stick figure of one frame seen from the front, its hips at `at` on the axis, in metres times `size`."""
-    points = kinematics.joint_positions(pose.skeleton, pose.rotations[frame:frame + 1])[0, :, :2]
-    place = dict(zip(pose.skeleton.names, points - points[0], strict=True))
-    for begin, end in BONES:
-        line = np.array([place[begin], place[end]]) * size
-        axis.plot(line[:, 0] + at, line[:, 1], color=colour, linewidth=6 * size, solid_capstyle="round")
-    head = place["Head"] * size
-    axis.plot([at + head[0]], [head[1] + 0.07 * size], "o", color=colour, markersize=17 * size)
-    for side, tint in (("Left", TEAL), ("Right", RED)):
-        hand = place[f"{side}Hand"] * size
-        axis.plot([at + hand[0]], [hand[1]], "o", color=tint, markersize=8 * size)
-
-
-def lexeme_motion(system: Gesticulator, lexeme: int, fps: float) -> Motion:
-    """The block of motion that a lexeme looks like, as the default performer moves."""
-    bundle = system.bundle
-    shows = bundle.block_lexicon.shown()[[lexeme]].numpy().astype(np.float64)
-    who = system.speaker_index(None)
-    return representation_of(bundle.config).motion(bundle.statistics.denormalise(shows, who)[0], fps)
-
-
-def hand_height(motion: Motion, side: str) -> tuple[Array, Array]:
-    """Seconds [T] and the height of a hand above the hips [T] in metres."""
-    places = kinematics.positions_of(motion)
-    index = motion.skeleton.index
-    return np.arange(len(motion)) / motion.fps, places[:, index(f"{side}Hand"), 1] - places[:, index("Hips"), 1]
 
 
 def onset(s: Scene) -> Figure:
@@ -227,29 +190,16 @@ def stretching(s: Scene) -> Figure:
 
 
 def lexeme(s: Scene) -> Figure:
-    """Three lexemes that the example plays, each as three poses of its block."""
-    figure, (axis,) = canvas((1.4,))
-    speaking = s.made.lexemes[~s.made.blocks.silent]
-    motions = {int(k): lexeme_motion(s.system, int(k), s.made.blocks.fps) for k in np.unique(speaking)}
-    spread = {k: float(np.ptp(kinematics.positions_of(m)[:, [m.skeleton.index("RightHand"),
-                                                            m.skeleton.index("LeftHand")]], axis=0).sum())
-              for k, m in motions.items()}
-    for place, k in enumerate(sorted(spread, key=lambda k: -spread[k])[:3]):
-        frames = np.linspace(0, len(motions[k]) - 1, 3).round().astype(int)
-        for step, frame in enumerate(frames):
-            figure_of(axis, motions[k], int(frame), 2.05 * place + 0.62 * step, (PALE, SOFT, INK)[step])
-        axis.text(2.05 * place + 0.62, -0.22, f"lexeme {k}", ha="center", fontsize=9, color=INK)
-    plain(axis, time=False)
-    axis.set_xticks([])
-    axis.set_aspect("equal")
-    axis.set_xlim(-0.45, 5.8)
-    axis.set_ylim(-0.3, 0.8)
-    return figure
+    """Three lexemes that the example plays, those that move most, each as three poses."""
+    motions = decoded(s.system.bundle)
+    speaking = np.unique(s.made.lexemes[~s.made.blocks.silent]).tolist()
+    widest = sorted(speaking, key=lambda k: -np.ptp(acting_positions(motions[k]), axis=0).sum())[:3]
+    return sheet([motions[k] for k in widest], [f"lexeme {k}" for k in widest])
 
 
 def lexicon(s: Scene) -> Figure:
     """The codebook as t-SNE lays it out: neighbours are alike; the silent lexemes are marked."""
-    vectors = s.system.bundle.vectors.numpy()
+    vectors = s.system.bundle.vectors
     flat = TSNE(perplexity=12, init="pca", random_state=0).fit_transform(vectors)
     figure, (axis,) = canvas((3.2,))
     area = min(210.0, 21_000 / len(flat))  # square points: two hundred lexemes have half the room of one hundred
@@ -286,13 +236,15 @@ def control(s: Scene) -> Figure:
     figure, (axis,) = canvas((1.5,))
     for level, colour in (("low", BLUE), ("mid", SOFT), ("high", RED)):
         motion = s.system(s.sound, hand_height=level).motion
-        axis.plot(*hand_height(motion, "Right"), color=colour, linewidth=1.6, label=level)
+        hand, hips = (kinematics.positions_of(motion)[:, motion.skeleton.index(joint), 1]
+                      for joint in ("RightHand", "Hips"))
+        axis.plot(np.arange(len(motion)) / motion.fps, hand - hips, color=colour, linewidth=1.6, label=level)
     plain(axis)
     axis.set_xlim(START, 3 * STOP)
     axis.set_yticks([0.0, 0.2, 0.4], ["0", "0.2 m", "0.4 m"])
     axis.grid(axis="y", color=PALE, linewidth=0.8)
     label(axis, "height of the right hand over the hips")
-    legend(axis, 3)
+    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, fontsize=8, frameon=False, labelcolor=INK)
     return figure
 
 
@@ -316,45 +268,15 @@ def interpreter(s: Scene) -> Figure:
     return figure
 
 
-def generator(s: Scene) -> Figure:
-    """The height of both hands over the hips: one smooth curve over all blocks."""
-    figure, (axis,) = canvas((1.35,))
-    for side, colour in (("Left", TEAL), ("Right", RED)):
-        curve(axis, *hand_height(s.made.motion, side), colour, f"{side.lower()} hand")
-    for i, start, stop in shown(s):
-        if i % 2:
-            axis.axvspan(start, stop, color=PAPER, linewidth=0, zorder=-5)
-    plain(axis)
-    label(axis, "height of the hands; shaded: every second block")
-    legend(axis, 2)
-    return figure
-
-
 def matched_beats(s: Scene) -> Figure:
-    """Onsets over motion beats; pairs within `MATCH` seconds are joined."""
-    figure, (upper, lower) = canvas((0.7, 1.1))
-    top = waveform(upper, s.sound, PALE)
-    upper.vlines(s.onsets, -top, top, color=RED, linewidth=1.2)
-    label(upper, "onsets of the voice")
-    motion = s.made.motion
-    speed = acting_speed(acting_positions(motion), motion.fps)
-    times = np.arange(len(speed)) / motion.fps
-    curve(lower, times, speed, INK)
-    beats = motion_beats(motion)
-    near = np.abs(beats[:, None] - s.onsets).min(axis=1) <= MATCH
-    for mask, colour, text in ((near, TEAL, f"motion beat within {MATCH:g} s of an onset"),
-                               (~near, SOFT, "motion beat without an onset")):
-        lower.plot(beats[mask], np.interp(beats[mask], times, speed), "o", color=colour, markersize=7, label=text)
-    plain(lower)
-    label(lower, "speed of hands and elbows")
-    upper.tick_params(labelbottom=False)
-    legend(lower, 2)
-    return figure
+    """Onsets over motion beats; those matched within `MATCH` seconds are joined."""
+    made = s.made
+    return beat_strips({"": (motion_beats(made.motion), s.onsets, made.blocks.edges)}, START, STOP - START, MATCH)
 
 
 PICTURES: dict[str, Callable[[Scene], Figure]] = {
     "onset": onset, "beat": beat, "block": block, "stretching": stretching, "lexeme": lexeme, "lexicon": lexicon,
-    "silent-lexeme": silent_lexeme, "interpreter": interpreter, "control": control, "generator": generator,
+    "silent-lexeme": silent_lexeme, "interpreter": interpreter, "control": control,
     "matched-beats": matched_beats}
 """Name of the file, without .png -> what draws it."""
 

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -39,12 +39,14 @@ from eval.context import EvalContext, Lexemes
 from gesticulator.bundle import bundle as bundles
 from gesticulator.bundle import config as configs
 from gesticulator.bundle.config import Config
+from gesticulator.bundle.features import Sizes
 from gesticulator.bundle.models import JUDGES, runner_of
+from gesticulator.bundle.models import build as build_model
 from gesticulator.training import fit as fitting
 from gesticulator.training.stages import STAGES, Corpus
 from gesticulator.training.stages.caches import weights_hash
 from gesticulator.training.stages.corpus import sizes
-from gesticulator.training.stages.q_network import features_of, new_q_network, q_batch, takes_of
+from gesticulator.training.stages.q_network import features_of, q_batch, takes_of
 from gesticulator.training.stages.reward import reward_table, taught_reward
 from interpreters.base import LexemeInterpreter
 from interpreters.cql import ConservativeQ, QNetwork, without_dropout
@@ -173,16 +175,19 @@ class RacerRows:
 
     def policy(self, name: str, network: QNetwork) -> LexemeInterpreter:
         """A row's trained network as it chooses lexemes."""
-        silent = tuple(self.bundle.silent.tolist())
-        runner: LexemeInterpreter = runner_of("q_network", sizes(self.config(name), self.corpus, silent=silent,
-                                                              vectors=self.bundle.vectors), network)
+        runner: LexemeInterpreter = runner_of("q_network", self._sizes(name), network)
         return runner
 
     def untrained(self, name: str, seed: int) -> QNetwork:
         """The network that a row begins with, the same for all rows of a seed."""
         # Rows of a seed differ by what they learn, not by where they begin.
         torch.manual_seed(seed)
-        return new_q_network(self.config(name), self.corpus, self.bundle.vectors, self.bundle.silent)
+        return cast("QNetwork", build_model("q_network", self._sizes(name)))
+
+    def _sizes(self, name: str) -> Sizes:
+        """The dimensions of a row's network."""
+        return sizes(self.config(name), self.corpus, vectors=self.bundle.vectors,
+                     silent=tuple(self.bundle.silent.tolist()))
 
 
 def rescaled(table: Tensor, episodes: Episodes) -> Tensor:

@@ -102,10 +102,11 @@ def own_motion(voices: Sequence[AcceptanceVoice]) -> EyeSample:
 
 def rendered(system: BundleSystem, voices: Sequence[AcceptanceVoice], renderings: int, **options: Any
              ) -> tuple[EyeSample, list[Timed]]:
-    """The bundle on the real take's voice with every seed, or on each voice of the test split with one of its own."""
+    """The bundle on the real take's voice with every seed, or on each voice of the test split with the first: what two
+    recordings share at one seed is to be seen."""
     sample, timed = EyeSample(), []
-    for number, voice in enumerate(voices):
-        for seed in [number % renderings] if voice.place == TEST else range(renderings):
+    for voice in voices:
+        for seed in range(1 if voice.place == TEST else renderings):
             rendering = system.render(voice, seed, **options)
             # The interval draws the renderings of one group of voices together.
             sample.add(rendering.motion, voice.heard, rendering.edges, group=voice.group or voice.name)

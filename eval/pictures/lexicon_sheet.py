@@ -52,9 +52,10 @@ def sheet(motions: Sequence[Motion], titles: Sequence[str]) -> Figure:
     """Lexemes in order, three figures each."""
     from matplotlib.figure import Figure as NewFigure
 
-    rows = math.ceil(len(motions) / COLUMNS)
-    figure = NewFigure(figsize=(COLUMNS * _WIDE, rows * _TALL), facecolor="white", layout="constrained")
-    axes = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
+    across = min(COLUMNS, len(motions))
+    rows = math.ceil(len(motions) / across)
+    figure = NewFigure(figsize=(across * _WIDE, rows * _TALL), facecolor="white", layout="constrained")
+    axes = figure.subplots(rows, across, squeeze=False).ravel()
     for axis in axes:
         axis.axis("off")
     for axis, motion, title in zip(axes, motions, titles, strict=False):

@@ -10,18 +10,18 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from data_module.errors import InputError
 from data_module.files import write_bytes
 from data_module.types import Array, BeatFlag, Beats, Motion, Speech
-from gesticulator.export.figure import FLOOR, HANDS, INK, SOFT, VIEWS, figure_points, seen
+from gesticulator.export.figure import FLOOR, HANDS, INK, SOFT, FlatPart, Look, body, figure_points, flattened, legs
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,6 +40,26 @@ POSES = 4.0
 """Figures a second on a page."""
 _CAPTION, _SOUND, _CLOCK = 0.24, 0.46, 0.26
 """Metres of height: of a source's name, the waveform, the seconds with the gap below them."""
+
+
+def from_front(points: Array) -> tuple[Array, Array, Array]:
+    """Front view in metres: the character's left is on the right."""
+    return points[..., :2], np.ones(points.shape[:-1]), points[..., 2]
+
+
+def from_side(points: Array) -> tuple[Array, Array, Array]:
+    """Side view from the character's left, facing left."""
+    return points[..., 2:0:-1] * [-1.0, 1.0], np.ones(points.shape[:-1]), points[..., 0]
+
+
+class View(NamedTuple):
+    """A projection, and the visible thickness of the trunk as a share of its width."""
+
+    look: Look
+    trunk: float
+
+
+VIEWS = {"front": View(from_front, 1.0), "side": View(from_side, 0.72)}
 
 
 @dataclass(frozen=True)
@@ -137,6 +157,13 @@ def draw_row(axis: Axes, motion: Motion, times: Array, view: str, layout: Layout
     axis.axhline(max(layout.low, 0.0), color=FLOOR, linewidth=1.5, zorder=-10)
     axis.text(0.1 - layout.margin, layout.high - 0.07, view, fontsize=9, color=SOFT, style="italic", va="top")
     axis.set(xlim=(-layout.margin, wide - layout.margin), ylim=(layout.low, layout.high))
+
+
+def seen(points: Mapping[str, Array], view: View, paper: str) -> list[FlatPart]:
+    """The figure at one time, points [1, 3]: legs, then all visible parts, from back to front."""
+    whole = [[flattened(part, view.look, paper) for part in parts if part.shown is None or part.shown[0]]
+             for parts in (legs(points), body(points, view.look, view.trunk))]
+    return [part for parts in whole for part in sorted(parts, key=lambda part: float(part.near[0]))]
 
 
 def _draw_figure(axis: Axes, points: dict[str, Array], view: str, centre: float, order: int) -> None:

@@ -306,7 +306,7 @@ _SEAT_TOES = 12.0
 
 _SWAY_CHANNEL = (1 << 10) + 8
 _NOISE_STEPS = np.array([seconds for _, seconds in (*_SWAY, *_STIRS, _ROLLS)] + [_GIVES[2]])
-_AHEAD, _LEFTWARD = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+_AHEAD = np.array([0.0, 0.0, 1.0])
 _LEGS = np.array([[WHOLE_BODY.index(side + part) for side, _ in SIDES] for part in ("UpLeg", "Leg", "Foot", "ToeBase")])
 _SPINE = WHOLE_BODY.index("Spine")
 

@@ -50,6 +50,8 @@ _HEAD_STANDS, _HEAD_MOVES = 0.025, 0.06
 _GAIN_TAU = 0.25
 """Time constant of fading idle motion in and out, seconds."""
 
+VOICE_BITS = 48
+"""The lowest bit of a voice (`sampling.loop.Keys`) in a channel, above all that channels use otherwise."""
 _ALL_BITS = 0xFFFFFFFFFFFFFFFF
 _STEP_OF_BITS = np.uint64(0x9E3779B97F4A7C15)
 

@@ -63,10 +63,10 @@ class ClearedPath(KnotPath):
 class MotionPath:
     """Turns successive normalised blocks of one performer into motion (RG 4.2.2, 7.1.2)."""
 
-    def __init__(self, bundle: Bundle, speaker: int, options: InferenceOptions, prompt: bool = False,
+    def __init__(self, bundle: Bundle, speaker: int, options: InferenceOptions,
                  shaping: Callable[[Array, Array], Array] | None = None) -> None:
-        """options: fps, legs, seated, seed and mirror are used; prompt: see `KnotPath`; shaping: a function of poses
-        [K, D_m] at seconds [K] that applies the style knobs."""
+        """options: fps, legs, seated, seed and mirror are used; shaping: a function of poses [K, D_m] at seconds [K]
+        that applies the style knobs."""
         self._shaping, self._mirrored = shaping, options.mirrored
         self._statistics, self._speaker, self._options = bundle.statistics, speaker, options
         self._representation = representation_of(bundle.config)
@@ -76,7 +76,7 @@ class MotionPath:
         self._free = partial(cleared_poses, sits=options.seated)
         path = partial(ClearedPath, cleared=self._free) if self._unseen else KnotPath
         self._path = partial(path, fps=float(options.fps), smooth_over=bundle.config.motion.smoothing)
-        self._knots = self._path(first, prompt=prompt)
+        self._knots = self._path(first)
         # Joint positions give rotations only as a whole: their frames wait for the end.
         self._whole: list[Array] | None = None if bundle.config.motion.representation == "rotations" else []
         self._last: Array | None = None

@@ -16,8 +16,8 @@ With x the deviation of an arm from the speaker's mean pose, m that of the other
 
 where r is the root mean square of y, l how far it is lowered, 0 to 1 towards p, s = 3 l^2 - 2 l^3, and s' that of the
 other arm; in the upper arm `raised` is less (`UPPER_ARM`). At rest, l = 1 for both, every role shows the resting pose.
-All is a function of the pose and of seed and time, so files, streams and edited plans agree; the generator never sees
-it.
+All is a function of the pose and of seed, voice and time, so files, streams and edited plans agree; the generator never
+sees it.
 
 The numbers were chosen on the twelve sounds of the GENEA 2020 study at five seeds and by raters who saw pictures
 without names (docs/results.md).
@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from data_module.motion.kinematics import minimum_jerk
 from data_module.types import Array
-from gesticulator.body.life import SIDES, normal, smooth_step
+from gesticulator.body.life import SIDES, VOICE_BITS, normal, smooth_step
 from gesticulator.bundle.features import Statistics
 
 PERIOD, JITTER = 6.5, 0.4
@@ -89,12 +89,12 @@ AS_GENERATED = Role(np.ones(2), np.zeros(2), np.zeros(2), np.full(2, RAISED))
 
 
 @lru_cache(maxsize=256)
-def _drawn(seed: int, variation: int, period: int) -> tuple[float, Role]:
+def _drawn(seed: int, channel: int, period: int) -> tuple[float, Role]:
     """When the role of a period begins, in periods, and the role."""
-    begins, single, dominant, hanging, right, left = normal(seed, _CHANNEL + variation, 8 * period + np.arange(6))
+    begins, single, dominant, hanging, right, left = normal(seed, channel, 8 * period + np.arange(6))
     early, alone, mostly, low = (0.5 * math.erfc(-float(number) / math.sqrt(2.0))
                                  for number in (begins, single, dominant, hanging))
-    leads = int(normal(seed, _CHANNEL + variation, np.array([-1]))[0] > 0.0)
+    leads = int(normal(seed, channel, np.array([-1]))[0] > 0.0)
     if alone < ONE_HANDED and mostly >= DOMINANT:
         leads = 1 - leads
     other = np.eye(2)[1 - leads]
@@ -105,37 +105,38 @@ def _drawn(seed: int, variation: int, period: int) -> tuple[float, Role]:
     return begin, Role(np.ones(2), FOLLOWS * other, np.zeros(2), raised)
 
 
-def role_at(seed: int, variation: int, time: float) -> Role:
+def role_at(seed: int, variation: int, time: float, voice: int = 0) -> Role:
     """The role at `time` seconds."""
+    channel = _CHANNEL + variation + (voice << VOICE_BITS)
     period = math.floor(time / PERIOD)
     # A boundary is less than half a period early or late.
-    while _drawn(seed, variation, period + 1)[0] * PERIOD <= time:
+    while _drawn(seed, channel, period + 1)[0] * PERIOD <= time:
         period += 1
-    while _drawn(seed, variation, period)[0] * PERIOD > time:
+    while _drawn(seed, channel, period)[0] * PERIOD > time:
         period -= 1
-    begin, role = _drawn(seed, variation, period)
+    begin, role = _drawn(seed, channel, period)
     passed = (time - begin * PERIOD) / CHANGES
     if passed >= 1.0:  # most of the time
         return role
-    return _drawn(seed, variation, period - 1)[1].towards(role, float(minimum_jerk(np.array(passed))))
+    return _drawn(seed, channel, period - 1)[1].towards(role, float(minimum_jerk(np.array(passed))))
 
 
 @dataclass(frozen=True)
 class Roles:
-    """The roles of a performance, a value: `for_block` gives that of the next block. shift: seconds by which the sound
-    moves the changes, so that two files of a seed do not change at the same second; fixed: the role that is shown
-    instead of the drawn one, or None; before: the role shown when that last changed, at `since` seconds."""
+    """The roles of a performance, a value: `for_block` gives that of the next block. voice: as of
+    `sampling.loop.Keys`; fixed: the role that is shown instead of the drawn one, or None; before: the role shown when
+    that last changed, at `since` seconds."""
 
     seed: int
     variation: int
-    shift: float = 0.0
+    voice: int = 0
     fixed: Role | None = None
     before: Role | None = None
     since: float = -math.inf
 
     def at(self, time: float) -> Role:
         """The role that is shown at `time` seconds."""
-        role = self.fixed or role_at(self.seed, self.variation, time + self.shift)
+        role = self.fixed or role_at(self.seed, self.variation, time, self.voice)
         if self.before is None or time >= self.since + CHANGES:
             return role
         return self.before.towards(role, float(minimum_jerk(np.array((time - self.since) / CHANGES))))

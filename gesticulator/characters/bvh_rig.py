@@ -32,10 +32,8 @@ def write_character_bvh(path: str | os.PathLike[str], character: Character, rota
     """Write a motion of a BVH character atomically, with the hierarchy, channel order, units and axes of its file.
 
     rotations: [T, N, 4] local; placed: a node and its local translation [T, 3], None if all stay at rest; fps: frames
-    per second. ValueError for a character of another format.
+    per second.
     """
-    if character.kind != "bvh":
-        raise ValueError(f"a {character.kind} character has no BVH hierarchy")
     channels = [_channels(character, node, placed[0] if placed else -1) for node in range(len(character))]
     lines, order = bvh.hierarchy(character.names, character.parents, character.translations, character.tips, channels)
     columns: list[Array] = []

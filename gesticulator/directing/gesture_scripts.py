@@ -197,11 +197,9 @@ _TABLE: Mapping[str, GestureScript | tuple[GestureScript, ...]] = {
     "empty hands": both((0.14, -0.34, 0.33), (0.25, -0.25, 0.95), (0, 1, 0.35), "spread", (-0.06, 0.06, -0.03),
                         neck=(3, 0, 0), head=(4, 0, 0), hold=0.8),
     # ------------------------------------------------------------------------------------------- no and stop
-    "sweep no": (
-        both((0.24, -0.25, 0.3), (0.15, 0, 1), DOWN, "flat", (-0.36, 0.02, 0.02), before={"fingers": (-0.75, 0, 0.65)},
-             nods={"Neck": (0, 5, 0), "Head": (0, 8, 0)}, stroke=0.4, hold=0.45),
-        one((0.24, -0.25, 0.3), (0.15, 0, 1), DOWN, "flat", (-0.36, 0.02, 0.02), before={"fingers": (-0.75, 0, 0.65)},
-            nods={"Neck": (0, 5, 0), "Head": (0, 8, 0)}, stroke=0.4, hold=0.45)),
+    "sweep no": one_or_both((0.24, -0.25, 0.3), (0.15, 0, 1), DOWN, "flat", (-0.36, 0.02, 0.02),
+                            before={"fingers": (-0.75, 0, 0.65)}, nods={"Neck": (0, 5, 0), "Head": (0, 8, 0)},
+                            stroke=0.4, hold=0.45)[::-1],
     "finger wag no": one((0.1, 0.02, 0.3), (0, 1, 0.1), AHEAD, "point", (0, -0.1, 0), repeat=Repeat((0.05, 0, 0),
                          tilt=(0, 0, -20), rate=2.4, count=3), nods={"Head": (0, 6, 0)}, rate=2.4),
     "cut off": both((0.22, -0.33, 0.27), (0.25, -0.1, 1), DOWN, "flat", (-0.38, 0.02, 0.05),

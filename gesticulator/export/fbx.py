@@ -48,7 +48,7 @@ def write_fbx(path: Path, scene: Scene) -> Path:
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "motion.glb", Path(folder) / "motion.fbx"
         source.write_bytes(gltf.to_bytes())
-        say(path, run_in_blender(path, SCRIPT, str(source), str(target), repr(scene.fps), repr(clip.keys), clip.name,
-                                 *(str(file.resolve()) for file in original)))
+        say(path, run_in_blender(path, SCRIPT, str(source), str(target), repr(scene.motion.fps), repr(clip.keys),
+                                 clip.name, *(str(file.resolve()) for file in original)))
         write_bytes(path, target.read_bytes())
     return path

@@ -1,8 +1,7 @@
 """The figure in pictures and films: limbs of a 16-joint character as capsules, projected by a view.
 
-A part is a group of limbs with one thin outline, such as the shirt; parts are drawn from back to front. Strips show the
-figure straight from the front and the side (`VIEWS`), films use a camera. Legs stand still, as the models generate
-nothing below the hips, unless the motion's own legs are requested.
+A part is a group of limbs with one thin outline, such as the shirt; parts are drawn from back to front. Films use a
+camera. Legs stand still, as the models generate nothing below the hips, unless the motion's own legs are requested.
 """
 
 from collections.abc import Callable, Mapping
@@ -28,26 +27,6 @@ _NOSE = np.array([0.0, 0.075, 0.125])
 Look = Callable[[Array], tuple[Array, Array, Array]]
 """Points [..., 3] in metres -> positions [..., 2], scale [...], and depth [...] in metres, larger towards the
 viewer."""
-
-
-def from_front(points: Array) -> tuple[Array, Array, Array]:
-    """Front view in metres: the character's left is on the right."""
-    return points[..., :2], np.ones(points.shape[:-1]), points[..., 2]
-
-
-def from_side(points: Array) -> tuple[Array, Array, Array]:
-    """Side view from the character's left, facing left."""
-    return points[..., 2:0:-1] * [-1.0, 1.0], np.ones(points.shape[:-1]), points[..., 0]
-
-
-class View(NamedTuple):
-    """A projection, and the visible thickness of the trunk as a share of its width."""
-
-    look: Look
-    trunk: float
-
-
-VIEWS = {"front": View(from_front, 1.0), "side": View(from_side, 0.72)}
 
 
 def figure_points(motion: Motion, times: Array, legs: bool = False, fingers: bool = False) -> dict[str, Array]:
@@ -207,13 +186,6 @@ def flattened(part: BodyPart, look: Look, paper: str) -> FlatPart:
         depths.append(look((limb.start + limb.end) / 2)[2])
     # All outlines first: they separate the part from what lies behind it, not its limbs from each other.
     return FlatPart(np.mean(depths, axis=0) + part.lift, part.shown, part.hand, halos + limbs)
-
-
-def seen(points: Mapping[str, Array], view: View, paper: str) -> list[FlatPart]:
-    """The figure at one time, points [1, 3]: legs, then all visible parts, from back to front."""
-    whole = [[flattened(part, view.look, paper) for part in parts if part.shown is None or part.shown[0]]
-             for parts in (legs(points), body(points, view.look, view.trunk))]
-    return [part for parts in whole for part in sorted(parts, key=lambda part: float(part.near[0]))]
 
 
 def outlines(start: Array, end: Array, r0: Array, r1: Array) -> Array:

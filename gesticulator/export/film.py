@@ -126,15 +126,15 @@ def encode(points: dict[str, Array], speech: Speech, size: tuple[int, int] = SIZ
     """The bytes of a video: frame k shows the time k / `FPS` of `points` (name -> [T, 3]), with `speech` as audio from
     its start, truncated or padded with silence to T / `FPS` seconds. size: even numbers of pixels."""
     # Exactly as long as the picture, so that players do not stretch either.
-    sound = _resampled(speech, len(next(iter(points.values()))))
+    sound = sound_track(speech, len(next(iter(points.values()))))
     with tempfile.TemporaryDirectory() as folder:
         # A file, not memory: moving the index to the front reads back the written data.
         target = Path(folder) / "clip.mp4"
-        _write(target, pictures(points, size), sound, size)
+        write_pictures(target, pictures(points, size), sound, size)
         return target.read_bytes()
 
 
-def _resampled(speech: Speech, frames: int) -> Samples:
+def sound_track(speech: Speech, frames: int) -> Samples:
     """The first frames / `FPS` seconds, resampled to `SOUND_RATE`."""
     wanted = round(frames * SOUND_RATE / FPS)
     # Include a little more, so that the resampling filter does not see an edge.
@@ -144,7 +144,7 @@ def _resampled(speech: Speech, frames: int) -> Samples:
     return np.pad(samples, (0, wanted - len(samples)))
 
 
-def _write(target: Path, drawn: Iterator[Image], sound: Samples, size: tuple[int, int]) -> None:
+def write_pictures(target: Path, drawn: Iterator[Image], sound: Samples, size: tuple[int, int]) -> None:
     """Interleave video and audio, so that players find matching data together."""
     import av
 
@@ -185,7 +185,7 @@ def _frame(picture: Image, number: int) -> Any:
 def write_film(path: Path, scene: Scene) -> Path:
     """Write the scene as a video with audio, with legs and fingers if the motion has them, atomically. Returns
     `path`."""
-    motion, times = scene.motion, np.arange(max(1, math.floor(scene.duration * FPS + 1e-9))) / FPS
+    motion, times = scene.motion, np.arange(max(1, math.floor(scene.speech.duration * FPS + 1e-9))) / FPS
     points = figure_points(motion, times, skeletons.has_legs(motion), fingers=True)
     write_bytes(path, encode(points, scene.speech))
     return path

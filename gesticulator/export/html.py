@@ -77,14 +77,14 @@ def page(takes: Mapping[str, Scene], title: str, *, together: bool = False,
     first = next(iter(takes.values()))
     if len(takes) > 2:
         raise InputError(f"{len(takes)} takes", "are too many for a page", "give one or two")
-    if any(abs(other.duration - first.duration) > _SAME for other in takes.values()):
+    if any(abs(other.speech.duration - first.speech.duration) > _SAME for other in takes.values()):
         raise InputError("two takes", "are of recordings of different length", "give two takes of one recording")
     if together and len(takes) < 2:
         raise InputError("one take", "cannot be compared", "give two")
     live = more is not None and more.get("live") is not None
     data = {
         "title": title,
-        "duration": first.duration,
+        "duration": first.speech.duration,
         "sound": _base64(sound.compress(first.speech)),
         "soundType": sound.MEDIA_TYPE,
         "peaks": _base64(sound.peaks(first.speech, PEAKS_PER_SECOND).tobytes()),
@@ -104,10 +104,10 @@ def describe(scene: Scene) -> dict[str, Any]:
     a still root; `plan` is the gesture plan; `face`, for a scene with one, is int16 [T, 20], `FaceMotion.values` in the
     same steps.
     """
-    motion = kinematics.resample(scene.standing, page_fps(scene.duration, scene.fps))
+    motion = kinematics.resample(scene.standing, page_fps(scene.speech.duration, scene.motion.fps))
     face = None if scene.face is None else np.clip(scene.face.at(np.arange(len(motion)) / motion.fps), -1.0, 1.0)
     return {
-        **describe_shape(motion, scene.duration),
+        **describe_shape(motion, scene.speech.duration),
         "rotations": _base64(np.round(motion.rotations * QUATERNION_STEPS).astype("<i2").tobytes()),
         "root": _base64(root_path(motion)),
         **({} if face is None else {"face": _base64(np.round(face * QUATERNION_STEPS).astype("<i2").tobytes())}),

@@ -76,13 +76,10 @@ def _kept_in_span(values: Array, bounds: Array, errors: Error) -> NDArray[np.boo
         return has_key
     todo = np.arange(values.shape[1])
     while len(todo):  # each round adds a key to every track that is left, of which there are finitely many
-        off, before = _off(values[:, todo], has_key[:, todo], errors)
+        off, worst = _off(values[:, todo], has_key[:, todo], errors)
         bad = off > bounds[todo]
         # Of each segment between two keys the worst frame becomes a key, in all tracks at once.
-        worst = np.zeros_like(off)
-        tracks = np.broadcast_to(np.arange(len(todo)), before.shape)
-        np.maximum.at(worst, (before, tracks), off)
-        has_key[:, todo] |= bad & (off == worst[before, tracks])
+        has_key[:, todo] |= bad & (off == worst)
         # Tracks within their bound are done.
         todo = todo[bad.any(axis=0)]
     for _ in range(_ROUNDS):
@@ -92,14 +89,17 @@ def _kept_in_span(values: Array, bounds: Array, errors: Error) -> NDArray[np.boo
     return has_key
 
 
-def _off(values: Array, has_key: NDArray[np.bool_], errors: Error) -> tuple[Array, NDArray[np.int64]]:
-    """[T, N] error of every frame between its keys, 0 at a key, and [T, N] the key at or before it."""
+def _off(values: Array, has_key: NDArray[np.bool_], errors: Error) -> tuple[Array, Array]:
+    """[T, N] error of every frame between its keys, 0 at a key, and [T, N] the greatest of those between its keys."""
     rows = np.arange(len(values))[:, None]
     before = np.maximum.accumulate(np.where(has_key, rows, 0), axis=0)
     after = np.minimum.accumulate(np.where(has_key, rows, len(values) - 1)[::-1], axis=0)[::-1]
     share = (rows - before) / np.maximum(after - before, 1)
-    tracks = np.arange(values.shape[1])
-    return np.where(has_key, 0.0, errors(values, values[before, tracks], values[after, tracks], share)), before
+    tracks = np.broadcast_to(np.arange(values.shape[1]), before.shape)
+    off = np.where(has_key, 0.0, errors(values, values[before, tracks], values[after, tracks], share))
+    worst = np.zeros_like(off)
+    np.maximum.at(worst, (before, tracks), off)
+    return off, worst[before, tracks]
 
 
 def _thin(values: Array, has_key: NDArray[np.bool_], bounds: Array, errors: Error, parity: int) -> bool:
@@ -107,11 +107,8 @@ def _thin(values: Array, has_key: NDArray[np.bool_], bounds: Array, errors: Erro
     stay within the bound; whether any was removed. Neighbours stay, so one removal cannot spoil another."""
     number = np.cumsum(has_key, axis=0)  # of the key at or before a frame, from 1
     trial = has_key & ((number % 2 == parity) | (number == 1) | (number == number[-1]))
-    off, before = _off(values, trial, errors)
-    worst = np.zeros_like(off)
-    tracks = np.broadcast_to(np.arange(values.shape[1]), before.shape)
-    np.maximum.at(worst, (before, tracks), off)
-    removed = has_key & ~trial & (worst[before, tracks] <= bounds)
+    _, worst = _off(values, trial, errors)
+    removed = has_key & ~trial & (worst <= bounds)
     has_key &= ~removed
     return bool(removed.any())
 

@@ -70,16 +70,6 @@ class Scene:
         return self.layout or ClipLayout()
 
     @property
-    def duration(self) -> float:
-        """Duration of the audio, seconds."""
-        return self.speech.duration
-
-    @property
-    def fps(self) -> float:
-        """Frames per second of the motion."""
-        return self.motion.fps
-
-    @property
     def plan(self) -> GesturePlan:
         """The blocks with their gestures, the reasons for them, and the names of the lexemes."""
         return self.make_plan()

@@ -27,7 +27,7 @@ from data_module.layers_run import Floats
 from data_module.motion.skeletons import CHARACTERS
 from data_module.types import Array, Blocks
 from gesticulator.body import roles as arm_roles
-from gesticulator.body.life import SIDES, normal
+from gesticulator.body.life import SIDES, VOICE_BITS, normal
 from gesticulator.body.rest import Rest, RestKnots
 from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.features import Flags, Span, SpeechBlock, SpeechFeatures, control_rows, representation_of
@@ -58,8 +58,8 @@ _WAXES, _LEANS = 3000, 4000
 """Milliseconds between independent numbers of activity and of posture: both wax and wane over a few seconds."""
 ELBOW = np.radians((6.0, 140.0, 10.0))
 """Least and greatest bend of an elbow, and the last part of either, in which it is slowed, radians."""
-_ENLARGED = 4.0
-"""Units of a number for a deviation of a spectrum's shape: voices are alike, so what differs is enlarged."""
+_VOICES = 64
+"""Patterns that voices are told apart by: with more, the same sound as an MP3 is more often taken for another."""
 _CHANNELS = 1 << 32
 """The first channel of `life.mixed` here; the idle motion and the choice of phrases use lower ones."""
 
@@ -76,10 +76,14 @@ class Keys:
 
     which is standard normal at every t, independent for blocks that begin 0.2 s or more apart, and nearly the same
     (r = .99) for one that begins 10 ms later because a beat was detected later.
+
+    voice: what the first words sound like (`of_voice`), 0 until somebody has spoken; else two recordings would show the
+    same gestures at the same second, and their trunks would lean alike.
     """
 
     seed: int
     variation: int = 0
+    voice: int = 0
 
     def noise(self, time: float, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Standard normal noise of the motion of the block that begins at `time` seconds, of this shape."""
@@ -108,20 +112,19 @@ class Keys:
         """[3] standard normal numbers that change over seconds: how the trunk leans, turns and tilts at `time`."""
         return self._normal(_POSTURE, time, 3, _LEANS)
 
-    def of_voice(self, spectrum: Array, count: int) -> Array:
-        """[count] numbers in 0 to 1, about uniform over voices, from the shape of a spectrum [B] in decibels or the
-        like: they change gradually with it, and not with its level."""
-        shape = spectrum - spectrum.mean()
-        mix = self._normal(_VOICE, 0.0, count * len(shape)).reshape(count, -1)
-        numbers = _ENLARGED * (mix @ shape) / math.sqrt(float(shape @ shape) + 1e-9)
-        return np.asarray(np.abs(numbers % 2.0 - 1.0))
+    def of_voice(self, spectrum: Array) -> int:
+        """1 to 64, which of as many random patterns the shape of a spectrum [B] in decibels or the like is nearest to.
+        An MP3 of a sound has nearly always the number of the sound itself (r = .999), another voice or word (r < .8)
+        seldom; the level does not matter."""
+        patterns = Keys(self.seed)._normal(_VOICE, 0.0, _VOICES * len(spectrum)).reshape(_VOICES, -1)
+        return 1 + int((patterns @ (spectrum - spectrum.mean())).argmax())
 
     def _normal(self, kind: int, time: float, count: int, apart: int = _MILLISECONDS) -> Array:
         """[count] standard normal numbers at a time in seconds; times within a millisecond are the same. apart:
         milliseconds between independent numbers."""
         cell, rest = divmod(round(time * 1000), apart)
         numbers = cell * count + np.arange(2 * count)
-        both = normal(self.seed, _CHANNELS + 2 * self.variation + kind, numbers)
+        both = normal(self.seed, _CHANNELS + 2 * self.variation + kind + (self.voice << VOICE_BITS), numbers)
         angle = 0.5 * math.pi * rest / apart
         return math.cos(angle) * both[:count] + math.sin(angle) * both[count:]
 
@@ -371,12 +374,14 @@ def scores_of(bundle: Bundle, setup: Setup, state: State, features: BlockFeature
     return free + bundle.config.selection.guidance * (scores - free), after, unguided
 
 
-def choose(setup: Setup, request: Request, scores: Scores, allowed: NDArray[np.int64] | None = None) -> int:
-    """The lexeme of a block: the requested one, or one sampled from scores [S], among `allowed`, if given."""
+def choose(setup: Setup, request: Request, scores: Scores, allowed: NDArray[np.int64] | None = None, voice: int = 0
+           ) -> int:
+    """The lexeme of a block: the requested one, or one sampled from scores [S], among `allowed`, if given. voice: of
+    its `Keys`."""
     if request.lexeme is not None:
         return request.lexeme
     # A variation has the lexemes of the first performance, unless the block was edited.
-    keys = request.keys or Keys(setup.seed)
+    keys = replace(request.keys or Keys(setup.seed), voice=voice)
     return select(scores, allowed=allowed, temperature=setup.temperature,
                   noise=keys.gumbel(request.speech.keyed_at, len(scores)))
 

@@ -138,12 +138,14 @@ def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Req
     speech = request.speech
     if abs(speech.start - state.until) > loop.CONTIGUOUS:  # an offset does not fade while nothing is seen
         state = replace(state, generated=state.past, offset=None)
+    if not state.keys.voice and not speech.silent[1]:
+        state = listened(bundle, state, speech)
     if speech.number == 0 and speech.start == 0.0 and state.rest and not state.rest.begins_at_rest(speech.span):
-        state = begun(bundle, setup, state, speech)
+        state = begun(bundle, setup, state)
     features = loop.features_of(bundle, request, state.generated)
 
     # 1. The planner: what the hands do in this block.
-    unit, planner = decide_unit(bundle, setup, state.planner, speech, features)
+    unit, planner = decide_unit(bundle, setup, state, speech, features)
     state = replace(state, planner=planner)
     if request.keys is None and sets_out(state, speech, unit):
         state = set_out(bundle, setup, state, speech)
@@ -159,10 +161,10 @@ def step(bundle: Bundle, setup: loop.Setup, state: loop.State, request: loop.Req
     scores, interpreter, unguided = loop.scores_of(bundle, setup, state, features)
     scores = within_phase(bundle, scores, unit)
     quiet = rested.closed or (features.silent and bundle.config.silence.mask)
-    lexeme = loop.choose(setup, request, scores, bundle.silent if quiet else None)
+    lexeme = loop.choose(setup, request, scores, bundle.silent if quiet else None, state.keys.voice)
 
     # 4. The motion: candidates from the flow generator, of which one is kept.
-    keys = request.keys or state.keys
+    keys = state.keys if request.keys is None else replace(request.keys, voice=state.keys.voice)
     offset = None if state.offset is None else state.offset.at(speech.span.times)
     shift = None if offset is None else np.concatenate([state.past - state.generated, offset])
     block, code, generator = state.generator.sampler.sample(
@@ -209,17 +211,17 @@ def phrasing(speech: SpeechBlock) -> loop.Scores:
     return bias
 
 
-def decide_unit(bundle: Bundle, setup: loop.Setup, planner: PlannerState | None, speech: SpeechBlock,
+def decide_unit(bundle: Bundle, setup: loop.Setup, state: loop.State, speech: SpeechBlock,
                 features: BlockFeatures) -> tuple[UnitDecision | None, PlannerState | None]:
-    """The planner's decision for a block, and its state after it; None without a planner. Its noise is keyed by the
-    seed and the time of the block, so that a difference elsewhere in the recording does not change it."""
-    if planner is None:
+    """The planner's decision for a block, and its state after it; None without a planner. Its noise is keyed by
+    seed, voice and time, so that a difference elsewhere in the recording does not change it."""
+    if state.planner is None:
         return None, None
     model: PlannerRunner = bundle.runners["planner"]
-    noise = loop.Keys(setup.seed).plan(speech.keyed_at, sum(CLASSES))
+    noise = loop.Keys(setup.seed, voice=state.keys.voice).plan(speech.keyed_at, sum(CLASSES))
     # Where the best lexeme is taken instead of a sample, so is the best phase.
     temperature = float(setup.temperature > 0)
-    return model.step(planner, features, noise, temperature, phrasing(speech))
+    return model.step(state.planner, features, noise, temperature, phrasing(speech))
 
 
 def within_phase(bundle: Bundle, scores: loop.Scores, unit: UnitDecision | None) -> loop.Scores:
@@ -250,8 +252,6 @@ _LOWEST, _HIGHEST = 0.55, -0.45
 """How far towards the resting pose an arm's first pose may be, as a share of the way from the mean pose."""
 _BEGINS = 0.6
 """Deviation from there where a performance begins, in deviations of the arms' joints: people begin anywhere."""
-_ROLES_APART = 15.0
-"""Most seconds by which the sound moves the changes of the arms' roles."""
 _POSTURE = 0.8
 """Deviation of the trunk's first pose in lean, turn and tilt, in deviations of each joint."""
 
@@ -293,22 +293,30 @@ def _first_of(bundle: Bundle, setup: loop.Setup, chances: Array, posture: Array)
     return np.clip(first_pose(chances, posture, names, rest), *bundle.statistics.bounds.astype(np.float32))
 
 
-def begun(bundle: Bundle, setup: loop.Setup, state: loop.State, speech: SpeechBlock) -> loop.State:
-    """The state before a first block in which somebody speaks: in a pose that the sound decides."""
-    assert state.rest is not None
-    frames, names = bundle.frames, CHARACTERS[bundle.config.motion.joints].names
-    arms = np.repeat([name.endswith("Arm") for name in names], 3)
+def listened(bundle: Bundle, state: loop.State, speech: SpeechBlock) -> loop.State:
+    """The state before the first block in which somebody speaks: chance and roles depend on the voice from here on. The
+    hands are at rest until then, so no role can be seen to change."""
     # The spectrum of this block and, if it is known, the next one, without the energy in the last column.
-    heard = bundle.statistics.low.apply(speech.low)[frames:(2 if speech.foreseen else 3) * frames, :-1].mean(0)
-    numbers = state.keys.of_voice(heard, 6 + arms.sum())
-    deviations = math.sqrt(12.0) * (numbers[2:-1] - 0.5)
+    window = slice(bundle.frames, (2 if speech.foreseen else 3) * bundle.frames)
+    voice = state.keys.of_voice(bundle.statistics.low.apply(speech.low)[window, :-1].mean(0))
+    roles = state.roles and replace(state.roles, voice=voice)
+    return replace(state, keys=replace(state.keys, voice=voice), roles=roles)
+
+
+def begun(bundle: Bundle, setup: loop.Setup, state: loop.State) -> loop.State:
+    """The state before a first block in which somebody speaks: in a pose that the voice decides."""
+    assert state.rest is not None
+    names = CHARACTERS[bundle.config.motion.joints].names
+    arms = np.repeat([name.endswith("Arm") for name in names], 3)
+    # At a time of its own, so that no preparation has the same numbers.
+    numbers = state.keys.uniform(-1.0, 5 + arms.sum())
+    deviations = math.sqrt(12.0) * (numbers[2:] - 0.5)
     pose = _first_of(bundle, setup, numbers[:2], deviations[:3])
     pose[arms] += _BEGINS * deviations[3:].astype(np.float32)
     rest = state.rest.fork()
     rest.begin_in(pose.astype(np.float64))
-    past = np.repeat(pose[None], frames, axis=0)
-    roles = state.roles and replace(state.roles, shift=_ROLES_APART * float(numbers[-1]))
-    return replace(state, past=past, generated=past, rest=rest, roles=roles)
+    past = np.repeat(pose[None], bundle.frames, axis=0)
+    return replace(state, past=past, generated=past, rest=rest)
 
 
 def sets_out(state: loop.State, speech: SpeechBlock, unit: UnitDecision | None) -> bool:

@@ -11,11 +11,13 @@ shoulder), a second and as an arc in .2 s. Each has a limit that real people exc
   the time in which its base is under 1 cm/s.
 - left behind: of the time in which a hand exceeds .6 m/s, the percentage in which the other is raised and under .15.
 - prepared, retracted: percentage of strokes before which the hand prepares for .2 s, and of units that end with a
-  retraction (`data_module.motion.phases`). And of several recordings, how far apart hands begin (`first_spread`).
+  retraction (`data_module.motion.phases`).
+- of several recordings, how far apart hands begin (`first_spread`), and whether trunks lean alike at the same second
+  (`alike`), as they do where chance is keyed by time and not by what is heard.
 
 Good (two people, two minutes and one): 4.8 and 3.8 jumps, 1.4 and 2.8 flips, 1.0 and 0 strong; none frozen or folded;
 lean 1.8 and 3.3, tilt 3.8 and 5.1 degrees, 3 % still; 7 and 1 % left behind, 38 and 42 % prepared, 28 and 20 %
-retracted; first places 24 cm apart.
+retracted; first places 24 cm apart; twelve clips of one person lean alike by .00.
 
 What fools them: slow or smoothed motion has few jumps; noise has many, and no frozen arm. Played backwards a motion
 keeps most of them; with the left arm of another take it keeps all but left behind.
@@ -88,9 +90,15 @@ def _jumps(body: CommonBody) -> dict[str, float]:
     return {name: number * 60.0 / body.duration for name, number in count.items()}
 
 
+def leans(body: CommonBody) -> Array:
+    """[T, 2] degrees by which the chest leans sideways and forward over the hips."""
+    chest = body.points["Chest"]
+    return np.degrees(np.arctan2(chest[:, [0, 2]], chest[:, 1:2]))
+
+
 def _trunk(body: CommonBody) -> dict[str, float]:
     across = body.points["LeftArm"] - body.points["RightArm"]
-    lean = np.degrees(np.arctan2(body.points["Chest"][:, 0], body.points["Chest"][:, 1]))
+    lean = leans(body)[:, 0]
     tilt = np.degrees(np.arctan2(across[:, 1], np.hypot(across[:, 0], across[:, 2])))
     size = round(_PIECE * HZ)
     # A last piece of less than half the length would have too small a spread.
@@ -138,6 +146,16 @@ def first_spread(first: Sequence[Array]) -> float:
     """Mean distance of the first places [2, 3] of a hand in any two of several motions, cm; NaN for one."""
     apart = [np.linalg.norm(one - other, axis=-1).mean() for one, other in itertools.combinations(first, 2)]
     return 100.0 * float(np.mean(apart)) if apart else math.nan
+
+
+def alike(tracks: Sequence[Array]) -> float:
+    """Mean correlation of the `leans` [T, 2] of any two of several motions at the same second, as far as both go; NaN
+    without two that last `_PIECE` seconds together."""
+    long = [track for track in tracks if len(track) >= _PIECE * HZ]
+    correlations = [np.corrcoef(first[:count, axis], second[:count, axis])[0, 1]
+                    for first, second in itertools.combinations(long, 2) for count in [min(len(first), len(second))]
+                    for axis in (0, 1)]
+    return float(np.mean(correlations)) if correlations else math.nan
 
 
 def figures(body: CommonBody) -> dict[str, float]:

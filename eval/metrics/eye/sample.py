@@ -12,19 +12,21 @@ from eval.metrics.eye import ReferenceSpace, VoiceActivity, arms, frechet
 from eval.metrics.fgd import frechet_distance, gaussian
 from eval.stats import Interval
 
-POOLED, FIRST_SPREAD = "eye_frechet_pooled", "first_spread"
+POOLED, FIRST_SPREAD, ALIKE = "eye_frechet_pooled", "first_spread", "alike"
 CORPUS = "corpus"
 
 
 @dataclass
 class EyeSample:
     """The measured clips of one system. values: figure -> one of each clip; windows: of each clip, [n, 40]; groups: of
-    each clip, those of one group are alike; first: [2, 3] of each clip, where its hands begin."""
+    each clip, those of one group are alike; first: [2, 3] of each clip, where its hands begin; leans: of each clip,
+    [T, 2]."""
 
     values: dict[str, list[float]] = field(default_factory=lambda: {name: [] for name in (*EYE_METRICS, POOLED)})
     windows: list[Array] = field(default_factory=list)
     groups: list[str] = field(default_factory=list)
     first: list[Array] = field(default_factory=list)
+    leans: list[Array] = field(default_factory=list)
 
     def add(self, motion: Motion, voice: VoiceActivity | None = None, edges: Array | None = None, *,
             group: str = "") -> None:
@@ -35,6 +37,7 @@ class EyeSample:
             values.append(figures.get(name, math.nan))
         self.windows.append(frechet.windows(body))
         self.first.append(body.hands[0])
+        self.leans.append(arms.leans(body))
         self.groups.append(group or str(len(self.groups)))
 
     def figures(self, space: ReferenceSpace | None = None) -> dict[str, Interval]:
@@ -45,6 +48,7 @@ class EyeSample:
         out = {name: stats.mean_interval(values, groups=groups) if len(values) > 1 else Interval.exact(values[0], 1)
                for name, values in self.values.items()}
         out[FIRST_SPREAD] = Interval.exact(arms.first_spread(self.first), len(self.first))
+        out[ALIKE] = Interval.exact(arms.alike(self.leans), len(self.leans))
         if space is not None:
             out[POOLED] = self.pooled(space)
         return out

@@ -12,12 +12,11 @@ from torch.nn import functional
 
 from gesticulator.bundle import models
 from gesticulator.bundle.config import Config
-from gesticulator.bundle.features import Features
 from gesticulator.bundle.models import system_of
 from gesticulator.training import fit as fitting
 from gesticulator.training.presets import LITERAL
 from gesticulator.training.stages.base import Node, Run, Stage, checked
-from gesticulator.training.stages.corpus import Corpus, sizes
+from gesticulator.training.stages.corpus import Corpus
 from gesticulator.training.stages.interpreter import INTERPRETER
 from gesticulator.training.stages.lexicon import LABELS, TOKENS, model_sizes
 from gesticulator.training.stages.reward import REWARD, reward_table, step_reward
@@ -93,13 +92,6 @@ def q_batch(corpus: Corpus, windows: dict[str, Tensor]) -> dict[str, Tensor]:
     """Windows of episodes with the Q-network's inputs: audio [B, T + 1, 3K, d] and speaker one-hot [B, P]."""
     return {**windows, "audio": corpus.high[windows["block"]].float(),
             "speaker": functional.one_hot(windows["speaker"], len(corpus.statistics.speakers)).float()}
-
-
-def new_q_network(config: Config, corpus: Corpus, vectors: Features, silent: NDArray[np.int64]
-                  ) -> QNetwork:
-    """An untrained Q-network over a codebook [S, D_s]."""
-    return cast("QNetwork", models.build("q_network", sizes(config, corpus, vectors=vectors,
-                                                            silent=tuple(silent.tolist()))))
 
 
 def _task(run: Run, learner: ConservativeQ, episodes: Episodes, reward: Reward) -> fitting.Task:
