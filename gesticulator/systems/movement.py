@@ -252,6 +252,9 @@ _LOWEST, _HIGHEST = 0.55, -0.45
 """How far towards the resting pose an arm's first pose may be, as a share of the way from the mean pose."""
 _BEGINS = 0.6
 """Deviation from there where a performance begins, in deviations of the arms' joints: people begin anywhere."""
+_LOUDER = 2.0
+"""How much more a loud frame counts in telling voices apart: with noise at -60 dB, 12 recordings of a hundred are taken
+for another voice, without it 31."""
 _POSTURE = 0.8
 """Deviation of the trunk's first pose in lean, turn and tilt, in deviations of each joint."""
 
@@ -296,9 +299,12 @@ def _first_of(bundle: Bundle, setup: loop.Setup, chances: Array, posture: Array)
 def listened(bundle: Bundle, state: loop.State, speech: SpeechBlock) -> loop.State:
     """The state before the first block in which somebody speaks: chance and roles depend on the voice from here on. The
     hands are at rest until then, so no role can be seen to change."""
-    # The spectrum of this block and, if it is known, the next one, without the energy in the last column.
+    # The spectra of this block and, if it is known, the next one, without the energy in the last column.
     window = slice(bundle.frames, (2 if speech.foreseen else 3) * bundle.frames)
-    voice = state.keys.of_voice(bundle.statistics.low.apply(speech.low)[window, :-1].mean(0))
+    spectra = bundle.statistics.low.apply(speech.low)[window, :-1]
+    # Loud frames count most: a little noise changes faint ones.
+    loudness = np.exp(_LOUDER * spectra.mean(1))
+    voice = state.keys.of_voice(loudness @ spectra / loudness.sum())
     roles = state.roles and replace(state.roles, voice=voice)
     return replace(state, keys=replace(state.keys, voice=voice), roles=roles)
 
