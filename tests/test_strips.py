@@ -8,7 +8,7 @@ from data_module.motion import bvh, kinematics, rotation
 from data_module.motion.skeletons import CHARACTER, HIP_HEIGHT, facing
 from data_module.types import Motion
 from eval.commands import PLOT
-from eval.pictures import PLOTS
+from eval.pictures import PLOTS, strips
 from gesticulator.export import figure
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
@@ -48,7 +48,7 @@ def test_what_is_nearer_is_drawn_later(view: str) -> None:
     """In the rest pose, arms to the sides."""
     turns = np.zeros((2, len(CHARACTER), 3))
     motion = Motion(CHARACTER, rotation.from_exponential_map(turns), np.zeros((2, 3)), 30.0)
-    parts = figure.seen(figure.figure_points(motion, np.zeros(1)), figure.VIEWS[view], "white")
+    parts = strips.seen(figure.figure_points(motion, np.zeros(1)), strips.VIEWS[view], "white")
     order = [part.hand for part in parts if part.hand]
     assert sorted(order) == ["Left", "Right"] and parts[0].polygons[-1][1] == figure.INK
     assert [part.near[0] for part in parts[1:]] == sorted(part.near[0] for part in parts[1:])

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 from websockets.exceptions import ConnectionClosed
@@ -31,8 +31,10 @@ if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
 
     from data_module.types import Samples
-    from gesticulator.live.server import LiveServer
+    from gesticulator.live.limits import ServerLimits
+    from gesticulator.live.metrics import ServerMetrics
     from gesticulator.live.session import Session, Work
+    from gesticulator.live.vmc import VmcOutput
 
 T = TypeVar("T")
 
@@ -101,10 +103,25 @@ class ComputeThread:
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 
+class Host(Protocol):
+    """What a connection needs of its server (`LiveServer`)."""
+
+    limits: ServerLimits
+    metrics: ServerMetrics
+    compute: ComputeThread
+    output: VmcOutput | None
+
+    def open_session(self, name: str, request: StreamRequest, /) -> Session:
+        """The session of a stream, made in the compute thread."""
+
+    def admit(self, connection: Connection, request: StreamRequest) -> None:
+        """Take a stream in, or raise `RefusedError`."""
+
+
 class Connection:
     """A client's stream from its hello to its end."""
 
-    def __init__(self, socket: ServerConnection, name: str, server: LiveServer) -> None:
+    def __init__(self, socket: ServerConnection, name: str, server: Host) -> None:
         """server: has the limits, metrics and compute thread that all connections share."""
         self.socket, self.name, self.server = socket, name, server
         self.reason = "closed by the client"
