@@ -186,7 +186,7 @@ class Weights:
                              "train it again")
         shared = self.shared.get(name, {})
         held = {holder: self._read(holder)[0] for holder in set(shared.values())}
-        # What is in neither file is told by the part that needs it.
+        # The part that needs a tensor reports it if neither file has it.
         tensors |= {key: held[holder][key] for key, holder in shared.items() if key in held[holder]}
         return _finite(self.path(name), tensors)
 

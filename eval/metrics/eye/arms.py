@@ -17,7 +17,7 @@ shoulder), a second and as an arc in .2 s. Each has a limit that real people exc
 
 Good (two people, two minutes and one): 4.8 and 3.8 jumps, 1.4 and 2.8 flips, 1.0 and 0 strong; none frozen or folded;
 lean 1.8 and 3.3, tilt 3.8 and 5.1 degrees, 3 % still; 7 and 1 % left behind, 38 and 42 % prepared, 28 and 20 %
-retracted; first places 24 cm apart; twelve clips of one person lean alike by .00.
+retracted; first places 24 cm apart; twelve clips of one person lean alike by -.02.
 
 What fools them: slow or smoothed motion has few jumps; noise has many, and no frozen arm. Played backwards a motion
 keeps most of them; with the left arm of another take it keeps all but left behind.
