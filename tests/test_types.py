@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from data_module.errors import EXIT_BAD_INPUT, EXIT_PIPE, InputError, one_line_errors
+from data_module.errors import EXIT_PIPE, InputError
 from data_module.types import Array, BeatFlag, Beats, Blocks, Motion, Skeleton, Speech
 
 TWO = Skeleton(("root", "tip"), (-1, 0), np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
@@ -74,22 +74,6 @@ def test_the_last_frame_of_a_block_lies_on_its_beat() -> None:
     assert blocks.knot_times[5] == edges[2]
     with pytest.raises(ValueError):
         Blocks(edges[::-1].copy(), np.ones(2, dtype=np.int8), np.zeros(2, dtype=bool), 3, 20.0)
-
-
-@pytest.mark.parametrize(("raised", "said"), [
-    (InputError("a.wav", "is broken\nin two lines", "export it again"),
-     "prog: a.wav: is broken in two lines; export it again"),
-    (OSError(28, "No space left on device", "out.bvh"), "prog: out.bvh: No space left on device"),
-])
-def test_an_error_of_the_user_is_one_line_and_exit_code_two(raised: Exception, said: str,
-                                                            capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as leaving, one_line_errors("prog"):
-        raise raised
-    assert leaving.value.code == EXIT_BAD_INPUT == 2
-    written = capsys.readouterr()
-    assert written.out == ""
-    assert written.err.startswith(said)
-    assert written.err.count("\n") == 1
 
 
 def test_a_reader_that_has_seen_enough_is_no_error() -> None:
