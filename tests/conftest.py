@@ -147,6 +147,16 @@ def system() -> Gesticulator:
     return Gesticulator.from_pretrained()
 
 
+@pytest.fixture(scope="module")
+def g() -> Gesticulator:
+    """A bundle that was never trained, with every part."""
+    from untrained import untrained
+
+    from gesticulator import Gesticulator
+
+    return Gesticulator(untrained())
+
+
 @pytest.fixture(scope="session")
 def toy_corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of BVH, WAV and JSON files that toy.py writes."""

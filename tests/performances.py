@@ -1,5 +1,6 @@
-"""A small performance made by rule, for the tests of what is written and shown; and the example recording."""
+"""A small performance made by rule, for the tests of what is written and shown; the example; the shipped system."""
 
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from data_module.motion.skeletons import CHARACTER
 from data_module.types import Array, BeatFlag, Blocks, Motion, Samples, Skeleton, Speech, Word
 from gesticulator.export import writers
 from gesticulator.export.clip import ClipLayout
+from gesticulator.gesticulator import Gesticulator
 from gesticulator.options import InferenceOptions
 from gesticulator.performance import Origin, Performance, plan_of
 from gesticulator.plan.plan import Block, BlockDraw, LexemeChoice
@@ -18,6 +20,12 @@ from gesticulator.sampling.loop import BlockMotion
 RATE = 16000
 EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "speech.flac"
 NONE = np.empty((1, 0), np.float32)
+
+
+@lru_cache(maxsize=1)
+def system() -> Gesticulator:
+    """The shipped system, one for all tests that change nothing in it."""
+    return Gesticulator.from_pretrained()
 
 
 def example(seconds: float | None = None) -> Speech:

@@ -13,7 +13,6 @@ import soundfile
 import torch
 from performances import RATE, babble
 from test_pipeline import same
-from untrained import untrained
 
 import gesticulator
 from data_module.controls import Controls, Curve
@@ -21,13 +20,6 @@ from data_module.errors import InputError
 from data_module.speech.audio import amplified
 from data_module.types import Speech, Word
 from gesticulator.gesticulator import Gesticulator
-
-
-@pytest.fixture(scope="module")
-def g() -> Gesticulator:
-    """A bundle that was never trained, with every part."""
-    return Gesticulator(untrained())
-
 
 # -------------------------------------------------------------------------------------------------- the names
 

@@ -11,21 +11,15 @@ from gesticulator.options import InferenceOptions
 from gesticulator.training.presets import preset
 
 
-@pytest.fixture(scope="module")
-def shipped() -> bundles.Bundle:
-    return bundles.load(NAMED["default"])
-
-
 def temperature(system: Gesticulator, **asked: object) -> float:
     return system.resolver.setup(InferenceOptions(**asked), text=False).temperature  # type: ignore[arg-type]
 
 
-def test_the_shipped_q_network_is_sampled_and_temperature_0_is_arg_max(shipped: bundles.Bundle) -> None:
-    system = Gesticulator(shipped)
+def test_the_shipped_q_network_is_sampled_and_temperature_0_is_arg_max(system: Gesticulator) -> None:
     by_default = temperature(system, interpreter="cql")
-    assert by_default == shipped.config.selection.q_temperature == preset("default").selection.q_temperature > 0
+    assert by_default == system.bundle.config.selection.q_temperature == preset("default").selection.q_temperature > 0
     assert temperature(system, interpreter="cql", temperature=0.0) == 0.0
-    assert temperature(system, interpreter="lstm") == shipped.config.selection.temperature
+    assert temperature(system, interpreter="lstm") == system.bundle.config.selection.temperature
 
 
 def test_the_published_presets_keep_the_greedy_choice() -> None:

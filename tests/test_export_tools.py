@@ -17,22 +17,15 @@ from browser import package_page
 from gltf_reader import GlbFile
 from performances import perform, write
 from small_characters import write_character
+from test_js_three import FRAMES, TIMES, VRMS, check_bones
 
-from data_module.motion.kinematics import global_rotations
-from data_module.motion.skeletons import CHARACTERS, FINGERED, WHOLE_BODY, standing
-from data_module.types import Array
+from data_module.motion.skeletons import CHARACTERS, FINGERED, WHOLE_BODY
 from gesticulator.characters.blender import SCRIPT, run_in_blender
 from gesticulator.characters.retarget import retarget
-from gesticulator.export.vrma import BONES, humanoid
 from gesticulator.performance import Performance
 
 HERE = Path(__file__).resolve().parent
 JS = HERE / "js"
-FRAMES = (0, 10, 21)
-TIMES = tuple(frame / 25 for frame in FRAMES)
-"""Seconds of these frames."""
-VRMS = {"vrm0": "0.x", "vrm1": "1.0"}
-"""Name of a character -> version of its VRM."""
 
 
 @pytest.fixture(scope="module")
@@ -98,33 +91,7 @@ def test_three_vrm_plays_a_vrma_on_a_vrm(page: Any, files: tuple[dict[str, Path]
                                          model: str) -> None:
     got = page.evaluate("([model, file, times]) => playVrma(model, file, times)",
                         [f"/{model}.vrm", f"/{name}.vrma", TIMES])
-    made = files[1][name]
-    faces = [-1.0, 1.0, -1.0] if VRMS[model] == "0.x" else [1.0, 1.0, 1.0]  # what faces -Z is turned to us
-    places = {bone: np.array(track) * faces for bone, track in got.items()}
-    told = humanoid(standing(made.motion))
-    world = dict(zip(told.names, np.moveaxis(_worlds(told), 1, 0), strict=True))
-    bones = [(above, bone) for bone, (above, _, _) in BONES.items()
-             if above in world and bone in places and bone in world]
-    assert len(bones) > 40
-    for above, bone in bones:
-        rest = places[bone][0] - places[above][0]  # the first is the character at rest, in a T-pose
-        for moment, frame in enumerate(FRAMES):
-            np.testing.assert_allclose(places[bone][1 + moment] - places[above][1 + moment], world[above][frame] @ rest,
-                                       atol=1e-3, err_msg=f"{above} to {bone} in frame {frame}")
-    # The hips' path is scaled by how high they are.
-    ratio = places["hips"][0][1] / told.translations[0][1]
-    for moment, frame in enumerate(FRAMES):
-        np.testing.assert_allclose(places["hips"][1 + moment], told.shifts[0][frame] * ratio, atol=1e-3)
-
-
-def _worlds(told: Any) -> Array:
-    """[T, N, 3, 3] world rotations of nodes whose rest is unturned."""
-    from scipy.spatial.transform import Rotation
-
-    from data_module.types import Skeleton
-
-    turns = global_rotations(Skeleton(told.names, told.parents, told.translations), told.turns)
-    return Rotation.from_quat(turns.reshape(-1, 4), scalar_first=True).as_matrix().reshape(*turns.shape[:2], 3, 3)
+    check_bones(got, VRMS[model], files[1][name], path=True)
 
 
 # ---------------------------------------------------------------------------------------------------- Blender

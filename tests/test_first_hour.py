@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from performances import RATE, babble
-from untrained import untrained
 
 from data_module.errors import InputError
 from data_module.types import Speech, Word
@@ -19,12 +18,6 @@ from gesticulator.plan.plan import GestureCue
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLE = str(ROOT / "examples" / "speech.flac")
-
-
-@pytest.fixture(scope="module")
-def g() -> Gesticulator:
-    """A bundle that was never trained, with every part."""
-    return Gesticulator(untrained())
 
 
 def test_a_misspelt_option_suggests_the_right_one_and_names_the_help_of_the_verb(

@@ -35,7 +35,9 @@ ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "integrations" / "gesticulator-client" / "src"
 FPS, FRAMES = 25.0, (0, 10, 21)
 TIMES = [frame / FPS for frame in FRAMES]
+"""Seconds of these frames."""
 VRMS = {"vrm0": "0.x", "vrm1": "1.0"}
+"""Name of a character -> version of its VRM."""
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +68,7 @@ def page(browser: Any, made: tuple[Path, Performance, Performance], three_js: Pa
 
 def check_bones(got: dict[str, Any], version: str, ours: Performance, path: bool) -> None:
     """Each bone points where ours does, turned from where it pointed at rest."""
-    faces = [-1.0, 1.0, -1.0] if version == "0.x" else [1.0, 1.0, 1.0]
+    faces = [-1.0, 1.0, -1.0] if version == "0.x" else [1.0, 1.0, 1.0]  # what faces -Z is turned to us
     places = {bone: np.array(track) * faces for bone, track in got.items()}
     wanted = humanoid(standing(ours.motion))
     turns = global_rotations(Skeleton(wanted.names, wanted.parents, wanted.translations), wanted.turns)
@@ -78,12 +80,13 @@ def check_bones(got: dict[str, Any], version: str, ours: Performance, path: bool
     from data_module.motion import rotation
 
     for above, bone in pairs:
-        rest = places[bone][0] - places[above][0]
+        rest = places[bone][0] - places[above][0]  # the first is the character at rest, in a T-pose
         for moment, frame in enumerate(FRAMES):
             expected: Array = rotation.rotate(world[above][frame], rest)
             np.testing.assert_allclose(places[bone][1 + moment] - places[above][1 + moment], expected, atol=1e-3,
                                        err_msg=f"{above} to {bone} in frame {frame}")
     if path:
+        # The hips' path is scaled by how high they are.
         ratio = places["hips"][0][1] / wanted.translations[0][1]
         for moment, frame in enumerate(FRAMES):
             np.testing.assert_allclose(places["hips"][1 + moment], wanted.shifts[0][frame] * ratio, atol=1e-3)

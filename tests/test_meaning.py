@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from performances import example
+from performances import example, system
 
 from data_module.types import Speech, Word
 from gesticulator.directing.cues import TimedCue
 from gesticulator.directing.meaning_cues import CalledGesture, cue_pattern, meaning_cues, spoken_text
 from gesticulator.directing.meanings import AGAIN, LEVELS, Called, Level, MeaningTrack, chosen
 from gesticulator.directing.named_gestures import span_of_gesture
-from gesticulator.gesticulator import Gesticulator
 from gesticulator.performance import Performance
 from gesticulator.plan.gestures import ALIASES, GESTURES, REPERTOIRE
 from gesticulator.plan.plan import GestureCue
@@ -226,11 +225,6 @@ def test_an_interruption_breaks_off_what_has_begun_and_drops_the_rest() -> None:
 
 
 # ------------------------------------------------------------------------------------- files, plans and streams
-
-@lru_cache(maxsize=1)
-def system() -> Gesticulator:
-    return Gesticulator.from_pretrained()
-
 
 @lru_cache(maxsize=1)
 def spoken() -> Speech:

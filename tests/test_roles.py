@@ -26,9 +26,8 @@ from gesticulator.body.roles import (
     role_at,
     shown,
 )
-from gesticulator.bundle.bundle import Bundle, load
 from gesticulator.bundle.features import Statistics
-from gesticulator.bundle.files import NAMED
+from gesticulator.gesticulator import Gesticulator
 
 NAMES = CHARACTER.names
 FINE = np.arange(0.0, 240.0, 1 / 60)
@@ -45,16 +44,10 @@ REST[3 * NAMES.index("RightArm") + 2], REST[3 * NAMES.index("LeftArm") + 2] = 1.
 
 
 @pytest.fixture(scope="module")
-def bundle() -> Bundle:
-    """The shipped one."""
-    return load(NAMED["default"])
-
-
-@pytest.fixture(scope="module")
-def statistics(bundle: Bundle) -> Statistics:
+def statistics(system: Gesticulator) -> Statistics:
     """Of a body whose mean pose is 0, in radians."""
     zero = np.zeros((1, 3 * len(NAMES)))
-    return replace(bundle.statistics, speakers=("one",), mean_pose=zero, rest_pose=REST[None],
+    return replace(system.bundle.statistics, speakers=("one",), mean_pose=zero, rest_pose=REST[None],
                    deviation=np.ones(3 * len(NAMES)), bounds=np.outer([-9.0, 9.0], np.ones(3 * len(NAMES))))
 
 
@@ -159,10 +152,10 @@ def test_what_was_requested_is_shown_by_both_arms() -> None:
 
 @given(seed=st.integers(0, 99), time=st.floats(0, 300))
 @settings(max_examples=40, deadline=None)
-def test_a_body_at_rest_stays_at_rest_in_every_role(bundle: Bundle, seed: int, time: float) -> None:
+def test_a_body_at_rest_stays_at_rest_in_every_role(system: Gesticulator, seed: int, time: float) -> None:
     """Of every speaker of the shipped bundle, whose resting poses are not symmetric."""
-    statistics = bundle.statistics
-    names = CHARACTERS[bundle.config.motion.joints].names
+    statistics = system.bundle.statistics
+    names = CHARACTERS[system.bundle.config.motion.joints].names
     for speaker in range(len(statistics.speakers)):
         rest = statistics.normalise(statistics.rest_pose[speaker], speaker)
         block = np.repeat(rest[None], 3, axis=0)

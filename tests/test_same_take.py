@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from performances import example
+from performances import example, system
 from test_audio import contained, encoded
 
 from data_module.motion.bvh import read_bvh
@@ -15,13 +15,7 @@ from data_module.motion.kinematics import positions_of
 from data_module.speech.audio import SoundWarning, amplified, resample
 from data_module.types import Array, Motion
 from gesticulator import infer
-from gesticulator.gesticulator import Gesticulator
 from gesticulator.performance import Performance
-
-
-@lru_cache(maxsize=1)
-def system() -> Gesticulator:
-    return Gesticulator.from_pretrained()
 
 
 @lru_cache(maxsize=2)

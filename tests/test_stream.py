@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from performances import system
 
 from data_module.errors import InputError
 from data_module.motion.kinematics import positions_of
 from data_module.speech.audio import SAMPLE_RATE, load_speech, resample
 from data_module.types import Array, Motion, Samples, Speech, Word
 from gesticulator.bundle.features import representation_of
-from gesticulator.gesticulator import Gesticulator
 from gesticulator.sampling.cutter import BlockCutter
 from gesticulator.stream import Stream, StreamFrames, StreamState
 
@@ -37,11 +37,6 @@ HURRIED_HARDEST = 100.0
 """m/s^2 of one chosen performance with hurried blocks; a jump of 3 cm between two frames would be 108."""
 HEAD_FASTEST, HEAD_HARDEST = 0.85, 10.0
 """The same for the head, which does up to .75 and 8 where nothing is changed, waited for or passed over."""
-
-
-@lru_cache(maxsize=1)
-def system() -> Gesticulator:
-    return Gesticulator.from_pretrained()
 
 
 @lru_cache(maxsize=1)

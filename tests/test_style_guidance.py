@@ -13,18 +13,12 @@ from performances import example
 from data_module.motion.phases import hand_places
 from data_module.types import Speech
 from gesticulator import Gesticulator
-from gesticulator.bundle.bundle import Bundle, load
+from gesticulator.bundle.bundle import Bundle
 from gesticulator.bundle.config import with_settings
-from gesticulator.bundle.files import bundle_folder
 from gesticulator.systems import movement
 from gesticulator.training.stages.heads import style_of
 
 RATE = 20.0
-
-
-@pytest.fixture(scope="module")
-def bundle() -> Bundle:
-    return load(bundle_folder(None))
 
 
 @pytest.fixture(scope="module")
@@ -45,12 +39,12 @@ def rendered(bundle: Bundle, speech: Speech, code: tuple[float, ...], *settings:
 
 @pytest.mark.parametrize("dimension", [0, 3])
 def test_contrast_takes_what_is_heard_further(
-        bundle: Bundle, speech: Speech, dimension: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        system: Gesticulator, speech: Speech, dimension: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a code of speed, or of reach, that is high in one rendering and low in another."""
     monkeypatch.setattr(movement, "WAXING", 0.0)
     apart = []
     for contrast in (0.0, 2.0):
-        measured = [style_of(rendered(bundle, speech, tuple(sign * 1.5 * np.eye(4)[dimension]),
+        measured = [style_of(rendered(system.bundle, speech, tuple(sign * 1.5 * np.eye(4)[dimension]),
                                       f"selection.contrast={contrast}"))[dimension] for sign in (1.0, -1.0)]
         apart.append(measured[0] - measured[1])
     assert apart[1] > 1.3 * apart[0] > 0.0
