@@ -2,13 +2,14 @@
 
 import asyncio
 import json
+import time as clock
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager
 from typing import Any
 
 import numpy as np
 import pytest
-from live_double import TURN, figure, opener
+from live_double import TURN, TellingStream, figure, opener
 from pipecat_gesticulator import Hello, Joint, Poses, ResumingStream, SteadyPlayer, Welcome, connect_resuming
 from pipecat_gesticulator.resuming import RefusedError
 from test_serve import pcm
@@ -18,6 +19,7 @@ from data_module.motion import rotation
 from data_module.speech.audio import SAMPLE_RATE
 from gesticulator.live.limits import ServerAddress, ServerLimits
 from gesticulator.live.server import LiveServer
+from gesticulator.stream import StreamFrames
 
 LIMITS = ServerLimits(streams=8, drain_seconds=0.2)
 Opener = Callable[[ServerLimits], Any]
@@ -186,11 +188,19 @@ GREETING = {"type": "hello", "protocol": 1, "stream": "a", "fps": 60.0, "output"
             "joints": [], "limits": {"message_bytes": 1e6}}
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(12))
+def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Sound, waits and interruptions, while connections break: at the end there is each frame of the media time that
-    was asked for, and neither a command nor the end is lost."""
-    rng = np.random.default_rng(seed)
+    was asked for, and neither a command nor the end is lost. Server and reader take their time, so that packets are on
+    their way when an interruption is sent."""
+    rng, slow = np.random.default_rng(seed), np.random.default_rng([seed, 1])
+    feed = TellingStream.feed
+
+    def slowly(self: TellingStream, samples: np.ndarray) -> StreamFrames:
+        clock.sleep(float(slow.choice([0.0, 0.0, 0.0, 0.004, 0.015])))
+        return feed(self, samples)
+
+    monkeypatch.setattr(TellingStream, "feed", slowly)
 
     async def test() -> None:
         async with running() as (server, port, _):
@@ -204,6 +214,7 @@ def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int) -> None:
                     if isinstance(message, Poses):  # it replaces that frame and all later ones
                         assert message.first <= len(frames)
                         frames[message.first:] = range(message.first, message.first + len(message))
+                    await asyncio.sleep(float(slow.choice([0.0, 0.0, 0.003, 0.02])))
 
             reading = asyncio.create_task(read())
             time = 0.0
@@ -228,6 +239,34 @@ def test_interruptions_and_losses_in_any_order_leave_no_gap(seed: int) -> None:
             await reading
             assert abs(len(frames) - (time + 0.2) * 60) <= 1.5
             await stream.close()
+
+    run(test)
+
+
+def test_a_time_is_the_same_frame_on_every_connection() -> None:
+    """A connection that begins between two frames: later interruptions begin where the client says."""
+    async def test() -> None:
+        async with running() as (server, port, _), \
+                connect_resuming(f"ws://127.0.0.1:{port}/stream", Hello(SAMPLE_RATE)) as stream:
+            messages = aiter(stream)
+
+            async def poses(until: int) -> Poses:
+                while not isinstance(message := await anext(messages), Poses) or message.first + len(message) < until:
+                    pass
+                return message
+
+            await stream.idle(0.2)
+            await poses(12)
+            await stream.interrupt(0.11)  # in the seventh frame
+            await stream.idle(0.1)
+            await poses(12)
+            break_connections(server)
+            while await anext(messages) != {"type": "back"}:
+                pass
+            await poses(12)
+            await stream.interrupt(0.2)
+            await stream.idle(0.1)
+            assert (await poses(14)).first == 12
 
     run(test)
 

@@ -115,7 +115,12 @@ class Session:
             # Words after the moment were not spoken; without a moment none of the waiting ones will be.
             at = message.get("time")
             self._words = [word for word in self._words if at is not None and word.start < at]
-            yield from map(self._answer, self._interrupt(None if at is None else float(at)))
+            replaced = self._interrupt(None if at is None else float(at))
+            # A client that comes back has to know which packets were on their way.
+            answer = SessionAnswer()
+            answer.say("interrupted", time=round(replaced[0].first / self.request.fps, 6))
+            yield answer
+            yield from map(self._answer, replaced)
             # The voice may have been heard further than there were poses; media time goes on from where it was heard.
             unseen = 0.0 if at is None else min(float(at) - self._stream.time, self.limits.waiting_seconds)
             if unseen > 0.5 / self.request.fps:

@@ -11,6 +11,7 @@ export type GestureEvent =
   | { type: "lexeme"; start: number; end: number; lexeme: number; silent: boolean }
   | { type: "word"; text: string; start: number; end: number }
   | { type: "pace"; effort: "full" | "low" | "less" | "none"; passed: number }
+  | { type: "interrupted"; time: number }
   | { type: "done"; frames: number }
   | { type: "error"; code: number; message: string; retry_after?: number }
   | { type: "lost"; code: number; reason: string }

@@ -67,14 +67,13 @@ class ResumingStream(GestureStream):
         self._unsent: deque[_Sent] = deque()
         """Messages that the connection that is being opened still has to send."""
         self._base, self._source = 0.0, -1
-        """Media time at which this connection began; connections before it."""
+        """Media time at which this connection began, that of a frame; connections before it."""
         self._stale = False
         """Whether an interruption reached back before that."""
         self._end = 0
         """Number of the first frame that has not come, or that an interruption took back."""
-        self._cut = math.inf
-        """The first frame that an interruption took back, until the packet that replaces it; those that were on their
-        way come first."""
+        self._interrupting = 0
+        """Interruptions that the server has not answered yet: packets that still come were made before them."""
         self._time, self._other_voice, self._done = 0.0, False, False
         self.welcome: Welcome
 
@@ -99,7 +98,7 @@ class ResumingStream(GestureStream):
         # What was sent for later times is not sent again.
         self._journal = deque(sent for sent in self._journal if sent.start < at)
         await self._say({"type": "interrupt", "time": at})
-        self._cut, self._stale = min(self._cut, self._end), at < self._base
+        self._stale = at < self._base
         if self._stale and self._socket is not None:
             # The server knows nothing of what was before this connection: the next one begins there.
             await self._socket.close()
@@ -130,14 +129,15 @@ class ResumingStream(GestureStream):
         if isinstance(message, bytes):
             poses = Poses.unpack(message)
             first = poses.first + round(self._base * self._hello.fps)
-            if first <= self._cut:
-                self._cut = math.inf
+            if not self._interrupting:
                 if first + len(poses) > self._end:
                     self._end, self._wait, self._waited = first + len(poses), 0.0, 0.0
-            while self._journal and self._journal[0].until <= self._end / self._hello.fps:
-                self._journal.popleft()
+                while self._journal and self._journal[0].until <= self._end / self._hello.fps:
+                    self._journal.popleft()
             return replace(poses, first=first, source=self._source)
         event: dict[str, Any] = json.loads(message)
+        if event["type"] == "interrupted":
+            self._interrupting = max(0, self._interrupting - 1)
         for name in ("time", "start", "end"):
             if name in event:
                 event[name] += self._base
@@ -164,7 +164,12 @@ class ResumingStream(GestureStream):
             self._unsent.append(sent)
             return
         with suppress(ConnectionClosed):  # a loss is noticed by the reader
-            await self._socket.send(self._shifted(message))
+            await self._transmit(self._socket, message)
+
+    async def _transmit(self, socket: ClientConnection, message: bytes | dict[str, Any]) -> None:
+        if isinstance(message, dict) and message["type"] == "interrupt":
+            self._interrupting += 1
+        await socket.send(self._shifted(message))
 
     def _shifted(self, message: bytes | dict[str, Any]) -> bytes | str:
         """A message with its times in this connection's media time."""
@@ -210,14 +215,15 @@ class ResumingStream(GestureStream):
             if answer.get("type") == "error":
                 raise RefusedError(answer["message"], answer["code"], answer.get("retry_after"))
             self.welcome = Welcome.read(text)
-            self._source, self._stale, self._cut = self._source + 1, False, math.inf
+            self._source, self._stale, self._interrupting = self._source + 1, False, 0
             self._unsent = deque(self._journal)
             first = self._journal[0] if self._journal else _Sent(b"", self._time, self._time, self._other_voice)
-            self._base = first.start
+            # Where a frame begins: of a time between two, we and the server would round up to different frames.
+            self._base = round(first.start * self._hello.fps) / self._hello.fps
             if first.other_voice:
                 await socket.send(json.dumps({"type": "listen"}))
             while self._unsent:  # what is said meanwhile is sent in its turn
-                await socket.send(self._shifted(self._unsent.popleft().message))
+                await self._transmit(socket, self._unsent.popleft().message)
             if self._stale:
                 raise ConnectionError("an interruption reached back before the connection while it was opened")
         except BaseException:
