@@ -302,7 +302,8 @@ class Stream:
         return self._at_once("listen", samples)
 
     def interrupt(self, at: float | None = None) -> StreamFrames:
-        """Stop speaking: no new stroke begins, the hands are under 0.3 m/s within 300 ms and hang within 1.2 s.
+        """Stop speaking: no new stroke begins, the hands are under 0.3 m/s within 300 ms (350 at full latency) and hang
+        within 1.2 s.
 
         at: media time up to which frames were played, seconds; media time continues from there, and later frames are
         replaced by the returned ones, from number `first` on. None replaces no frame. Sound that was fed for later
