@@ -59,6 +59,7 @@ def test_a_server_that_lost_the_stream_gets_the_sound_again_and_frames_are_numbe
         sockets[1].onopen();
         sockets[1].hello();
         stream.interrupt(2.45);
+        sockets[1].say({ type: "interrupted", time: 1.0 });
         sockets[1].poses(0, 30);
         sockets[1].say({ type: "state", state: "idle", time: 0.5 });
         console.log(JSON.stringify({ hello: sockets[1].sent[0], sent: sockets[1].sent.slice(1), end: stream.end,
@@ -73,7 +74,33 @@ def test_a_server_that_lost_the_stream_gets_the_sound_again_and_frames_are_numbe
     assert got["sent"][9]["type"] == "interrupt" and got["sent"][9]["time"] == pytest.approx(1.0)
     assert got["frames"] == list(range(117)) and got["end"] == 117 and got["source"] == 1
     assert got["time"] == pytest.approx(2.45)
-    assert got["events"] == ["hello", "poses", "lost", "back", "poses", "state"]
+    assert got["events"] == ["hello", "poses", "lost", "back", "interrupted", "poses", "state"]
+
+
+def test_an_interruption_that_the_server_did_not_answer_is_said_again() -> None:
+    """Poses that were on their way when it was sent begin where those begin that would replace them."""
+    got = node(SOCKETS + """
+        const stream = new GestureStream("", { sampleRate: 16000, Socket, random: () => 0 });
+        sockets[0].onopen();
+        sockets[0].hello();
+        stream.send(new Float32Array(16000));
+        sockets[0].poses(0, 12);
+        stream.interrupt();
+        stream.idle(0.5);
+        sockets[0].poses(12, 24);
+        const taken = stream.end;
+        sockets[0].onclose({ code: 1006, reason: "" });
+        await pause(200);
+        sockets[1].onopen();
+        sockets[1].hello();
+        const again = sockets[1].sent.slice(1);
+        sockets[1].say({ type: "interrupted", time: 0 });
+        sockets[1].poses(0, 30);
+        console.log(JSON.stringify({ taken, again, end: stream.end }));
+        stream.close();
+    """)
+    assert got["taken"] == 12 and got["end"] == 42
+    assert got["again"] == [{"type": "interrupt", "time": 0}, {"type": "idle", "seconds": pytest.approx(0.5)}]
 
 
 @pytest.mark.parametrize(("held", "retry_after"), [(0, None), (4, None), (6, None), (0, 7)])

@@ -17,7 +17,8 @@ export class GestureStream {
     Object.assign(this, { url, sampleRate, options, fps, seed, token, onEvent, patience, random, Socket });
     this.frames = new Map();
     this.end = 0; // number of the frame after the last
-    this.cut = Infinity; // the first frame that an interruption took back, until the packet that replaces it
+    this.cut = Infinity; // the first frame that an interruption took back, until the server has answered it
+    this.interrupting = 0; // interruptions that it has not answered yet
     this.total = 0;
     this.time = 0; // media time of what was sent, seconds
     this.welcome = null;
@@ -56,7 +57,6 @@ export class GestureStream {
   interrupt(time = this.end / this.fps) {
     const at = Math.min(time, this.time);
     this.end = Math.min(this.end, Math.ceil(at * this.fps - 1e-6));
-    this.cut = Math.min(this.cut, this.end);
     for (const k of this.frames.keys()) if (k >= this.end) this.frames.delete(k);
     this.journal = this.journal.map((sent) => cutEnd(sent, at, this.sampleRate));
     this.time = at;
@@ -119,6 +119,10 @@ export class GestureStream {
 
   transmit(message) {
     if (this.socket.readyState !== this.Socket.OPEN) return; // lost: what is in the journal is sent later
+    if (message.type === "interrupt") {
+      this.interrupting++;
+      this.cut = Math.min(this.cut, Math.ceil(message.time * this.fps - 1e-6));
+    }
     this.socket.send(ArrayBuffer.isView(message) ? message : JSON.stringify(this.shifted(message)));
   }
 
@@ -152,6 +156,7 @@ export class GestureStream {
   receive(message) {
     if (message.type === "hello") { this.begin(message); return; }
     if (message.type === "error") this.refused = message;
+    if (message.type === "interrupted" && --this.interrupting <= 0) this.cut = Infinity;
     const back = this.offset / this.fps;
     for (const name of ["time", "start", "end"]) if (name in message) message[name] += back;
     if (message.type === "done") this.ended = true;
@@ -172,8 +177,9 @@ export class GestureStream {
 
   /** Go on from the first frame that did not come; the journal is what is to be sent for it. */
   replay() {
-    this.offset = this.end;
+    this.offset = this.end = Math.min(this.end, this.cut);
     this.cut = Infinity;
+    this.interrupting = 0;
     this.source++;
     const begin = this.offset / this.fps;
     this.journal = this.journal.map((sent) => cutStart(sent, begin, this.sampleRate, this.fps)).filter(Boolean);
@@ -208,8 +214,7 @@ export class GestureStream {
     const head = JSON.parse(new TextDecoder().decode(new Uint8Array(packet, 4, size)));
     const numbers = new Float32Array(packet, 4 + size);
     const roots = head.count * head.joints * 4, faces = roots + head.count * 3, wide = head.face ?? 0, first = head.first + this.offset;
-    if (first > this.cut) return; // taken back while it was on its way
-    this.cut = Infinity;
+    if (first >= this.cut) return; // taken back while it was on its way
     for (let k = first; k < this.end; k++) this.frames.delete(k); // taken back by an interruption
     for (let k = 0; k < head.count; k++) {
       this.frames.set(first + k, {
