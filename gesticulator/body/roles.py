@@ -43,16 +43,16 @@ PERIOD, JITTER = 6.5, 0.4
 """Seconds of a role on average, and by which share of it a change comes early or late."""
 CHANGES = 1.0
 """Seconds in which one role passes into the next."""
-ONE_HANDED, DOMINANT, HANGING = 0.4, 0.7, 0.55
+ONE_HANDED, DOMINANT, HANGING = 0.5, 0.7, 0.75
 """Probability that one hand gestures alone; that it is the performance's dominant one; that the other hangs by then."""
 FOLLOWS = 0.75
 """How far the other hand follows the dominant one where both gesture."""
 WAITS = 0.35
 """Share of its movement that a hand which waits still makes."""
-RAISED, RAISES = 0.8, 0.3
+RAISED, RAISES = 0.5, 0.25
 """By how much a posture is above the mean pose, as a share of the way from there to the resting pose, and its standard
 deviation between roles."""
-LOWEST, HIGHEST = 0.2, 1.6
+LOWEST, HIGHEST = 0.1, 1.6
 """Least and greatest of these shares."""
 UPPER_ARM = 0.45
 """Share of `raised` that the upper arm takes: the elbow makes a posture, and elbows stay near the body."""

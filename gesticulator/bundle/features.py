@@ -67,10 +67,11 @@ class Statistics:
     """Normalisation of poses and features, measured on the training split.
 
     speakers: names in order. mean_pose: [speakers, D_m] vectors of the representation; rest_pose: [speakers, D_m] the
-    same in silence. deviation: [D_m]. bounds: [2, D_m] range of the normalised training data without one frame in a
-    thousand at either end. low, high: normalisers of the audio features. quiet_low, quiet_high: [3K, d] normalised
-    features of settled silence. levels: of the style features that can be controlled. A pose becomes (pose -
-    mean_pose[speaker]) / deviation: without each speaker's own mean, lexemes would encode speakers.
+    same in silence, or of hanging hands (`silence.rest`). deviation: [D_m]. bounds: [2, D_m] range of the normalised
+    training data without one frame in a thousand at either end. low, high: normalisers of the audio features.
+    quiet_low, quiet_high: [3K, d] normalised features of settled silence. levels: of the style features that can be
+    controlled. A pose becomes (pose - mean_pose[speaker]) / deviation: without each speaker's own mean, lexemes would
+    encode speakers.
     """
 
     speakers: tuple[str, ...]

@@ -31,7 +31,10 @@ def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.i
         silent = np.concatenate([arrays["silent"] for arrays in recordings])
         mean[speaker] = poses.mean(axis=(0, 1))
         still = settled(silent)
-        rest[speaker] = resting(poses[still, -1], config) if still.any() else mean[speaker]
+        if config.rests_by_phrase:
+            rest[speaker] = hanging(poses[:, -1], config)
+        else:
+            rest[speaker] = poses[still, -1].mean(axis=0) if still.any() else mean[speaker]
         # One deviation for all speakers about their own means: larger gestures of a speaker stay larger.
         centred.append((poses - mean[speaker]).reshape(-1, width))
     deviation = np.concatenate(centred).std(axis=0)
@@ -54,16 +57,15 @@ def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.i
                       silences[1], control)
 
 
-LOWEST = 0.3
-"""Share of the poses at the ends of silences, those with the lowest hands, that define the resting pose."""
+LOWEST = 0.03
+"""Share of the poses, those with the lowest hands, that define the resting pose: some speakers keep their hands up in
+every silence of theirs."""
 
 
-def resting(poses: Array, config: Config) -> Array:
-    """[D_m] the resting pose from the poses at the ends of silences [n, D_m]: their mean; or, with idle motion
-    (`silence.rest`), the arms of the median pose among those with the lowest hands (a mean of lowered and raised hands
-    would be half way up), and the mean of these poses for trunk and head (a single pose may look aside)."""
-    if not config.rests_by_phrase:
-        return np.asarray(poses.mean(axis=0))
+def hanging(poses: Array, config: Config) -> Array:
+    """[D_m] the pose of rest among poses [n, D_m]: the arms of the median pose among those with the lowest hands (a
+    mean of lowered and raised hands would be half way up), and the mean of these poses for trunk and head (a single
+    pose may look aside)."""
     places = positions_of(representation_of(config).motion(poses, config.rhythm.fps))
     height = places[:, [CHARACTER.index("LeftHand"), CHARACTER.index("RightHand")], 1].mean(axis=1) - places[:, 0, 1]
     low = poses[height <= np.quantile(height, LOWEST)]
