@@ -14,7 +14,7 @@ from pipecat_gesticulator.marks import timed_words, without_marks
 from recogniser_samples import FILES, Words
 
 from data_module.errors import InputError
-from data_module.motion.rotation import conjugate, multiply
+from data_module.motion.rotation import angle_between, conjugate, multiply
 from data_module.text.marks import mark_name, marked_text, marked_words
 from data_module.text.transcript import read_transcript, with_transcript
 from data_module.types import Speech, Word
@@ -317,7 +317,8 @@ def test_an_interruption_takes_the_gesture_back(system: Any) -> None:
 
     whole = _added(*(_streamed(system, [_texts(words)]) for words in (_words(w2="shrug"), _words()))).max()
     (marked, cut), (plain, _) = frames(True), frames(False)
-    changed = np.flatnonzero((marked != plain).any((1, 2)))
+    # What smoothing leaves of it for some frames more is under a thousandth of a degree.
+    changed = np.flatnonzero(angle_between(marked, plain).max(axis=1) > np.radians(1e-3))
     assert changed[0] < cut < changed[-1] < cut + 80, "the shrug is blended out in 1.2 s, the wave is forgotten"
     assert _added(marked, plain)[cut - 2:].max() < 1.3 * whole
 
