@@ -40,13 +40,13 @@ def rendered(bundle: Bundle, speech: Speech, code: tuple[float, ...], seed: int,
 @pytest.mark.parametrize("dimension", [0, 3])
 def test_contrast_takes_what_is_heard_further(
         system: Gesticulator, speech: Speech, dimension: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a code of speed, or of reach, that is high in one rendering and low in another; in the mean of four draws, as
+    """Of a code of speed, or of reach, that is high in one rendering and low in another; in the mean of six draws, as
     one of 14 s may differ by as much for another reason."""
     monkeypatch.setattr(movement, "WAXING", 0.0)
     apart = []
     for contrast in (0.0, 2.0):
         measured = [[style_of(rendered(system.bundle, speech, tuple(sign * 1.5 * np.eye(4)[dimension]), seed,
-                                       f"selection.contrast={contrast}"))[dimension] for seed in range(2, 6)]
+                                       f"selection.contrast={contrast}"))[dimension] for seed in range(2, 8)]
                     for sign in (1.0, -1.0)]
         apart.append(np.mean(measured[0]) - np.mean(measured[1]))
     assert apart[1] > 1.3 * apart[0] > 0.0
