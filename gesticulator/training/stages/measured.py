@@ -28,12 +28,11 @@ def measured(config: Config, speakers: tuple[str, ...], speaker_of: NDArray[np.i
     for speaker in range(len(speakers)):
         recordings = [arrays for arrays, one in zip(loaded, speaker_of, strict=True) if one == speaker]
         poses = np.concatenate([arrays["motion"] for arrays in recordings]).astype(np.float64)
-        silent = np.concatenate([arrays["silent"] for arrays in recordings])
         mean[speaker] = poses.mean(axis=(0, 1))
-        still = settled(silent)
         if config.rests_by_phrase:
             rest[speaker] = hanging(poses[:, -1], config)
         else:
+            still = settled(np.concatenate([arrays["silent"] for arrays in recordings]))
             rest[speaker] = poses[still, -1].mean(axis=0) if still.any() else mean[speaker]
         # One deviation for all speakers about their own means: larger gestures of a speaker stay larger.
         centred.append((poses - mean[speaker]).reshape(-1, width))
